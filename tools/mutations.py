@@ -4,12 +4,12 @@
 
 A mutation flips a comparison, changes a number, swaps and/or, swaps two arguments of a call, or
 deletes a statement. Its tests are the files that name the mutated function, or what calls it, the
-nearest and rarest names first; they run until one fails or until the limit [s] is reached. The
-clone is copied: nothing in it changes. Prints one line for each mutation.
+nearest and rarest names first; they run in a copy until one fails or the limit [s] is reached.
 """
 
 import argparse
 import ast
+import itertools
 import os
 import random
 import re
@@ -22,12 +22,10 @@ from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
 KERNELS = "integrate"  # every mutation there compiles all kernels again: few are drawn
-PAIRS = "Lt GtE, Gt LtE, Eq NotEq, Is IsNot, In NotIn, And Or"
-FLIPPED = {
-    getattr(ast, one): getattr(ast, other)
-    for pair in PAIRS.split(", ")
-    for one, other in (pair.split(), reversed(pair.split()))
-}
+FLIPPED = {ast.Lt: ast.GtE, ast.Gt: ast.LtE, ast.Eq: ast.NotEq, ast.Is: ast.IsNot}
+FLIPPED |= {ast.In: ast.NotIn, ast.And: ast.Or}
+FLIPPED |= {other: one for one, other in FLIPPED.items()}
+WORDS = re.compile(r"\w{4,}")
 
 
 def mutate(node):
@@ -65,9 +63,8 @@ def mutated(source, number):
     node = list(ast.walk(tree))[number]
     if mutate(node) == "statement":
         for parent in ast.walk(tree):
-            for _, body in ast.iter_fields(parent):
-                if isinstance(body, list) and node in body:
-                    body[body.index(node)] = ast.copy_location(ast.Pass(), node)
+            for body in (b for _, b in ast.iter_fields(parent) if isinstance(b, list)):
+                body[:] = [ast.Pass() if each is node else each for each in body]
     return ast.unparse(ast.fix_missing_locations(tree)), node.lineno
 
 
@@ -75,18 +72,12 @@ def ranked(stem, names, functions, tests):
     """Test files by how near they name the function or its callers, and how rare that name is."""
     spread = Counter(name for words in tests.values() for name in words)
     score = Counter({file: 0.2 for file in tests if stem in file.stem})
-    level, seen = set(names[-2:]), set()
+    level = set(names[-2:])
     for weight in (1.0, 0.3, 0.1, 0.03):
-        for name in level - seen:
-            for file, words in tests.items():
-                score[file] += (name in words) * weight / max(1, spread[name]) / len(words) ** 0.5
-        seen |= level
+        for name, (file, words) in itertools.product(level, tests.items()):
+            score[file] += (name in words) * weight / max(1, spread[name]) / len(words) ** 0.5
         level = {name for name, words in functions if words & level}
     return [file for file, value in score.most_common(10) if value > 0.0]
-
-
-def words_of(text):
-    return set(re.findall(r"\w{4,}", text))
 
 
 def main():
@@ -96,15 +87,15 @@ def main():
     parser.add_argument("--tests", type=Path, default=ROOT / "tests")
     asked = parser.parse_args()
     copy = Path(tempfile.mkdtemp()) / "clone"
-    ignored = shutil.ignore_patterns(".git", ".venv", "__pycache__", "tests")
-    shutil.copytree(ROOT, copy, ignore=ignored)
+    shutil.copytree(ROOT, copy, ignore=shutil.ignore_patterns(".git", ".venv", "tests"))
     shutil.copytree(asked.tests, copy / "tests")
     package = copy / "pipeline" / "gapsweep"
     sources = {path: path.read_text() for path in sorted(package.rglob("*.py"))}
     nodes = [node for text in sources.values() for node in ast.walk(ast.parse(text))]
     defined = [node for node in nodes if isinstance(node, ast.FunctionDef)]
-    functions = [(node.name, words_of(ast.unparse(node))) for node in defined]
-    tests = {p: words_of(p.read_text()) for p in sorted((copy / "tests").rglob("test_*.py"))}
+    functions = [(each.name, {*WORDS.findall(ast.unparse(each))}) for each in defined]
+    files = sorted((copy / "tests").rglob("test_*.py"))
+    tests = {path: {*WORDS.findall(path.read_text())} for path in files}
     places = [(path, *site) for path, text in sources.items() for site in sites(text)]
     draw, drawn = random.Random(asked.seed), []
     while len(drawn) < asked.draw:
@@ -113,22 +104,19 @@ def main():
         n_kernels = sum(KERNELS in path.parts for path, *_ in drawn)
         if KERNELS not in place[0].parts or n_kernels < asked.kernels:
             drawn.append(place)
-    environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(copy / "pipeline"), str(copy)])}
+    path = os.pathsep.join([str(copy / "pipeline"), str(copy)])
+    how = {"cwd": copy, "env": os.environ | {"PYTHONPATH": path}, "capture_output": True}
     for path, kind, number, names in drawn:
         text, line = mutated(sources[path], number)
         path.write_text(text)
         files = ranked(path.stem, names, functions, tests)
-        command = [sys.executable, "-B", "-m", "pytest", "-q", "-x", "-n", "0", *files]
-        how = {"cwd": copy, "env": environment, "capture_output": True, "text": True}
-        try:
-            done = subprocess.run(command, **how, timeout=asked.limit)
-            failed = re.search(r"^(FAILED|ERROR) (\S+)", done.stdout, re.MULTILINE)
-            found = f"caught by {failed[2]}" if failed else f"ended with {done.returncode}"
-        except subprocess.TimeoutExpired:
-            found = "reached the limit"
+        command = ["timeout", str(asked.limit), sys.executable, "-B", "-m", "pytest", "-q", "-x"]
+        done = subprocess.run([*command, "-n", "0", *files], **how, text=True, check=False)
+        failed = re.search(r"^(FAILED|ERROR) (\S+)", done.stdout, re.MULTILINE)
+        survived = "reached the limit" if done.returncode == 124 else "survived"
+        found = f"caught by {failed[2]}" if failed else survived
         path.write_text(sources[path])
-        where = f"{path.relative_to(package)}:{line}"
-        print(f"{kind:10} {where} {'.'.join(names)}: {found}", flush=True)
+        print(kind, f"{path.relative_to(package)}:{line}", *names, found, flush=True)
 
 
 if __name__ == "__main__":

@@ -149,43 +149,6 @@ def test_the_air_is_that_of_thin_airfoil_theory():
     close(lags.of_lags, np.diag(-rates))
 
 
-# copy, speed [m/s], wall crossings, state after 2 s
-SECTION_ENDS = [
-    (
-        "conner-scaled",
-        12.36842,
-        53,
-        "0.003905415041 0.008993728781 0.042736959808 0.003468195875 "
-        "-0.269931994974 2.567227650783 -0.061300393525 0.132570281329",
-    ),
-    (
-        "darabseh",
-        12.0,
-        48,
-        "0.003283335544 0.010574490612 0.002963477418 0.053655912036 "
-        "0.012481393015 1.999635538954 -0.091532673991 -0.025256302055",
-    ),
-    (
-        "darabseh",
-        20.0,
-        74,
-        "3.518455717306e-04 1.008614103238e-02 -2.148688290978e-02 3.115336639493e-02 "
-        "3.572560647578e-01 3.836267459867e+00 -7.313875287368e-02 -2.993979188956e-01",
-    ),
-]
-
-
-@pytest.mark.parametrize(("copy", "speed", "n_contacts", "end"), SECTION_ENDS)
-def test_motions_of_the_section(copy, speed, n_contacts, end):
-    section = gs.systems.typical_section(speed, copy)
-    law = gs.systems.typical_section_law(copy)
-    motion = gs.simulate(section, law, q_0=PLUNGE, t_end=2.0, tangent=True, **EXACT)
-    assert motion.n_contacts == n_contacts
-    np.testing.assert_allclose(state(motion), [*map(float, end.split())], rtol=0, atol=1e-9)
-    shrinks = math.exp(2.0 * np.trace(first_order(section)))
-    assert np.linalg.det(motion.monodromy) == pytest.approx(shrinks, rel=1e-6)
-
-
 # copy, speed [m/s], extrema of the flap [deg, or mirrored], frequency [Hz], wall crossings a period
 LIMIT_CYCLES = [
     ("darabseh", 5.0, 2.6422935, 2.6422935, 4.6218515, 4),
@@ -316,19 +279,6 @@ def test_grazing_frequencies(system, run, grazing, expected):
             if sign != touches:
                 largest = motion.extrema[system.coordinates[0]].max()
                 assert largest == pytest.approx(abs(swing[0]), abs=1e-11)
-
-
-@pytest.mark.parametrize(
-    ("rate", "n_contacts", "end"),
-    [
-        (0.635, 10, [0.92649702934, 0.63429568903, 0.104494451572, 0.062724452906]),
-        (0.6, 6, [-0.778268862295, -0.517544154251, -0.159589645522, -0.111712377497]),
-    ],
-)
-def test_motions_of_two_masses(rate, n_contacts, end):
-    motion = two_masses(rate, 100.0)
-    assert motion.n_contacts == n_contacts
-    np.testing.assert_allclose(state(motion), end, rtol=0, atol=1e-9)
 
 
 def test_the_response_of_two_masses_at_the_printed_frequencies():
