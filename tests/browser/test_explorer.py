@@ -12,7 +12,7 @@ from tests.browser.tab import tab
 from tests.made import datasets, periodic, tables
 
 import gapsweep as gs
-from gapsweep.explorer.answers import from_rest
+from gapsweep.explorer.page_results import from_rest
 from gapsweep.explorer.question import EXACT, asked, numbers, of_model
 from gapsweep.explorer.widget import explore_path
 

@@ -203,9 +203,9 @@ _HOLDER = """
 import sys, time
 from pathlib import Path
 from gapsweep.store.cache import Cache
-from gapsweep.store.claims import Claims
+from gapsweep.store.work_locks import WorkLocks
 cache, keys, wanted = Path(sys.argv[1]), bytes.fromhex(sys.argv[2]), int(sys.argv[3])
-with Claims(cache, keys) as claims:
+with WorkLocks(cache, keys) as claims:
     assert claims.take(0, 0)
     print("held", flush=True)
     count = 0

@@ -155,7 +155,9 @@ def status(folder):
 def test_two_runs_on_one_cache_share_the_work(tmp_path, n_points, locks):
     """Without locks, as on two hosts, they may compute a point twice."""
     (tmp_path / "storm.toml").write_text(study_text(n_points))
-    run = RUN if locks == "locks" else f"import gapsweep.store.claims as c; c.fcntl = None; {RUN}"
+    run = (
+        RUN if locks == "locks" else f"import gapsweep.store.work_locks as w; w.fcntl = None; {RUN}"
+    )
     both = [start(tmp_path, "cache", out, "--workers", "1", run=run) for out in ("one", "two")]
     texts = [finish(process) for process in both]
     counts = [int(text.split(" from the cache, ")[1].split(" computed")[0]) for text in texts]

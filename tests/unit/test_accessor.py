@@ -22,9 +22,9 @@ from tests.made import chaotic, datasets, failed, periodic, tables
 import gapsweep as gs
 import gapsweep.report.accessor  # plain xarray.load_dataset does not bring it along
 from gapsweep.analysis.agreement.comparison import agreement
-from gapsweep.report.branches import of_scene
+from gapsweep.report.branch_lines import of_scene
+from gapsweep.report.figure_marks import as_csv
 from gapsweep.report.figures import frequency_response
-from gapsweep.report.points import as_csv
 from gapsweep.report.style import MATPLOTLIB, NOT_PERIODIC, colour
 
 mpl.use("Agg")

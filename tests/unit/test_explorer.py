@@ -23,8 +23,11 @@ from tornado.websocket import websocket_connect
 import gapsweep as gs
 from gapsweep.cli.main import exit_code
 from gapsweep.errors import GapsweepError, ModelError
-from gapsweep.explorer import answers as shown
-from gapsweep.explorer.answers import (
+from gapsweep.explorer import page_results as shown
+from gapsweep.explorer.latest import Latest
+from gapsweep.explorer.page import Page
+from gapsweep.explorer.page_figures import Figures, legend
+from gapsweep.explorer.page_results import (
     BASINS,
     DOWN,
     MAP,
@@ -43,9 +46,6 @@ from gapsweep.explorer.answers import (
     response_map,
     sweeps,
 )
-from gapsweep.explorer.figures import Figures, legend
-from gapsweep.explorer.latest import Latest
-from gapsweep.explorer.page import Page
 from gapsweep.explorer.question import (
     EXACT,
     asked,
@@ -56,7 +56,7 @@ from gapsweep.explorer.question import (
     of_model,
     of_study,
 )
-from gapsweep.explorer.stored import Stored
+from gapsweep.explorer.stored import StoredRun
 from gapsweep.report.style import NOT_PERIODIC, NOT_SETTLED
 
 SOON = 30.0  # seconds that something may take before a test gives up
@@ -446,7 +446,7 @@ def run(tmp_path):
 
 
 def test_the_points_of_a_run_are_found_in_their_scenes(run):
-    stored = Stored(run)
+    stored = StoredRun(run)
     (name,) = stored.scenes
     assert "14000 N/m" in name
     assert stored.scenes[name] == {"K_c": 1.4e4, "j_1": 0.4e-3, "j_2": 0.4e-3}
@@ -460,14 +460,14 @@ def test_the_points_of_a_run_are_found_in_their_scenes(run):
 
 def test_branches_of_a_run_are_lines_behind_its_points(run):
     """Of the scene alone; without the file there are none."""
-    (name,) = Stored(run).scenes
-    assert Stored(run).branches(name) == []
+    (name,) = StoredRun(run).scenes
+    assert StoredRun(run).branches(name) == []
     labels, K_c, gap = ["piecewise", "tanh-1e4"], [1.4e4, 1.0], ["0.4/0.4"] * 2
     found = branches([[1, 1, 0]] * 2, [[0, 1, 0]] * 2, representation=labels, K_c=K_c, gap=gap)
     found.attrs["created"] = "9999"
     found.to_netcdf(run / "branches.nc", engine="netcdf4")
     with pytest.warns(UserWarning, match="no SHA-256 beside it"):
-        stored = Stored(run)
+        stored = StoredRun(run)
     lines = stored.branches(name)
     assert [(label, is_stable) for label, is_stable, _ in lines] == [
         ("piecewise", False),

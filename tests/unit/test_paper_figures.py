@@ -28,10 +28,10 @@ from gapsweep.analysis.claims import Run
 from gapsweep.analysis.datasets import static as static_part
 from gapsweep.analysis.datasets.histories import histories
 from gapsweep.analysis.spectra import N_PERIODS, SAMPLES_PER_PERIOD
+from gapsweep.report.figure_marks import as_csv
 from gapsweep.report.figures import bifurcation
 from gapsweep.report.parts import rendered
 from gapsweep.report.pictures import is_picture
-from gapsweep.report.points import as_csv
 from gapsweep.report.scenes import said_of_starts
 from gapsweep.report.style import MATPLOTLIB, colour
 from gapsweep.response.result import ResponseClass

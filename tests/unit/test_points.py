@@ -10,7 +10,7 @@ import pytest
 from matplotlib.figure import Figure
 from numpy.testing import assert_allclose
 
-from gapsweep.report.points import as_csv, as_json
+from gapsweep.report.figure_marks import as_csv, as_json
 
 
 def numbers(text):

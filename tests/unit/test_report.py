@@ -23,6 +23,7 @@ from gapsweep.model.labels import FAMILIES, contact_law
 from gapsweep.model.oscillator import Gap
 from gapsweep.report import model as model_module
 from gapsweep.report.answer import Contact, Judged, contacts
+from gapsweep.report.figure_marks import as_csv
 from gapsweep.report.findings import findings
 from gapsweep.report.heat import heads, heat, swept_columns
 from gapsweep.report.html import (
@@ -38,7 +39,6 @@ from gapsweep.report.html import (
 from gapsweep.report.model import model
 from gapsweep.report.parts import Figured, Part, Table, for_page, pictured, rendered, shown
 from gapsweep.report.pictures import is_picture, pictures
-from gapsweep.report.points import as_csv
 from gapsweep.report.provenance import provenance
 from gapsweep.report.scales import Told
 from gapsweep.report.tables import VERDICTS, claim_rows, number, outcome, percent, special_points

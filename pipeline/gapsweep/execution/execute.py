@@ -38,8 +38,8 @@ from gapsweep.integrate.problem import DEFAULT_ENGINE
 from gapsweep.response.result import Response, Responses
 from gapsweep.status import Status
 from gapsweep.store.cache import Cache
-from gapsweep.store.claims import Claims
 from gapsweep.store.slab import Slab
+from gapsweep.store.work_locks import WorkLocks
 from gapsweep.study.points import KEY
 from gapsweep.study.software import software
 from gapsweep.study.study import Study
@@ -113,7 +113,7 @@ def execute(
     timeout = time_limit(timeout)
     before = Progress(plan.n_points, plan.n_hits)
     check_workers(client, partial(tell, on_progress, before, "waiting for workers"))
-    with Claims(cache.path, plan.keys.data) as claims:
+    with WorkLocks(cache.path, plan.keys.data) as claims:
         run = _Execution(study, plan, cache, claims, client, batch, timeout, retry_failed)
         try:
             run.finish(on_progress)
@@ -132,7 +132,7 @@ class _Execution:
         study: Study,
         plan: Plan,
         cache: Cache,
-        claims: Claims,
+        claims: WorkLocks,
         client: Client,
         batch: int | None,
         timeout: float,

@@ -21,7 +21,9 @@ from bokeh.models import (
 )
 
 from gapsweep.errors import GapsweepError
-from gapsweep.explorer.answers import (
+from gapsweep.explorer.latest import Latest
+from gapsweep.explorer.page_figures import Figures, legend
+from gapsweep.explorer.page_results import (
     BASINS,
     MAP,
     N_MAP,
@@ -30,12 +32,10 @@ from gapsweep.explorer.answers import (
     Curve,
     Motion,
     Plane,
-    Points,
+    RunPoints,
     answers,
     nearest,
 )
-from gapsweep.explorer.figures import Figures, legend
-from gapsweep.explorer.latest import Latest
 from gapsweep.explorer.question import (
     MAX_APPROXIMATIONS,
     Dial,
@@ -45,7 +45,7 @@ from gapsweep.explorer.question import (
     labels,
     numbers,
 )
-from gapsweep.explorer.stored import Stored
+from gapsweep.explorer.stored import StoredRun
 from gapsweep.model.labels import AUTO, EXACT
 
 _MM = 1e3
@@ -91,7 +91,7 @@ class Page:
         What it starts with.
     ranges : dict
         As of `dials`.
-    stored : Stored, optional
+    stored : StoredRun, optional
         A run whose points are shown behind.
     note : str
         What is to be known of the figures; empty: nothing.
@@ -102,7 +102,7 @@ class Page:
         document: Document,
         question: Question,
         ranges: dict[str, Any],
-        stored: Stored | None,
+        stored: StoredRun | None,
         note: str = "",
     ) -> None:
         self._document, self._question, self._stored = document, question, stored
@@ -110,7 +110,7 @@ class Page:
         self._is_setting = False
         self._curves: dict[tuple[str, str], Curve] = {}
         self._motions: dict[str, Motion] = {}
-        self._points: Points | None = None
+        self._points: RunPoints | None = None
         self._controls(question, ranges)
         self._figures = Figures()
         self._figures.look_at(question)
@@ -189,7 +189,7 @@ class Page:
         )  # fmt: skip
         return _side_by_side(side, main)
 
-    def _scene_choice(self, stored: Stored) -> Select:
+    def _scene_choice(self, stored: StoredRun) -> Select:
         self._scene = Select(
             title="Parameter set of the run (squares: its points)", name="scene",
             options=list(stored.scenes),
@@ -253,7 +253,7 @@ class Page:
 
     def _clicked(self, event: Tap) -> None:
         """Look at the motion of the response that is nearest."""
-        shown: list[Curve | Points] = [*self._curves.values()]
+        shown: list[Curve | RunPoints] = [*self._curves.values()]
         shown += [] if self._points is None else [self._points]
         low, high = self._question.band
         # The figure is about three times as wide as high.

@@ -17,7 +17,7 @@ from bokeh.models import (
 )
 from bokeh.plotting import figure
 
-from gapsweep.explorer.answers import BASINS, DECAY_TIMES, MAP, Plane, decay_times
+from gapsweep.explorer.page_results import BASINS, DECAY_TIMES, MAP, Plane, decay_times
 from gapsweep.explorer.question import Dial, Question, numbers
 from gapsweep.model.labels import EXACT
 from gapsweep.report.style import NOT_PERIODIC, NOT_SETTLED, sequence

@@ -8,11 +8,11 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from gapsweep.explorer.answers import Points
+from gapsweep.explorer.page_results import RunPoints
 from gapsweep.explorer.question import not_computed, of_study, refuse_systems
 from gapsweep.model.labels import law_of
 from gapsweep.model.oscillator import OSCILLATOR
-from gapsweep.report import branches
+from gapsweep.report import branch_lines
 from gapsweep.run_folder import BRANCHES, RESPONSES, is_of_run
 from gapsweep.store import netcdf
 from gapsweep.study.schema import written
@@ -21,7 +21,7 @@ from gapsweep.study.study import Study
 _OF_A_POINT = ("representation", "omega", "initial_condition")
 
 
-class Stored:
+class StoredRun:
     """A run that the page shows the points of.
 
     Attributes
@@ -51,7 +51,7 @@ class Stored:
     def _scene(self, name: str) -> xr.Dataset:
         return self._dataset.isel(self._places[name])
 
-    def points(self, name: str) -> Points:
+    def points(self, name: str) -> RunPoints:
         """The responses of a scene; those that failed or were not asked for are left out."""
         scene = self._scene(name)
         x_max = scene["x_max"].transpose(*_OF_A_POINT)
@@ -64,15 +64,15 @@ class Stored:
         )
         is_there = np.isfinite(x_max.values) & np.isfinite(first["section_x"].values)
         columns = (label, omega, x_max.values, first["section_x"].values, first["section_v"].values)
-        return Points(*(column[is_there] for column in columns))
+        return RunPoints(*(column[is_there] for column in columns))
 
     def branches(self, name: str) -> list[tuple[str, bool, NDArray[np.float64]]]:
         """Lines of the branches of a scene [Hz, mm]: label, whether they are stable, points."""
-        found = branches.of_scene(self._branches, self._scene(name), "omega", "x_max")
+        found = branch_lines.of_scene(self._branches, self._scene(name), "omega", "x_max")
         if found is None:
             return []
         labels = np.broadcast_to(found["representation"].values, found.sizes["branch"]).tolist()
-        drawn = branches.lines(found, "omega", "x_max")
+        drawn = branch_lines.lines(found, "omega", "x_max")
         return [(labels[number], is_stable, points) for number, is_stable, points in drawn]
 
 

@@ -14,7 +14,7 @@ from gapsweep.explorer.question import (
     refuse_systems,
 )
 from gapsweep.explorer.server import Explorer
-from gapsweep.explorer.stored import Stored
+from gapsweep.explorer.stored import StoredRun
 from gapsweep.model.contact import ContactLaw
 from gapsweep.model.oscillator import Oscillator
 from gapsweep.store.artefact import reading
@@ -73,7 +73,7 @@ def explore_path(path: Path | None, port: int) -> Explorer:
         return opened(of_model(), port=port)
     if path.is_dir():
         with reading(path):
-            stored = Stored(path)
+            stored = StoredRun(path)
         return opened(stored.question, stored.ranges, stored, stored.note, port=port)
     refuse_systems(dict(read(path)), path)
     study = Study.load(path)
@@ -83,7 +83,7 @@ def explore_path(path: Path | None, port: int) -> Explorer:
 def opened(
     question: Question,
     ranges: dict[str, tuple[float, float]] | None = None,
-    stored: Stored | None = None,
+    stored: StoredRun | None = None,
     note: str = "",
     *,
     port: int,

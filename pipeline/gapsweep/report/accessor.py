@@ -14,7 +14,7 @@ import xarray as xr
 from gapsweep.analysis.dimensions import selected
 from gapsweep.errors import DatasetError
 from gapsweep.report import backdrop, contacts, drawing, dynamics, maps
-from gapsweep.report import branches as of_branches
+from gapsweep.report import branch_lines as of_branches
 from gapsweep.report.drawing import labels_of
 from gapsweep.report.dynamics import CURVES, WORDS
 from gapsweep.report.labelled import axes_of, axis_of, finished, scene_along, titled

@@ -14,7 +14,7 @@ from gapsweep.analysis.dimensions import Array
 from gapsweep.analysis.spectra import N_PERIODS, SAMPLES_PER_PERIOD, spectrum
 from gapsweep.errors import DatasetError
 from gapsweep.report import backdrop, drawing
-from gapsweep.report import branches as of_branches
+from gapsweep.report import branch_lines as of_branches
 from gapsweep.report.continued import motions, weights
 from gapsweep.report.drawing import labels_of
 from gapsweep.report.labelled import axes_of, axis_of, finished, scene_along, titled

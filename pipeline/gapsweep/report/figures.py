@@ -10,9 +10,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from gapsweep.model.labels import EXACT
-from gapsweep.report import backdrop, branches, drawing
+from gapsweep.report import backdrop, branch_lines, drawing
 from gapsweep.report.drawing import labels_of
-from gapsweep.report.maps import Picture, draw
+from gapsweep.report.maps import MapImage, draw
 from gapsweep.report.scales import axis_label, drawn, is_log
 from gapsweep.report.style import colour
 from gapsweep.status import Status
@@ -54,7 +54,7 @@ def bifurcation(
     def extrema(axes: Axes, one: xr.Dataset) -> None:
         backdrop.walls(axes, responses, along)
         backdrop.bands(axes, one, along)
-        branches.behind(axes, continued, one, along, ("x_max", "x_min"))
+        branch_lines.behind(axes, continued, one, along, ("x_max", "x_min"))
         drawing.extrema(axes, one, along)
 
     shown = drawing.with_setting(responses, "extrema")
@@ -80,7 +80,7 @@ def attractors(
 
     def peaks(axes: Axes, one: xr.Dataset) -> None:
         backdrop.walls(axes, found, along, of_peaks=True)
-        branches.behind(axes, continued, one, along, ("x_max",))
+        branch_lines.behind(axes, continued, one, along, ("x_max",))
         drawing.attractor_peaks(axes, one, along)
 
     return _grid(found, along, axis_label(found["x_max"], "peak"), peaks)
@@ -169,7 +169,7 @@ def basins(found: xr.Dataset) -> Figure:
     return figure
 
 
-def maps(pictures: Sequence[Picture]) -> Figure:
+def maps(pictures: Sequence[MapImage]) -> Figure:
     """Pictures of one representation, two in a row."""
     n_rows = math.ceil(len(pictures) / 2)
     figure = Figure(figsize=(_WIDTH, 1.0 + 3.4 * n_rows))

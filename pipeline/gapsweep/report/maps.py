@@ -35,7 +35,7 @@ _HATCH = "////"
 
 
 @dataclass
-class Picture:
+class MapImage:
     """A map before it is drawn.
 
     Attributes
@@ -69,7 +69,7 @@ class Picture:
 
 def picture(
     dataset: xr.Dataset, variable: str, x: str, y: str | None, wanted: Mapping[str, Any]
-) -> tuple[Picture, xr.Dataset]:
+) -> tuple[MapImage, xr.Dataset]:
     """What a map of a variable shows, and the part of the dataset that it is of.
 
     Parameters
@@ -210,7 +210,7 @@ def _attractors(starts: xr.Dataset) -> dict[int, tuple[int, float]]:
     }
 
 
-def draw(axes: "Axes", shown: Picture) -> None:
+def draw(axes: "Axes", shown: MapImage) -> None:
     """The mesh, a colour bar of its numbers and a legend of everything else."""
     from matplotlib.cm import ScalarMappable
     from matplotlib.colors import to_rgba_array
@@ -237,7 +237,7 @@ def draw(axes: "Axes", shown: Picture) -> None:
     _key(axes, names, shown.colours + [BLANK] * is_blank, title)
 
 
-def _hatch(axes: "Axes", shown: Picture) -> None:
+def _hatch(axes: "Axes", shown: MapImage) -> None:
     """Hatch failed cells, which have no response of any colour."""
     from matplotlib.colors import ListedColormap
 
@@ -297,12 +297,12 @@ def _companions(part: xr.Dataset, variable: str) -> list[str]:
     return [n for n in needed if n in part and n != variable and dims == set(part[n].dims)]
 
 
-def _picture(shown: xr.Dataset, variable: str, x: str, y: str) -> Picture:
+def _picture(shown: xr.Dataset, variable: str, x: str, y: str) -> MapImage:
     values = shown[variable].transpose(y, x)
     asked = np.ones(values.shape, dtype=bool)
     if "status" in shown:
         asked = shown["status"].transpose(y, x).values != Status.NOT_REQUESTED
-    made = Picture(shown[x], shown[y], values.where(asked), np.full(values.shape, -1))
+    made = MapImage(shown[x], shown[y], values.where(asked), np.full(values.shape, -1))
     classes = shown["response_class"].transpose(y, x).values if "response_class" in shown else None
     if variable == "period_multiple" and classes is not None:
         _mark_periods(made, class_numbers(asked, classes, values.values))
@@ -320,7 +320,7 @@ def _picture(shown: xr.Dataset, variable: str, x: str, y: str) -> Picture:
     return made
 
 
-def _mark_periods(made: Picture, numbers: NDArray[np.int64]) -> None:
+def _mark_periods(made: MapImage, numbers: NDArray[np.int64]) -> None:
     """Periods and other classes, each in its colour."""
     shades = sequence(CHAOTIC)
     for number in np.unique(numbers[numbers >= 0]).tolist():
@@ -329,7 +329,7 @@ def _mark_periods(made: Picture, numbers: NDArray[np.int64]) -> None:
     made.numbers = made.numbers.where(False)
 
 
-def _mark_whole_numbers(made: Picture, values: xr.DataArray) -> None:
+def _mark_whole_numbers(made: MapImage, values: xr.DataArray) -> None:
     """Flags by their names, and few different numbers as they are; negative ones are none."""
     whole, attributes = values.values, values.attrs
     first = 1 if values.name == "n_attractors" else 0

@@ -23,11 +23,11 @@ from gapsweep.analysis.dimensions import (
 from gapsweep.errors import DatasetError
 from gapsweep.model.labels import EXACT
 from gapsweep.report.backdrop import said_of_bands, said_of_missing, said_of_walls
-from gapsweep.report.branches import said as said_of_branches
+from gapsweep.report.branch_lines import said as said_of_branches
 from gapsweep.report.drawing import said_of_peaks
 from gapsweep.report.figures import attractors as attractors_figure
 from gapsweep.report.figures import bifurcation, frequency_response, maps
-from gapsweep.report.maps import Picture, numbered_as, numeric_axes, on_grid, picture
+from gapsweep.report.maps import MapImage, numbered_as, numeric_axes, on_grid, picture
 from gapsweep.report.parts import Figured, Part
 from gapsweep.report.scales import long_name, named, shown_unit
 from gapsweep.report.selection import places
@@ -256,7 +256,7 @@ def maps_of(
     yield Figured(maps([one for _, one in shown]), said[0].upper() + said[1:], f"Maps, {where}")
 
 
-def _everywhere(one: Picture) -> str:
+def _everywhere(one: MapImage) -> str:
     """What a map would show in every cell; empty if there are several things."""
     values = one.numbers.values
     if len(one.names) == 1 and (one.kind == 0).all():

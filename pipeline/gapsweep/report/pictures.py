@@ -19,7 +19,7 @@ from matplotlib.figure import Figure
 from matplotlib.text import Text
 from PIL import Image
 
-from gapsweep.report.points import as_csv, as_json
+from gapsweep.report.figure_marks import as_csv, as_json
 
 PACKED = "csv", "json"
 # What matplotlib draws with. Others run scripts, lead elsewhere or change what is shown.

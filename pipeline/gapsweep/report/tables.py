@@ -11,8 +11,8 @@ from gapsweep.analysis.agreement.metrics import BOUND
 from gapsweep.analysis.dimensions import At, by_coordinate, scene_dims
 from gapsweep.continuation.special import Special
 from gapsweep.model.labels import EXACT
-from gapsweep.report.branches import KINDS, REPRESENTATION, in_scene, of_orbits, of_scene
-from gapsweep.report.branches import label as of_axis
+from gapsweep.report.branch_lines import KINDS, REPRESENTATION, in_scene, of_orbits, of_scene
+from gapsweep.report.branch_lines import label as of_axis
 from gapsweep.report.parts import Table
 from gapsweep.report.scales import drawn
 

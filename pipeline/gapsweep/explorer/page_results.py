@@ -104,7 +104,7 @@ class Plane:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Points:
+class RunPoints:
     """Responses that a run has stored, as columns.
 
     Attributes
@@ -396,13 +396,13 @@ def motion(question: Question, label: str) -> Motion:
 
 
 def nearest(
-    shown: Sequence[Curve | Points], omega: float, x_max: float, scale: tuple[float, float]
+    shown: Sequence[Curve | RunPoints], omega: float, x_max: float, scale: tuple[float, float]
 ) -> Spot | None:
     """The response that is nearest to a place in the figure; None if none is shown.
 
     Parameters
     ----------
-    shown : sequence of Curve or Points
+    shown : sequence of Curve or RunPoints
     omega, x_max : float
         The place [Hz], [m].
     scale : (float, float)

@@ -17,7 +17,7 @@ _HELD_BY_OTHERS = {errno.EAGAIN, errno.EACCES}
 _ROOM = 2**24  # numbers that a study has; places in a file have 63 bits
 
 
-class Claims:
+class WorkLocks:
     """This process' claims on points of one study and cache; a context manager.
 
     Parameters
@@ -34,7 +34,7 @@ class Claims:
         self._file = file.open("ab")
         self._place = int.from_bytes(hashlib.sha256(points).digest()[:4], "big") * _ROOM
 
-    def __enter__(self) -> "Claims":
+    def __enter__(self) -> "WorkLocks":
         return self
 
     def __exit__(self, *_: object) -> None:

@@ -9,7 +9,7 @@ from bokeh.models import ColumnDataSource, DataRange1d, HoverTool, Range1d
 from bokeh.plotting import figure
 from numpy.typing import NDArray
 
-from gapsweep.explorer.answers import (
+from gapsweep.explorer.page_results import (
     DECAY_TIMES,
     DOWN,
     REST,
@@ -18,7 +18,7 @@ from gapsweep.explorer.answers import (
     Curve,
     Motion,
     Plane,
-    Points,
+    RunPoints,
     decay_times,
 )
 from gapsweep.explorer.planes import Planes, blank, guide
@@ -172,7 +172,7 @@ class Figures:
             self.spectrum.y_range.update(start=_FLOOR * largest, end=largest)
             self.spectrum.x_range.end = _ORDERS * motion.omega
 
-    def show_stored(self, points: Points, branches: Sequence[tuple[str, bool, Any]]) -> None:
+    def show_stored(self, points: RunPoints, branches: Sequence[tuple[str, bool, Any]]) -> None:
         """Draw the points of a run, and its branches as lines: unstable ones dashed."""
         columns = [
             (*line.T, colour(label), "solid" if is_stable else "dashed")
