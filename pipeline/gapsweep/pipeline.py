@@ -286,17 +286,17 @@ def stage_reasons(
     study: Study, plan: Plan, out: str | Path | None, cache: str | Path | None
 ) -> dict[str, str | None]:
     """Why the file of each stage would be made; None for those that are up to date."""
-    folder, path, stages = run_folder(study, out), cache_path(cache), stages_of(study)
-    if plan.n_missing or not path.exists():
-        return {stage.file: "sweep points are missing" for stage in stages}
+    folder, path = run_folder(study, out), cache_path(cache)
     reasons: dict[str, str | None] = {}
-    with Cache(path, read_only=True) as store:
-        run = RunContext(folder, study, points=(plan, store))
-        for stage in stages:
-            now = stage.made_from(folder, run)
+    with Cache(path, read_only=True) if path.exists() else nullcontext() as store:
+        run = RunContext(folder, study, points=(plan, store) if store else None)
+        for stage in stages_of(study):
             made = ", ".join(name for name in stage.inputs if reasons.get(name))
-            reason = reason_to_make(folder / stage.file, now)
-            reasons[stage.file] = reason or (f"{made} made anew" if made else None)
+            if POINTS in stage.sources and (plan.n_missing or store is None):
+                reason: str | None = "sweep points are missing"
+            else:
+                reason = reason_to_make(folder / stage.file, stage.made_from(folder, run))
+            reasons[stage.file] = reason or (f"{made} will be made" if made else None)
     return reasons
 
 

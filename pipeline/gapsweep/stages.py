@@ -173,7 +173,7 @@ class Stage:
         for name in self.inputs:
             found[name] = " ".join(digests(folder / name)) or "absent"
         for source in self.sources:
-            assert run is not None, "only the page has no sources"
+            assert run is not None, "digests of sources need the run"
             found[source.name] = run.digest(source)
         return found
 

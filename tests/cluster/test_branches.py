@@ -13,9 +13,11 @@ import numpy as np
 import pytest
 import xarray as xr
 from tests.calls import Deadly
+from tests.made import branches as made_branches
 
 import gapsweep as gs
 from gapsweep import pipeline
+from gapsweep.analysis.agreement.branch_agreement import compared
 from gapsweep.analysis.datasets import branches_file as branches_of_study
 from gapsweep.continuation.orbits import integrated
 from gapsweep.execution import branch_tasks
@@ -155,6 +157,19 @@ def test_special_points_of_laws_are_compared(branches):
     for kind in (1, 5):
         here = np.sort(law[branches["match_kind"] == kind])
         np.testing.assert_array_equal(here / ONE_RAD, special(of_law(branches, "tanh-1e3"), kind))
+
+
+def test_the_end_of_a_doubled_branch_is_the_point_where_it_leaves():
+    """Both rows are at 6 Hz: on the branch of period 1, and at the end of that of period 2."""
+    stable, special = [[1, 1, 0], [1, 1, 1]], [[0, 1, 2], [0, 0, 2]]
+    found = made_branches(stable, special)
+    table, _ = compared(
+        [({"representation": 0}, found), ({"representation": 1}, found)],
+        ["piecewise", "tanh-1e4"],
+        "omega",
+    )
+    assert table["match_kind"].values.tolist() == [1, 2]
+    assert table["match_period_multiple"].values.tolist() == [1, 1]
 
 
 def test_a_second_run_makes_nothing_and_a_new_folder_takes_all_from_the_cache(

@@ -122,7 +122,7 @@ def test_own_code_in_a_whole_run(folder, client, capsys, monkeypatch):
 
     # A threshold re-decides, and computes no dataset anew.
     changed(folder, "claims.py", '">", 1.0', '">", 0.01')
-    assert reasons() == {CLAIMS: "claims module changed", REPORT: "claims.json made anew"}
+    assert reasons() == {CLAIMS: "claims module changed", REPORT: "claims.json will be made"}
     before = (out / "widths.nc").stat().st_mtime_ns
     assert [claim["verdict"] for claim in again()["claims"]] == ["confirmed", "confirmed"]
     assert (out / "widths.nc").stat().st_mtime_ns == before

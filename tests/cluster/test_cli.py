@@ -102,7 +102,8 @@ def test_plan_counts_hits_and_missing_points(gapsweep, finished):
     numbers = planned(gapsweep, finished, "more.toml")
     assert numbers["expected_s"] > 0
     assert [numbers[name] for name in COUNTS] == [6, 4, 2, 0]
-    assert set(numbers["stages"].values()) == {"sweep points are missing"}
+    assert numbers["stages"]["responses.nc"] == "sweep points are missing"
+    assert all(numbers["stages"].values())
 
 
 def test_plan_without_a_cache_creates_none(gapsweep, folder):
@@ -122,13 +123,13 @@ def test_plan_says_why_a_stage_would_run(gapsweep, finished):
         "static.nc": None,
         "agreement.nc": None,
         "timing.nc": "absent",
-        "report/index.html": "timing.nc made anew",
+        "report/index.html": "timing.nc will be made",
     }
     text = (finished / "tiny.toml").read_text()
     (finished / "tiny.toml").write_text(text.replace('"tiny"', '"tiny"\ntitle = "Other"'))
     stages = planned(gapsweep, finished, "tiny.toml")["stages"]
     assert stages["responses.nc"] == "study changed"
-    assert stages["agreement.nc"] == "responses.nc, attractors.nc made anew"
+    assert stages["agreement.nc"] == "responses.nc, attractors.nc will be made"
     assert stages["static.nc"] == "study changed"
 
 

@@ -625,6 +625,8 @@ SOFT = gs.Piecewise(1.4e4, gs.Gap(0.4e-3, 0.4e-3))
         ({"at": 8.0, "follow": -1}, r"follow = -1: must be a whole number in 0..10"),
         ({"at": 8.0, "max_steps": 1}, r"max_steps = 1: must be a whole number in 2..100000"),
         ({"along": "amplitude"}, "along = 'amplitude': .* forcing and damping must be 0"),
+        ({"at": 8.0, "start": [0.0, 0.0], "starts": [0.0, 0.0]}, "starts: .* leave one"),
+        ({"at": [8.0, 9.0], "start": [0.0, 0.0]}, r"at = \[8.0, 9.0\]: start is one orbit"),
     ],
 )
 def test_bad_input_gives_one_line(options, message):
@@ -632,6 +634,16 @@ def test_bad_input_gives_one_line(options, message):
     with pytest.raises(gs.ModelError, match=message) as caught:
         gs.branches(gs.Oscillator(), SOFT, **given)
     assert "\n" not in str(caught.value)
+
+
+def test_a_response_at_another_frequency_is_refused():
+    start = gs.respond(gs.Oscillator(), SOFT, omega=8.0)
+    for options in (
+        {"between": (6.0, 12.0), "at": 9.0},
+        {"along": "zeta", "between": (0.01, 0.1), "at": 0.03, "omega": 9.0},
+    ):
+        with pytest.raises(gs.ModelError, match="= 9: the response start is at omega = 8"):
+            gs.branches(gs.Oscillator(), SOFT, start=start, **options)
 
 
 def test_a_parameter_that_a_system_lacks_is_named_with_the_remedy():
@@ -769,6 +781,9 @@ def test_speeds_of_folds_with_freeplay_do_not_depend_on_its_width():
 
 def test_points_without_a_curve_and_ranges_without_the_branch_are_refused():
     ds = forced("pyvib")
-    for arguments in ((99, "forcing", (0.01, 0.1)), (0, "forcing", (0.1, 0.2)), (0, "x", (1, 2))):
+    for arguments in (
+        *((99, "forcing", (0.01, 0.1)), (0, "forcing", (0.1, 0.2)), (0, "x", (1, 2))),
+        (0, "omega", (1.0, 2.0)),
+    ):
         with pytest.raises(gs.ModelError):
             gs.special_curve(ds, *arguments)

@@ -125,6 +125,8 @@ def special_curve(
     family = branches.encoding.get("family")
     if not isinstance(family, Family):
         raise ModelError("branches: must come from gapsweep.branches in this process")
+    if family.is_conservative:
+        raise ModelError("branches: of free motions along 'amplitude' have no curves")
     row, kind = _row(branches, point)
     first = Window.of(family.names[0], branches.attrs["between"])
     windows = first, Window.of(second, between)

@@ -49,6 +49,7 @@ OF_BRANCH = {
 }
 _UNITS = {"omega": "Hz", "amplitude": "m", "K_c": "N m-1", "forcing": "N", "mass": "kg"}
 _UNITS |= {"j_1": "m", "j_2": "m", "gap": "m", "omega_n": "Hz", "alpha": "N m-3"}
+_UNITS |= {"c": "N s m-1", "mean_load": "N", "zeta": "1", "K_ratio": "1"}
 
 
 def dataset(found: Branches) -> "xr.Dataset":

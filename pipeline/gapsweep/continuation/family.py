@@ -208,6 +208,8 @@ class Family:
         ModelError
             If the model does not have it, or not one value of it.
         """
+        if name in self.names:
+            raise ModelError(f"second = {name!r}: is the first parameter; name another one")
         if name == "omega" and self.omega is not None:
             return self.omega
         given = {**self.values, **values}
@@ -217,6 +219,8 @@ class Family:
             default = known[name].default if name in known else default
         laws = self.laws_at(given)
         found = [getattr(law, name) for law in laws if name in _names(law) and name != "gap"]
+        if name == "gap" and any(law.gap.j_1 != law.gap.j_2 for law in laws):
+            raise ModelError("second = 'gap': the walls differ; name j_1 or j_2")
         if name in _GAP:
             found = [getattr(law.gap, "j_1" if name == "gap" else name) for law in laws]
         if isinstance(model, Oscillator) and name in _names(model):

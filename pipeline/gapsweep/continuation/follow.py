@@ -1,5 +1,6 @@
 """`gapsweep.branches`: periodic orbits continued along a parameter."""
 
+import math
 from collections.abc import Callable
 
 import numpy as np
@@ -92,7 +93,7 @@ def branches(
     >>> br["special"].attrs["flag_meanings"].split()[:2]
     ['none', 'fold']
     """
-    window = Window.of(along, between)
+    window, follow = Window.of(along, between), whole("follow", follow, 0, 10)
     places = None if at is None else _inside(window, at)
     values = {along: places[0] if places else window.low}
     if omega is not None:
@@ -114,7 +115,7 @@ def branches(
             f"start: Newton's method finds no periodic orbit near it at {along} = "
             f"{found.attractors[0].value:g}; settle it first, as with start=gs.respond(...)"
         )
-    for _ in range(whole("follow", follow, 0, 10)):
+    for _ in range(follow):
         found.follow()
     return dataset(found)
 
@@ -127,13 +128,22 @@ def _attractors(
 ) -> list[Attractor]:
     """Orbits that branches start from."""
     window, n_states = equations.windows[0], equations.n_states
+    if start is not None and starts is not None:
+        raise ModelError("starts: branches begin at start; leave one of the two out")
+    if start is not None and at is not None and len(at) > 1:
+        raise ModelError(f"at = {at!r}: start is one orbit; give its value of {window.name} only")
     if isinstance(start, Response):
         if np.ndim(start.period_multiple):
             raise ModelError("start: several responses; give one, as from gs.respond at one omega")
         if start.response_class != ResponseClass.PERIODIC:
             raise ModelError("start: the response is not periodic; give one that is")
-        if at is None and window.name == "omega":
-            at = _inside(window, start.inputs["omega"])
+        if equations.family.is_forced:
+            own, is_parameter = float(start.inputs["omega"]), window.name == "omega"
+            called = at[0] if at and is_parameter else equations.family.omega
+            if called is not None and not math.isclose(own, called, rel_tol=1e-9):
+                name = "at" if is_parameter else "omega"
+                raise ModelError(f"{name} = {called:g}: the response start is at omega = {own:g}")
+            at = _inside(window, own) if is_parameter else at
         if at is None:
             raise ModelError(f"at: missing; give the value of {window.name} of the response")
         return [_attractor(start, at[0], n_states)]

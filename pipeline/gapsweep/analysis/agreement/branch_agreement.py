@@ -13,10 +13,12 @@ import xarray as xr
 from gapsweep.analysis.agreement.matching import assignment
 from gapsweep.analysis.dimensions import Array
 from gapsweep.continuation.dataset import SPECIAL_FLAGS
+from gapsweep.continuation.special import Special
 from gapsweep.model.labels import EXACT
 from gapsweep.variables import Variable
 
 MATCH = "match"
+_SAME = 1e-8  # relative difference of the parameter at one point on two branches
 VARIABLES = {
     "match_kind": Variable("i1", "1", "kind of special point", flags=SPECIAL_FLAGS),
     "match_period_multiple": Variable("i4", "1", "forcing periods in one period of the orbit"),
@@ -75,7 +77,15 @@ def compared(
 
 
 def _points(branches: xr.Dataset, along: str) -> Array:
-    """Kind, period multiple and parameter of special points, shape (n, 3)."""
+    """Kind, period multiple and parameter of special points, shape (n, 3).
+
+    A doubled branch ends at the point where it leaves: that point counts with half the multiple.
+    """
     special = branches["special"].values
     names = "special", "period_multiple", along
-    return np.stack([branches[name].values[special > 0].astype(float) for name in names], axis=1)
+    every = np.stack([branches[name].values[special > 0].astype(float) for name in names], axis=1)
+    kind, multiple, value = (each[:, None] - each for each in every.T)
+    is_same = (kind == 0.0) & (np.abs(value) <= _SAME * np.abs(every[:, 2]))
+    is_doubled = (every[:, :1] == Special.PERIOD_DOUBLING) & is_same & (multiple > 0.0)
+    found: Array = every[~is_doubled.any(axis=1)]
+    return found
