@@ -27,6 +27,7 @@ LAYERS = (
     {"stages"},
     {"pipeline"},
     {"cli", "__init__"},
+    {"__main__"},
 )
 FENCES = {
     "scipy": {"model", "integrate", "response", "continuation", "study", "analysis"},

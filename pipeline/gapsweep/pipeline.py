@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from gapsweep.analysis.unit_check import never_reached, wrong_tables
+from gapsweep.analysis.unit_check import doubtful_numbers, never_reached, wrong_tables
 from gapsweep.console import progress_bar
 from gapsweep.errors import StoreError, StudyError
 from gapsweep.execution.assemble import attributes_of, fill
@@ -68,15 +68,15 @@ class Outcome:
         Number of sweep points per failure status.
     failed_motions : mapping of str to mapping
         By file, the number of motions in it per failure status.
-    walls : str
-        In which cases the exact law touches no wall; empty if in none.
+    doubts : tuple of str
+        Warnings of numbers in another unit, and of cases in which the exact law touches no wall.
     """
 
     folder: Path
     progress: Progress
     failures: Mapping[str, int]
     failed_motions: Mapping[str, Mapping[str, int]]
-    walls: str
+    doubts: tuple[str, ...]
 
 
 def run(
@@ -152,8 +152,8 @@ def run(
             retry_failed=retry_failed,
             on_progress=observer,
         )
-    if outcome.walls:
-        warnings.warn(outcome.walls, stacklevel=2)
+    for doubt in outcome.doubts:
+        warnings.warn(doubt, stacklevel=2)
     found = netcdf.read(outcome.folder / RESPONSES)
     if found.attrs["study_json"] != study.json:  # since the folder was let go
         found.close()
@@ -226,13 +226,14 @@ def carry_out(
             failures = _failures(planned)
             del planned, store  # a tenth of a gigabyte of keys at a million points
             make([stage for stage in stages if POINTS not in stage.sources], run)
-    walls = ""
+    doubts = []
     if study.spec.system is None:
         values, grid = partial(netcdf.values, folder / RESPONSES), study.grid
         walls = never_reached(values, grid.dims, grid.representations)
+        doubts = [*doubtful_numbers({**study.spec.model, **grid.axes}), *filter(None, [walls])]
     motions = {stage.file: stage.failed_motions(folder) for stage in stages}
     failed = {file: counts for file, counts in motions.items() if counts}
-    return Outcome(folder, progress, failures, failed, walls)
+    return Outcome(folder, progress, failures, failed, tuple(doubts))
 
 
 def plan(

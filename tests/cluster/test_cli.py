@@ -317,14 +317,14 @@ def test_impossible_request_is_one_clear_line(gapsweep, folder, arguments, messa
 
 
 @pytest.mark.parametrize(
-    ("right", "wrong"),
+    ("right", "wrong", "named"),
     [
-        ("[[0.4e-3, 0.4e-3]]", "[[0.4, 0.4]]"),  # in millimetres
-        ("[12.0, 20.0]", "[3000.0, 9425.0]"),  # in rad/s
-        ("zeta = 0.03", "zeta = 3"),  # in percent
+        ("[[0.4e-3, 0.4e-3]]", "[[0.4, 0.4]]", ""),  # in millimetres
+        ("[12.0, 20.0]", "[3000.0, 9425.0]", "omega = 9425 Hz"),  # in rad/s
+        ("zeta = 0.03", "zeta = 3", "zeta = 3"),  # in percent
     ],
 )
-def test_a_wall_that_is_never_reached_is_noticed(gapsweep, folder, right, wrong):
+def test_a_wall_that_is_never_reached_is_noticed(gapsweep, folder, right, wrong, named):
     """By plan, before anything is computed, and in the last line of run."""
     linear = "[oscillator]\nzeta = 0.03\nalpha = 0.0\n[[sweep]]"
     text = QUICK.replace("[[sweep]]", linear).replace(right, wrong)
@@ -334,21 +334,23 @@ def test_a_wall_that_is_never_reached_is_noticed(gapsweep, folder, right, wrong)
         done = gapsweep(folder, command, "tiny.toml")
         assert done.returncode == 0, done.stderr
         last = done.stdout.splitlines()[-1]
+        assert named in done.stdout
         gap = re.search(r"the wall is never reached: .* ([0-9.e-]+) mm, gap ([0-9.]+) mm", last)
         assert gap, last
         assert float(gap[2]) == (400 if "0.4, 0.4" in text else 0.4)
         largest.append(float(gap[1]))
     assert 0.0 < largest[1] <= largest[0] < float(gap[2])
     planned = json.loads(gapsweep(folder, "plan", "tiny.toml", "--json").stdout)
-    assert "never reached" in planned["walls"]
+    assert "never reached" in planned["doubts"][-1]
     page = (folder / "data" / "runs" / "tiny" / "report" / "index.html").read_text()
     assert page.index("The wall is never reached") < page.index("cannot be judged")
+    assert named[1:] in page
 
 
 def test_a_wall_that_is_reached_is_no_matter(gapsweep, finished_once):
     done = gapsweep(finished_once, "run", "tiny.toml")
     assert "never reached" not in done.stdout + done.stderr
-    assert json.loads(gapsweep(finished_once, "plan", "tiny.toml", "--json").stdout)["walls"] == ""
+    assert json.loads(gapsweep(finished_once, "plan", "tiny.toml", "--json").stdout)["doubts"] == []
 
 
 def test_wrong_command_line_is_clicks_own(folder):

@@ -1,6 +1,6 @@
 """Which cases of a study (stiffness, gap and further parameters) touch no wall."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from typing import TYPE_CHECKING, Any
 
@@ -14,6 +14,8 @@ if TYPE_CHECKING:
     from gapsweep.study.study import Study
 
 _IN_CASE = ("representation", "omega", START)  # all other dimensions are of cases
+_FAST, _SOFT = 30.0, 1e-3  # times the natural frequency, and the stiffness of the spring
+_NAMES = ("zeta", "omega_n", "mass", "omega", "K_c")
 _SAMPLED = 16  # every so many points of a study show for most cases that a wall may be reached
 
 
@@ -62,6 +64,36 @@ def bounded(study: "Study") -> str:
     found = {"n_contacts": np.isinf(bound), "x_max": bound, "x_min": -bound}
     values = grid.coordinates() | {name: some[None] for name, some in found.items()}
     return never_reached(values.__getitem__, grid.dims, [EXACT])
+
+
+def doubtful_numbers(values: Mapping[str, Any]) -> Iterator[str]:
+    """Warnings of numbers of a study that are probably in another unit.
+
+    Parameters
+    ----------
+    values : mapping of str to number or array
+        Parameters of the oscillator, and `omega` and `K_c`, where a study has them.
+    """
+    numbers = {name: np.asarray(values[name], float) for name in _NAMES if name in values}
+    largest = {name: float(each.max()) for name, each in numbers.items() if each.size}
+    least = {name: float(each.min()) for name, each in numbers.items() if each.size}
+    if largest["zeta"] >= 1.0:
+        yield (
+            f"zeta = {largest['zeta']:g}: the oscillator is overdamped; zeta is a ratio, and 0.02 "
+            "is 2 %"
+        )
+    natural = largest["omega_n"]
+    if natural and largest.get("omega", 0.0) > _FAST * natural:
+        yield (
+            f"omega = {largest['omega']:g} Hz: more than {_FAST:g} times the natural frequency "
+            f"omega_n = {natural:g} Hz; frequencies are in hertz, not in rad/s"
+        )
+    spring = least["mass"] * (2.0 * np.pi * least["omega_n"]) ** 2
+    if 0.0 < largest.get("K_c", 0.0) < _SOFT * spring:
+        yield (
+            f"K_c = {largest['K_c']:g} N/m: less than {_SOFT:g} of the spring's stiffness "
+            f"m (2π omega_n)² = {spring:.3g} N/m; K_c is in N/m"
+        )
 
 
 def wrong_tables(study: "Study") -> Iterator[str]:

@@ -54,8 +54,8 @@ def run(study: Path, engine: str | None, **how: Any) -> int:
         _say_failed("points", outcome.failures, RESPONSES)
     for file, counts in outcome.failed_motions.items():
         _say_failed("motions", counts, file)
-    if outcome.walls:  # last, as it says that the results are not about contact
-        click.echo(outcome.walls)
+    for doubt in outcome.doubts:  # last, as they may say that the results are not about contact
+        click.echo(doubt)
     return SOME_FAILED if outcome.failures or outcome.failed_motions else FINISHED
 
 
@@ -89,7 +89,7 @@ def plan(
       gapsweep plan quick.toml --json
     """
     from gapsweep import pipeline
-    from gapsweep.analysis.unit_check import bounded
+    from gapsweep.analysis.unit_check import bounded, doubtful_numbers
     from gapsweep.console import print_table
 
     loaded = options.loaded(study, engine)
@@ -97,7 +97,10 @@ def plan(
         planned = pipeline.plan(loaded, cache, retry_failed=retry_failed, on_progress=observer)
         expected = pipeline.expected_seconds(planned, cache, workers)
         stages = pipeline.stage_reasons(loaded, planned, out, cache)
-    walls = bounded(loaded) if loaded.spec.system is None else ""
+    doubts = []
+    if loaded.spec.system is None:
+        doubts = [*doubtful_numbers({**loaded.spec.model, **loaded.grid.axes})]
+        doubts += filter(None, [bounded(loaded)])
     numbers = {
         "points": planned.n_points,
         "hits": planned.n_hits,
@@ -106,7 +109,9 @@ def plan(
     }
     if as_json:
         rounded = None if expected is None else round(expected, 3)
-        click.echo(json.dumps(numbers | {"expected_s": rounded, "stages": stages, "walls": walls}))
+        click.echo(
+            json.dumps(numbers | {"expected_s": rounded, "stages": stages, "doubts": doubts})
+        )
         return FINISHED
     for name, value in numbers.items():
         click.echo(f"{name:>8}  {value}")
@@ -116,8 +121,8 @@ def plan(
     states = {file: f"to be made: {why}" if why else "up to date" for file, why in stages.items()}
     click.echo()
     print_table(("file", "state"), states.items())
-    if walls:
-        click.echo(f"\n{walls}")
+    for doubt in doubts:
+        click.echo(f"\n{doubt}")
     return FINISHED
 
 

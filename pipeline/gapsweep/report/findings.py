@@ -1,5 +1,6 @@
 """What the numbers of a run say, in sentences computed from its datasets."""
 
+import json
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
@@ -9,7 +10,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from gapsweep.analysis.dimensions import REPRESENTATION, in_metres
-from gapsweep.analysis.unit_check import never_reached
+from gapsweep.analysis.unit_check import doubtful_numbers, never_reached
 from gapsweep.model.labels import EXACT
 from gapsweep.report.answer import Contact, Judged, how_many
 from gapsweep.report.drawing import labels_of
@@ -47,7 +48,7 @@ def findings(
     """
     # First, as it says that nothing else here is about contacts.
     far = said_of_far_walls(responses)
-    sentences = [far] if far else []
+    sentences = [*_doubtful(responses), *filter(None, [far])]
     sentences.append(outcomes(responses))
     sentences += _along(responses)
     if attractors is not None:
@@ -61,6 +62,16 @@ def findings(
     if decided is not None:
         sentences.append(_verdicts(decided))
     return sentences
+
+
+def _doubtful(responses: xr.Dataset) -> list[str]:
+    """Numbers of an oscillator that are probably in another unit."""
+    oscillator = json.loads(responses.attrs.get("study_json", "{}")).get("oscillator")
+    if oscillator is None:
+        return []
+    swept = {str(name): c for name, c in responses.coords.items() if c.dtype.kind == "f"}
+    found = doubtful_numbers({**oscillator, **swept})
+    return [f"{doubt[0].upper()}{doubt[1:]}." for doubt in found]
 
 
 _CURVE = 10  # values that make a curve

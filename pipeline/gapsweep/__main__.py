@@ -1,0 +1,5 @@
+"""``python -m gapsweep``: the command line."""
+
+from gapsweep.cli import main
+
+main()
