@@ -59,12 +59,20 @@ class Study:
     >>> import gapsweep as gs
     >>> block = {"representation": "piecewise", "K_c": 1e4, "gap": [4e-4, 4e-4], "omega": 9.0}
     >>> study = gs.Study.from_dict({"study": {"name": "small"}, "sweep": [block]})
-    >>> study.grid.shape
-    (1, 1, 1, 1, 1)
+    >>> study
+    <Study 'small': 1 sweep point, representation 1, K_c 1, gap 1, omega 1, initial_condition 1>
     """
 
     spec: StudySpec
     source: str = "study"
+
+    def __repr__(self) -> str:
+        n = int(self.grid.requested.sum())
+        sizes = (
+            f"{name} {size}" for name, size in zip(self.grid.dims, self.grid.shape, strict=True)
+        )
+        points = f"{n} sweep point{'s' * (n != 1)}"
+        return f"<Study {self.name!r}: {', '.join([points, *sizes])}>"
 
     @classmethod
     def load(cls, path: str | PathLike[str]) -> "Study":
