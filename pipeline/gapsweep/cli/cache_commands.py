@@ -38,7 +38,7 @@ def _existing(cache: Path | None, *, read_only: bool = True) -> "Cache":
 @options.cache
 @options.as_json
 def info(cache: Path | None, as_json: bool) -> None:
-    """Say how much is stored, of which code, and with which outcome.
+    """Show how much is stored, by which code, and with which status.
 
     \b
     Example:

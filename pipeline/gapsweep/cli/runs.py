@@ -15,9 +15,9 @@ from gapsweep.cli.options import FINISHED
 @click.argument("folder", metavar="DIR", type=click.Path(path_type=Path))
 @options.as_json
 def status(folder: Path, as_json: bool) -> int:
-    """Show how a run is doing, or how it ended, from any shell.
+    """Show the progress or the end of a run, from any shell.
 
-    Files that are no longer as the run wrote them are named, as far as 100 MB are read.
+    Names damaged files; reads at most 100 MB to find them.
 
     \b
     Example:
@@ -40,7 +40,7 @@ def status(folder: Path, as_json: bool) -> int:
     click.echo(f"started {state.started} on {state.host}")
     click.echo(f"updated {state.updated}")
     if damaged:
-        click.echo(f"damaged or absent: {options.first(damaged)}; run again to make them anew")
+        click.echo(f"damaged or absent: {options.first(damaged)}; run again to repair them")
     if unread:
         click.echo(f"large, so not checked: {options.first(unread)}; sha256sum --check {SUMS}")
     return FINISHED
@@ -50,10 +50,10 @@ def status(folder: Path, as_json: bool) -> int:
 @click.argument("folder", metavar="DIR", type=click.Path(path_type=Path))
 @options.beside
 def report(folder: Path, study: Path | None) -> int:
-    """Rebuild the report of a run from its files alone.
+    """Rebuild the report of a run from its files.
 
-    Sections that a study makes itself ([report] module) are shown as they are stored, or made
-    anew with --study. No file in DIR is executed.
+    Sections of the study's own [report] module are shown as stored; --study makes them again. No
+    file in DIR is executed.
 
     \b
     Examples:
@@ -74,10 +74,10 @@ def report(folder: Path, study: Path | None) -> int:
 @options.beside
 @options.as_json
 def claims(folder: Path, study: Path | None, as_json: bool) -> int:
-    """Show the verdicts of a run, or decide its claims anew.
+    """Show the verdicts of a run, or decide its claims again.
 
-    With --study, the claims of that study ([claims] module) are decided from the datasets in DIR
-    and written to claims.json there. No file in DIR is executed.
+    --study decides the claims of that study's [claims] module from the datasets in DIR and writes
+    claims.json there. No file in DIR is executed.
 
     \b
     Examples:
@@ -118,9 +118,9 @@ def claims(folder: Path, study: Path | None, as_json: bool) -> int:
 def explore(path: Path | None, port: int, no_browser: bool) -> int:
     """Open a page whose figures follow its sliders.
 
-    Frequency response, motion, section and spectrum, computed while a slider moves. A study file
-    says where the sliders start and end; of the folder of a run its points are shown too, and a
-    click opens one. The page is for this machine only; Ctrl-C closes it.
+    Computes frequency response, motion, section and spectrum while a slider moves. A study file
+    sets the ranges of the sliders. For the folder of a run the page also shows its points; a click
+    opens one. Only this machine can open the page; Ctrl-C closes it.
 
     \b
     Examples:

@@ -30,7 +30,7 @@ from gapsweep.cli.options import FINISHED, SOME_FAILED
 @options.timeout
 @options.retry_failed
 def run(study: Path, engine: str | None, **how: Any) -> int:
-    """Compute a study, its datasets and its report; resumes by itself.
+    """Compute a study, its datasets and its report; resume if interrupted.
 
     \b
     Examples:
@@ -81,7 +81,7 @@ def plan(
     retry_failed: bool,
     as_json: bool,
 ) -> int:
-    """Say what a run would compute and make, without doing it.
+    """Show what a run would compute and which files it would make.
 
     \b
     Examples:
@@ -163,7 +163,7 @@ def query(
     output: Path | None,
     **how: Any,
 ) -> int:
-    """Print a table of responses; computes only what is missing.
+    """Print a table of responses; compute only missing points.
 
     \b
     Examples:
@@ -207,9 +207,9 @@ def query(
 def explain(
     study: Path, wanted: tuple[str, ...], cache: Path | None, engine: str | None, limit: int
 ) -> int:
-    """Say why points are in the cache or not.
+    """Explain why points are in the cache or missing.
 
-    The key of each point, field by field, is set against the nearest one that is stored.
+    Compares the fields of each point's key with those of the nearest stored key.
 
     \b
     Example:
@@ -248,7 +248,7 @@ def _short(text: str) -> str:
 )
 @options.as_json
 def advise(study: Path, error: float | None, as_json: bool) -> int:
-    """Name the least model that each scene needs.
+    """Recommend the simplest adequate model for each scene.
 
     \b
     Example:
