@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 @click.group("cache")
 def cache_commands() -> None:
-    """Look after the cache: contents, soundness and size.
+    """Inspect, verify and clean the cache.
 
     \b
     Examples:

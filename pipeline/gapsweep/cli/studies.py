@@ -30,7 +30,7 @@ from gapsweep.cli.options import FINISHED, SOME_FAILED
 @options.timeout
 @options.retry_failed
 def run(study: Path, engine: str | None, **how: Any) -> int:
-    """Compute a study, its datasets and its report; resume if interrupted.
+    """Compute a study, its datasets and report, or resume it.
 
     \b
     Examples:
