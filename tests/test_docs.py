@@ -12,6 +12,7 @@ from matplotlib import pyplot as plt
 
 import gapsweep as gs
 from gapsweep.cli.main import commands, exit_code
+from gapsweep.report.accessor import GapsweepAccessor
 from gapsweep.study.spec import check
 
 ROOT = Path(__file__).parents[1]
@@ -112,6 +113,14 @@ def test_study_reference_names_every_key():
 def test_every_public_name_is_in_the_reference():
     listed = re.findall(r":: gapsweep\.(\w+)$", (DOCS / "reference" / "api.md").read_text(), re.M)
     assert sorted(listed) == sorted(gs.__all__)
+
+
+def test_every_plot_is_in_the_reference():
+    text = (DOCS / "reference" / "plots.md").read_text()
+    plots = {name for name in vars(GapsweepAccessor) if not name.startswith("_")}
+    members = re.search(r":members: ([\w,\s]+?)\n```", text)[1]
+    assert plots - set(re.findall(r"\w+", members)) <= {"to_dataframe"}
+    assert all(f"`{name}" in text or f"{name}(" in text for name in plots)
 
 
 def test_every_command_is_in_the_readme_or_the_guide():
