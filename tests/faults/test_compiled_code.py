@@ -24,7 +24,7 @@ print(run.x_end.hex(), run.n_contacts, float(x).hex())
 """
 COUNTED = """
 from gapsweep.integrate.stepping import loop, sample, start_rows
-used = loop.advance, sample.sample_steps, starts.set_starts
+used = loop.advance, sample.sample_steps, start_rows.set_starts
 print(sum(sum(each.stats.cache_misses.values()) for each in used))
 """
 
