@@ -5,7 +5,7 @@ begins again. No code of the engines is used.
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
@@ -91,6 +91,13 @@ class Motion:
     def __call__(self, t: float) -> Any:
         """State (q, v, z) at a time."""
         return next(sol for end, sol in self.pieces if t <= end)(t)
+
+
+def laws_of(model, law):
+    """The contact laws of a model, in the order of its contacts."""
+    if not isinstance(law, Mapping):
+        return (law,) * len(model.contacts)
+    return tuple(law[name] for name in model.contacts)
 
 
 class Equation:

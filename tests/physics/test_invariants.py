@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 from scipy.integrate import simpson
-from tests.equation import Equation
+from tests.equation import Equation, laws_of
 from tests.random_scenes import random_cases
 
 import gapsweep as gs
@@ -61,9 +61,7 @@ class Case:
 
     @property
     def laws(self):
-        if not isinstance(self.law, Mapping):
-            return (self.law,) * len(self.model.contacts)
-        return tuple(self.law[name] for name in self.model.contacts)
+        return laws_of(self.model, self.law)
 
     @cached_property
     def equation(self):

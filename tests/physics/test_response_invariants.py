@@ -1,7 +1,6 @@
 """Properties of every steady response: each model and contact law, by public calls."""
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -9,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
-from tests.equation import Equation
+from tests.equation import Equation, laws_of
 from tests.labels import LABELS
 
 import gapsweep as gs
@@ -68,9 +67,7 @@ class Case:
 
     @property
     def laws(self):
-        if not isinstance(self.law, Mapping):
-            return (self.law,) * len(self.model.contacts)
-        return tuple(self.law[name] for name in self.model.contacts)
+        return laws_of(self.model, self.law)
 
     @cached_property
     def orbits(self):
