@@ -113,7 +113,7 @@ def run(
     batch : int, optional
         Points per task; None lets measured costs decide.
     timeout : float
-        Time [s] that one point may take before it is given up as ``timed_out``.
+        Time [s] that one point may take before its status is ``timed_out``.
     retry_failed : bool
         Compute points again whose stored outcome is a failure.
     on_progress : callable, optional
@@ -264,7 +264,7 @@ def plan(
 def expected_seconds(plan: Plan, cache: str | Path | None, workers: int) -> float | None:
     """Time the missing points will take [s], from stored costs; None if none are stored.
 
-    Points of the same representation set the price where there are any, else the mean.
+    The mean cost of stored points of the same representation, or of all where there are none.
     """
     path = cache_path(cache)
     if not path.exists():
@@ -278,8 +278,8 @@ def expected_seconds(plan: Plan, cache: str | Path | None, workers: int) -> floa
     for r in np.unique(representation[plan.is_missing]).tolist():
         here = representation == r
         known = cost[here & np.isfinite(cost)]
-        price = known.mean() if known.size else np.nanmean(cost)
-        total += price * np.sum(plan.is_missing & here)
+        mean = known.mean() if known.size else np.nanmean(cost)
+        total += mean * np.sum(plan.is_missing & here)
     return float(total) / workers
 
 

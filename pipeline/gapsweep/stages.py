@@ -224,7 +224,7 @@ def make_file(stage: Stage, run: RunContext) -> None:
 
 
 def stages_of(study: Study) -> list[Stage]:
-    """The stages of a study, with those of its own datasets before what reads them."""
+    """The stages of a study; user datasets come before the stages that read them."""
     own = _own_stages(study)
     found: list[Stage] = []
     for stage in (stage for stage in STAGES if stage.applies(study)):

@@ -182,7 +182,7 @@ def test_spectra_have_their_lines_at_the_forcing_and_its_fractions(responses, ax
         if not n:
             continue
         lines = frequency[height > number]
-        # Hann: half the amplitude in the two bins beside.
+        # Hann: half the amplitude in the two adjacent bins.
         off = np.abs(lines - np.rint(n * lines / omega) * omega / n)
         assert off.max() < 1.01 * omega / 60
         assert np.any(np.abs(lines - omega / n) < 1e-9)

@@ -11,7 +11,7 @@ SAMPLES_PER_PERIOD = 256
 def spectrum(x: Array) -> Array:
     """Amplitudes of the bins 0 to n/2 of n equidistant samples, Hann window.
 
-    A sinusoid on a bin has its amplitude there and half of it in the two bins beside; a mean its
+    A sinusoid on a bin has its amplitude there and half of it in the two adjacent bins; a mean its
     absolute value in bin 0.
     """
     n = x.size

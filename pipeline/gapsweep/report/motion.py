@@ -141,7 +141,7 @@ def _quantity(run: Trajectory, coordinate: str | None) -> tuple[Array, str, floa
 
 
 def _walls(run: Trajectory, along: Array) -> list[float]:
-    """Where the walls that a displacement meets by itself stand, in its unit."""
+    """Positions of the walls of a contact of one displacement, in its unit."""
     if not isinstance(run, SystemTrajectory):
         return _both(1.0, run.laws[0])
     found = []
