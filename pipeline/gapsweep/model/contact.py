@@ -9,6 +9,7 @@ package asks of it, and one compiled form in `gapsweep.integrate.runge_kutta.law
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from decimal import Decimal
 from functools import cached_property
@@ -19,7 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from gapsweep.errors import ModelError
 from gapsweep.model.fit import unit_force
-from gapsweep.model.oscillator import Gap, checked
+from gapsweep.model.oscillator import Gap, called_as, checked
 from gapsweep.status import DIVERGED_AT
 
 Array = NDArray[np.float64]
@@ -38,7 +39,7 @@ class ContactLaw:
     K_c : float
         Contact stiffness [N/m], ``>= 0``; of the upper wall, where the walls differ.
     gap : Gap
-        Distances of the two walls from the origin.
+        Distances of the two walls from the origin; a pair of numbers [m] is made one.
     K_ratio : float
         Stiffness of the lower wall over that of the upper [-], ``>= 0``.
 
@@ -109,7 +110,7 @@ class ContactLaw:
     def __post_init__(self) -> None:
         for name in ("K_c", "K_ratio"):
             object.__setattr__(self, name, checked(name, getattr(self, name), low=0.0))
-        checked_gap(self.gap)
+        object.__setattr__(self, "gap", checked_gap(self.gap))
 
     @property
     def valid_range(self) -> tuple[float, float]:
@@ -125,6 +126,7 @@ class ContactLaw:
         raise NotImplementedError
 
 
+@called_as("gs.Piecewise(1.4e4, gs.Gap(4e-4, 4e-4)), in N/m and m")
 @dataclass(frozen=True)
 class Piecewise(ContactLaw):
     """Exact freeplay: zero in the gap, a wall's stiffness times the penetration outside.
@@ -207,7 +209,10 @@ class _Sharpened(ContactLaw):
         try:
             value = float(parameter)
         except ValueError:
-            raise ModelError(f"{label!r}: {parameter!r} is not a number, as in tanh-1e4") from None
+            raise ModelError(
+                f"{label!r}: must be {cls.family} and its convergence parameter in 1/m, as "
+                f"{cls.family}-1e4"
+            ) from None
         if not (math.isfinite(value) and value > 0.0):
             raise ModelError(f"{label!r}: the convergence parameter must be > 0 and finite, in 1/m")
         digits, exponent = f"{value:.11e}".split("e")
@@ -253,6 +258,7 @@ class _Switched(_Sharpened):
         return np.asarray(0.5 * self.K_c * slope)
 
 
+@called_as("gs.Tanh(1.4e4, gs.Gap(4e-4, 4e-4), epsilon=1e4), in N/m, m and 1/m")
 @dataclass(frozen=True)
 class Tanh(_Switched):
     """Hyperbolic-tangent blending.
@@ -308,6 +314,7 @@ def _blend_slope(z: float) -> float:
     return 1.0 + s + z * (1.0 - s * s)
 
 
+@called_as("gs.Arctan(1.4e4, gs.Gap(4e-4, 4e-4), epsilon=1e4), in N/m, m and 1/m")
 @dataclass(frozen=True)
 class Arctan(_Switched):
     """Inverse-tangent blending, with algebraic tails far outside its layer.
@@ -332,6 +339,7 @@ class Arctan(_Switched):
         return (2.0 / math.pi) * np.arctan(z), (2.0 / math.pi) / (1.0 + z * z)
 
 
+@called_as("gs.LogArctan(1.4e4, gs.Gap(4e-4, 4e-4), gamma=1e4), in N/m, m and 1/m")
 @dataclass(frozen=True)
 class LogArctan(_Sharpened):
     """Integral of the arctan-smoothed stiffness, anchored so that ``force(0) = 0``.
@@ -388,11 +396,22 @@ class LogArctan(_Sharpened):
         return np.asarray(self.K_c * (0.5 * (1.0 + self.K_ratio) + angles / math.pi))
 
 
-def checked_gap(gap: Gap) -> Gap:
-    """`gap`, or a `ModelError` if it is none."""
-    if not isinstance(gap, Gap):
-        raise ModelError(f"gap = {gap!r}: must be a gapsweep.Gap(j_1, j_2)")
-    return gap
+def checked_gap(gap: Gap | Sequence[float]) -> Gap:
+    """A gap, also from the distances of its two walls [m], as a study file has them.
+
+    Raises
+    ------
+    ModelError
+        If it is neither.
+    """
+    if isinstance(gap, Gap):
+        return gap
+    if not isinstance(gap, Sequence) or isinstance(gap, str | bytes) or len(gap) != 2:
+        raise ModelError(
+            f"gap = {gap!r}: must be the distances of both walls in metres, as "
+            "gs.Gap(4e-4, 4e-4) or (4e-4, 4e-4)"
+        )
+    return Gap(*gap)
 
 
 def checked_law(law: ContactLaw) -> ContactLaw:

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from gapsweep.errors import ModelError
 from gapsweep.model.contact import FIT_RANGE, ContactLaw
 from gapsweep.model.fit import MAX_DEGREE, MAX_RATIONAL_DEGREE, Fit, polynomial_fit, rational_fit
-from gapsweep.model.oscillator import checked
+from gapsweep.model.oscillator import called_as, checked
 
 Array = NDArray[np.float64]
 
@@ -90,6 +90,7 @@ class Fitted(ContactLaw):
         return np.asarray(slope / d / self.fit_range)
 
 
+@called_as("gs.Polynomial(1.4e4, gs.Gap(4e-4, 4e-4), degree=13)")
 @dataclass(frozen=True)
 class Polynomial(Fitted):
     """Least-squares polynomial.
@@ -128,6 +129,7 @@ class Polynomial(Fitted):
         return polynomial_fit(self.gap, self.degree, self.fit_range, self.K_ratio)
 
 
+@called_as("gs.RationalPolynomial(1.4e4, gs.Gap(4e-4, 4e-4), numerator=5, denominator=3)")
 @dataclass(frozen=True)
 class RationalPolynomial(Fitted):
     """Least-squares rational polynomial without a pole in the fitted range.

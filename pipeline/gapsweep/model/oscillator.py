@@ -6,9 +6,12 @@ The equation of motion, with `F_c` the contact force of `gapsweep.model.contact`
 """
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, fields
+from functools import wraps
+from inspect import signature
 from operator import index
-from typing import Any, ClassVar
+from typing import Any, ClassVar, TypeVar
 
 from gapsweep.errors import ModelError
 
@@ -20,6 +23,35 @@ SMALLEST, LARGEST = 1e-50, 1e50
 # classic one has.
 CLASSIC = ("zeta", "omega_n", "mass", "alpha", "forcing")
 OSCILLATOR = (*CLASSIC, "mean_load", "c")
+
+
+T = TypeVar("T")
+
+
+def called_as(example: str) -> Callable[[type[T]], type[T]]:
+    """Class decorator: a call with wrong arguments is a `ModelError` that shows this example."""
+
+    def decorated(kind: type[T]) -> type[T]:
+        construct: Callable[..., None] = kind.__init__
+
+        @wraps(construct)
+        def __init__(self: T, *values: Any, **named: Any) -> None:  # noqa: N807 (it is the class's)
+            try:
+                construct(self, *values, **named)
+            except TypeError:
+                try:
+                    signature(construct).bind(self, *values, **named)
+                except TypeError as error:
+                    names = ", ".join(list(signature(construct).parameters)[1:])
+                    raise ModelError(
+                        f"{kind.__name__}: {error}; its parameters are {names}: write {example}"
+                    ) from None
+                raise
+
+        kind.__init__ = __init__  # type: ignore[method-assign, assignment]
+        return kind
+
+    return decorated
 
 
 def is_number(value: Any) -> bool:
@@ -62,6 +94,7 @@ def whole(name: str, value: int, low: int, high: int) -> int:
     return number
 
 
+@called_as("gs.Oscillator(mass=3.0, omega_n=5.0, zeta=0.03), in kg, Hz and 1")
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Oscillator:
     """Mass on a linear and a cubic spring, damped and loaded harmonically.
@@ -183,6 +216,7 @@ class Oscillator:
         return self.omega_n_rad / (zeta + math.sqrt(zeta - 1.0) * math.sqrt(zeta + 1.0))
 
 
+@called_as("gs.Gap(1e-4, 1e-4), the distances of the lower and the upper wall in metres")
 @dataclass(frozen=True, slots=True)
 class Gap:
     """Freeplay: the mass touches nothing while ``-j_1 <= x <= j_2``.

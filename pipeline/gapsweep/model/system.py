@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gapsweep.errors import ModelError
-from gapsweep.model.oscillator import LARGEST, SMALLEST, checked, is_number, whole
+from gapsweep.model.oscillator import LARGEST, SMALLEST, called_as, checked, is_number, whole
 from gapsweep.variables import CONTACT, COORDINATE, LAG
 
 Array = NDArray[np.float64]
@@ -75,6 +75,7 @@ def _named(name: str, value: Any) -> Mapping[str, Any]:
     return value
 
 
+@called_as("gs.Harmonic(amplitude=[30.0, 0.0]), or with k=0 for a constant load")
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Harmonic:
     """A harmonic load, or a constant one (``k = 0``).
@@ -114,6 +115,7 @@ class Harmonic:
         return (self.k * omega_rad) ** 2 if self.inertial else 1.0 + 0.0 * omega_rad
 
 
+@called_as("gs.Cubic(along=[1.0, -1.0], alpha=7e8)")
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Cubic:
     """A cubic spring along a direction, with the force ``alpha (a.q)^3 a``.
@@ -138,6 +140,7 @@ class Cubic:
         object.__setattr__(self, "alpha", checked("alpha", self.alpha))
 
 
+@called_as("gs.Modulation(depth=0.2)")
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Modulation:
     """Periodic stiffness: a contact's force times ``1 + sum depth cos(2 pi k omega t + phase)``.
@@ -194,6 +197,7 @@ class Lags:
     of_lags: Any
 
 
+@called_as("gs.System(mass=M, stiffness=K, contacts={'stop': [1.0, 0.0]})")
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True, repr=False)
 class System:
     """A machine with n coordinates and contacts; see the module for its equation.
