@@ -6,6 +6,8 @@ Dask, numba, xarray and matplotlib are imported by the steps that need them: a r
 everything up to date ends before they would be loaded.
 """
 
+from __future__ import annotations
+
 import os
 import warnings
 from collections.abc import Callable, Iterator, Mapping
@@ -81,7 +83,7 @@ class Outcome:
 
 def run(
     study: Study | str | os.PathLike[str],
-    client: "Client | None" = None,
+    client: Client | None = None,
     *,
     out: str | Path | None = None,
     cache: str | Path | None = None,
@@ -91,7 +93,7 @@ def run(
     timeout: float = DEFAULT_TIMEOUT,
     retry_failed: bool = False,
     on_progress: OnProgress | None = None,
-) -> "xr.Dataset":
+) -> xr.Dataset:
     """Compute a study, store its datasets and report, and open the responses.
 
     Only what the cache does not hold is computed; an interrupted run goes on where it was.
@@ -166,7 +168,7 @@ def run(
 
 def carry_out(
     study: Study,
-    client: "Client | None" = None,
+    client: Client | None = None,
     *,
     out: str | Path | None = None,
     cache: str | Path | None = None,
@@ -445,14 +447,14 @@ def _try_out_own_laws(study: Study, timeout: float, say: Callable[[str], None]) 
 
 def query(
     study: Study | str | os.PathLike[str],
-    client: "Client | None" = None,
+    client: Client | None = None,
     *,
     cache: str | Path | None = None,
     workers: int = 2,
     scheduler: str | None = None,
     on_progress: OnProgress | None = None,
     **wanted: Any,
-) -> "xr.Dataset":
+) -> xr.Dataset:
     """Steady responses of a part of a study, from the cache; only what is missing is computed.
 
     A query whose points are all stored starts no cluster.
@@ -510,7 +512,7 @@ def query(
 
 def _exported(
     study: Study, planned: Plan, store: Cache, selection: Selection, progress: Progress
-) -> "xr.Dataset":
+) -> xr.Dataset:
     """A part of a study from the cache, in memory, with where its points came from."""
     counts = {name: getattr(progress, name) for name in ("n_points", "n_hits", "n_computed")}
     with (
@@ -537,7 +539,7 @@ def _computed(
     planned: Plan,
     path: Path,
     on_progress: OnProgress | None,
-    connect: "Callable[[], AbstractContextManager[Client]]",
+    connect: Callable[[], AbstractContextManager[Client]],
     begin: Callable[[], None] = lambda: None,
     **how: Any,
 ) -> Progress:
@@ -568,8 +570,8 @@ def _computed(
 
 @contextmanager
 def _connected(
-    client: "Client | None", workers: int, scheduler: str | None, say: Callable[[str], None]
-) -> "Iterator[Client]":
+    client: Client | None, workers: int, scheduler: str | None, say: Callable[[str], None]
+) -> Iterator[Client]:
     """The client of a call, or one of a cluster that is started or joined."""
     if client is not None:
         yield client

@@ -9,6 +9,8 @@ with the multiplier μ nearest to where it must be, or the turning point x of a 
 Derivatives of g are central differences.
 """
 
+from __future__ import annotations
+
 from collections.abc import Callable
 from dataclasses import replace
 

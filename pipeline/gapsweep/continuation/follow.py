@@ -1,5 +1,7 @@
 """`gapsweep.branches`: periodic orbits continued along a parameter."""
 
+from __future__ import annotations
+
 import math
 from collections.abc import Callable
 

@@ -1,5 +1,7 @@
 """`gapsweep.explore`, and what `gapsweep explore` opens."""
 
+from __future__ import annotations
+
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any

@@ -1,5 +1,7 @@
 """One call for every engine, for one motion or many."""
 
+from __future__ import annotations
+
 import math
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial

@@ -1,5 +1,7 @@
 """A simulated motion as a picture: history, phase portrait, section and spectrum."""
 
+from __future__ import annotations
+
 from io import BytesIO
 
 import numpy as np

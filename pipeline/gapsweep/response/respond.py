@@ -16,6 +16,8 @@ section lies on a curve. What may be one is measured again, eight times as long 
 section points at least.
 """
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 
 import numpy as np

@@ -1,5 +1,7 @@
 """Basins of attraction: which attractor a grid of starts ends on."""
 
+from __future__ import annotations
+
 from collections.abc import Iterator
 from typing import Any
 

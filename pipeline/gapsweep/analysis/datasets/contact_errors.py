@@ -1,5 +1,7 @@
 """Errors of a contact law: integrals over the range, which resolve every smoothing layer."""
 
+from __future__ import annotations
+
 import numpy as np
 from numpy.typing import NDArray
 
