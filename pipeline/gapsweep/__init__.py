@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from gapsweep.model.system import Cubic, Harmonic, Lags, Modulation, System
     from gapsweep.model.table import ForceTable
     from gapsweep.model.user_law import UserLaw
-    from gapsweep.pipeline import query, run
+    from gapsweep.pipeline import plan, query, run
     from gapsweep.report.motion import plot
     from gapsweep.response.respond import respond
     from gapsweep.response.result import Response, ResponseClass, Steady
@@ -44,7 +44,7 @@ _ON_DEMAND = {
     **dict.fromkeys(("Arctan", "ContactLaw", "LogArctan", "Piecewise", "Tanh"), "model.contact"),
     **dict.fromkeys(("Cubic", "Harmonic", "Lags", "Modulation", "System"), "model.system"),
     **dict.fromkeys(("SystemTrajectory", "Trajectory"), "integrate.trajectory"),
-    **dict.fromkeys(("query", "run"), "pipeline"),
+    **dict.fromkeys(("plan", "query", "run"), "pipeline"),
     "ForceTable": "model.table",
     "UserLaw": "model.user_law",
     "Study": "study.study",
@@ -102,6 +102,7 @@ __all__ = [
     "explore",
     "law",
     "open",
+    "plan",
     "plot",
     "query",
     "respond",

@@ -239,7 +239,7 @@ def carry_out(
 
 
 def plan(
-    study: Study,
+    study: Study | str | os.PathLike[str],
     cache: str | Path | None = None,
     *,
     selection: Selection | None = None,
@@ -249,11 +249,40 @@ def plan(
 ) -> Plan:
     """Compare a study with a cache, without creating the cache or computing anything.
 
+    Parameters
+    ----------
+    study : Study or path
+        A study, or the path of its file.
+    cache : path, optional
+        Folder of the cache, as for `run`.
+    selection : tuple of sequences of int, optional
+        Part of the study, as `Study.select` returns it.
+    retry_failed : bool
+        Whether points with a stored failure count as missing.
+    timeout : float
+        Time [s] that a user's law may take where keys are made.
+    on_progress : callable, optional
+        Observer of the `Progress`.
+
+    Returns
+    -------
+    Plan
+        Numbers of points `n_points`, `n_hits`, `n_missing` and `n_failed`.
+
     Raises
     ------
     StudyError
-        If a user's law ends its process or hangs where keys are made.
+        If a user's law ends its process or takes longer.
+
+    Examples
+    --------
+    >>> import gapsweep as gs
+    >>> block = {"representation": "piecewise", "K_c": 1e4, "gap": [4e-4, 4e-4], "omega": 9.0}
+    >>> study = gs.Study.from_dict({"study": {"name": "small"}, "sweep": [block]})
+    >>> gs.plan(study, cache="no-cache-yet")
+    <Plan: 1 sweep points, 0 in the cache, 1 missing, 0 failed>
     """
+    study = Study.of(study)
     path, say = cache_path(cache), partial(tell, on_progress, Progress(0, 0))
     _try_out_own_laws(study, timeout, say)
     say("looking up what is stored")
@@ -314,9 +343,7 @@ def explain(
     """Why the selected points, the first `limit` of them, are hits or misses."""
     selection, path = study.select(**wanted), cache_path(cache)
     planned = plan(study, path, selection=selection, on_progress=on_progress)
-    if not path.exists():
-        raise StoreError(f"{path}: no such folder, so every point is missing")
-    with Cache(path, read_only=True) as store:
+    with Cache(path, read_only=True) if path.exists() else nullcontext() as store:
         return list(explanations(study, planned, store, limit))
 
 

@@ -226,6 +226,12 @@ def test_explain_names_the_field_that_differs(gapsweep, finished):
     assert "omega = 25 Hz, initial_condition 0: missing\n  omega: asked 25.0, nearest" in found
 
 
+def test_explain_needs_no_cache(gapsweep, finished):
+    found = gapsweep(finished, "explain", "tiny.toml", cache="none-yet")
+    assert (found.returncode, found.stdout.count(": missing")) == (0, 4)
+    assert not (finished / "none-yet").exists()
+
+
 def test_cache_commands(gapsweep, finished):
     info = json.loads(gapsweep(finished, "cache", "info", "--json").stdout)
     assert (info["points"], info["current"], info["status"]) == (4, 4, {"ok": 4})
@@ -294,7 +300,6 @@ def test_bad_study_is_one_clear_line(gapsweep, folder, change, message):
         (("report", "."), "responses.nc: no such file; 'gapsweep run' makes it"),
         (("status", "."), "run.json: no such file; 'gapsweep run' makes it"),
         (("cache", "info"), "data/cache: no such folder; 'gapsweep run' makes it"),
-        (("explain", "tiny.toml"), "data/cache: no such folder, so every point is missing"),
         (("query", "tiny.toml", "--sel", "omega=13"), "omega = 13.0: not in the study"),
         (("query", "tiny.toml", "--sel", "omega=30:40"), "omega = 30 to 40: nothing there"),
         (("query", "tiny.toml", "--sel", "speed=1"), "speed: no dimension of the study"),

@@ -70,6 +70,23 @@ def test_walls_may_be_given_for_a_table_with_noise():
     assert noisy.K_c == pytest.approx(9.0 / 1.6e-3)
 
 
+def test_a_pair_of_numbers_is_a_gap():
+    assert gs.ForceTable(X, F, gap=(4e-4, 4e-4)) == gs.ForceTable(X, F, gap=GAP)
+    assert gs.Tanh(1e4, [4e-4, 4e-4], 1e4) == gs.Tanh(1e4, GAP, 1e4)
+
+
+def test_noise_around_zero_is_set_to_zero_and_nothing_else():
+    x = np.linspace(-2e-3, 2e-3, 81)
+    wall, noise = 1e4 * np.clip(np.abs(x) - 4e-4, 0.0, None), 0.3
+    forces = np.sign(x) * wall + noise * np.cos(np.arange(81.0))
+    quiet = gs.ForceTable(x, forces, noise=noise)
+    at_walls = np.abs(x) < 4e-4 + 2.0 * noise / 1e4  # where the force may be less than the noise
+    assert not quiet.force(x[np.abs(x) <= 4e-4]).any()
+    assert_allclose(quiet.force(x[~at_walls]), forces[~at_walls])
+    assert 4e-4 <= quiet.gap.j_1 <= 4e-4 + 2.0 * noise / 1e4 + 5e-5
+    assert gs.ForceTable(x, forces).gap == gs.Gap(0.0, 0.0)
+
+
 def test_its_numbers_are_its_identity():
     assert gs.ForceTable(X, F) == gs.ForceTable(list(X), np.array(F))
     assert hash(gs.ForceTable(X, F)) == hash(gs.ForceTable(X, F))
@@ -206,7 +223,7 @@ def test_a_bad_table_is_refused_with_a_remedy(x, forces, said):
 
 
 def test_walls_must_be_a_gap():
-    with pytest.raises(gs.ModelError, match=r"gap = 0.001: must be a gapsweep.Gap"):
+    with pytest.raises(gs.ModelError, match=r"gap = 0.001: must be the distances"):
         gs.ForceTable(X, F, gap=1e-3)
 
 
@@ -281,6 +298,27 @@ def test_a_table_in_another_unit_than_the_gap_is_warned_of(tables, bench, factor
     warned = pytest.warns(UserWarning, match="bench_spring:spring") if is_odd else nullcontext()
     with warned:
         plan(study)
+
+
+def test_noise_in_the_gap_is_warned_of(tables, bench):
+    x = np.linspace(-2e-3, 2e-3, 41)
+    forces = np.interp(x, X, F) + 0.2 * np.cos(2.0 * np.arange(41))
+    np.savetxt(bench, np.transpose([x, forces]), delimiter=",")
+    tables["sweep"][0] |= {"representation": ["bench_spring:spring"]}
+    with pytest.warns(UserWarning, match=r"bench_spring:spring: .* noise"):
+        plan(gs.Study.from_dict(tables))
+
+
+def test_a_study_of_tables_needs_no_walls(tables, bench):
+    block = tables["sweep"][0]
+    block["representation"] = ["bench_spring:spring"]
+    del block["K_c"], block["gap"]
+    study = gs.Study.from_dict(tables)
+    law = study.law("bench_spring:spring", study.grid.axes["K_c"][0], study.grid.gaps[0])
+    assert law == gs.ForceTable(X, F)
+    block["representation"].append("piecewise")
+    with pytest.raises(gs.StudyError, match=r"K_c: missing"):
+        gs.Study.from_dict(tables)
 
 
 @pytest.mark.parametrize("engine", ["compiled", "scipy"])

@@ -93,7 +93,7 @@ LABELS = {
     "Piecewise": "did you mean piecewise? Or",
     "ratpol-5/3": "did you mean ratpoly-5/3? Or",
     "exact": "unknown representation 'exact': use one of piecewise, ",
-    "tanh": "'' is not a number, as in tanh-1e4",
+    "tanh": "must be tanh and its convergence parameter in 1/m, as tanh-1e4",
 }
 GAP = gs.Gap(4e-4, 4e-4)
 IN_PYTHON = {
@@ -105,10 +105,6 @@ IN_PYTHON = {
     "label for a function": (
         lambda: gs.law("tanh-1e4", 1.4e4, GAP),
         "for the law of a label use gapsweep.contact_law(label, K_c, gap)",
-    ),
-    "pair for a gap": (
-        lambda: gs.Piecewise(1.4e4, (4e-4, 4e-4)),
-        "gap = (0.0004, 0.0004): must be a gapsweep.Gap(j_1, j_2)",
     ),
     "text for a number": (lambda: gs.Oscillator(mass="3 kg"), "mass = '3 kg': must be a number"),
 }

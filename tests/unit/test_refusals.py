@@ -48,7 +48,17 @@ REFUSED = {
     "half an extremum": (lambda: gs.Steady(max_extrema=2.5), "max_extrema = 2.5: must be a whole"),
     "too many extrema": (lambda: gs.Steady(max_extrema=10**6), r"max_extrema = .* in 1\.\.65536"),
     "label for a function": (lambda: gs.law("tanh-1e4", 1e4, GAP), "'tanh-1e4': .*contact_law"),
-    "pair for a gap": (lambda: gs.Piecewise(1e4, (0.0, 1e-4)), r"\(0.0, 0.0001\): .*Gap\(j_1, j_2"),
+    "one wall for a gap": (lambda: gs.Piecewise(1e4, 1e-4), r"gap = 0.0001: .* both walls .*Gap\("),
+    "three walls": (
+        lambda: gs.Piecewise(1e4, (0.0, 0.0, 0.0)),
+        r"gap = .*0.0\): .* both walls",
+    ),
+    "gap with one wall": (lambda: gs.Gap(1e-4), r"Gap: .*j_2.*gs\.Gap\("),
+    "oscillator by position": (lambda: gs.Oscillator(0.02, 20), r"zeta, omega_n, .*mass=3"),
+    "misnamed mass": (lambda: gs.Oscillator(m=1), r"'m'; .*mass.*Hz"),
+    "law without sharpness": (lambda: gs.Tanh(1e4, GAP), r"Tanh: .*epsilon.*1/m"),
+    "load by position": (lambda: gs.Harmonic([30.0, 0.0]), r"Harmonic: .*amplitude=\["),
+    "study by its path": (lambda: gs.Study("quick.toml"), r"'quick.toml': .*Study\.load\("),
     "no label": (lambda: gs.contact_law(None, 1e4, GAP), "None: must be a label, one of piecewise"),
     "half a degree": (lambda: gs.Polynomial(1e4, GAP, 2.5), r"2\.5: must be a whole .*1\.\.60"),
     "text for a degree": (lambda: gs.RationalPolynomial(1e4, GAP, "a", 2), "numerator .*whole"),
@@ -99,7 +109,7 @@ def test_truth_values_are_no_whole_numbers(value):
 @pytest.mark.parametrize("name", REFUSED)
 def test_one_line_names_the_value_and_the_remedy(name):
     ask, message = REFUSED[name]
-    with pytest.raises(gs.ModelError, match=message) as refused:
+    with pytest.raises((gs.ModelError, gs.StudyError), match=message) as refused:
         ask()
     assert "\n" not in str(refused.value)
 

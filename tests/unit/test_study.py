@@ -7,6 +7,7 @@ import shutil
 
 import numpy as np
 import pytest
+import xarray as xr
 from hypothesis import given
 from hypothesis import strategies as st
 from tests.stored import all_keys, point
@@ -543,3 +544,21 @@ def test_branches_along_what_a_contact_has_of_its_own_are_refused():
     }
     with pytest.raises(gs.StudyError, match="sets it for one contact alone"):
         gs.Study.from_dict(tables)
+
+
+def test_a_notebook_shows_title_dimensions_and_values(tables):
+    tables["study"]["title"] = "Gaps < walls"
+    study = gs.Study.from_dict(tables)
+    page = study._repr_html_()
+    assert "Gaps &lt; walls" in page
+    assert all(f"<th>{name}</th>" in page for name in study.grid.dims)
+
+
+def test_methods_of_a_study_are_the_functions_of_the_package(tables, tmp_path, client):
+    study = gs.Study.from_dict(tables)
+    before = study.plan(cache=tmp_path / "cache")
+    assert (before.n_hits, before.n_missing) == (0, before.n_points)
+    found = study.query(client=client, cache=tmp_path / "cache")
+    assert study.plan(cache=tmp_path / "cache").n_missing == 0
+    with study.run(client=client, cache=tmp_path / "cache", out=tmp_path / "run") as ds:
+        xr.testing.assert_equal(ds["x_max"].load(), found["x_max"])

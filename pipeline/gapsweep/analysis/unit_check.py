@@ -8,6 +8,7 @@ import numpy as np
 
 from gapsweep.errors import ModelError
 from gapsweep.model.labels import EXACT
+from gapsweep.model.table import ForceTable
 from gapsweep.study.grid import START
 
 if TYPE_CHECKING:
@@ -97,14 +98,28 @@ def doubtful_numbers(values: Mapping[str, Any]) -> Iterator[str]:
 
 
 def wrong_tables(study: "Study") -> Iterator[str]:
-    """Warnings of force tables that end before any wall, or a thousand times beyond all walls."""
+    """Warnings of force tables in another unit than the walls, and of noise around zero."""
     walls = [wall for gap in study.grid.gaps for wall in (gap.j_1, gap.j_2) if wall]
-    for label in study.own_laws if walls else ():
+    for label in study.own_laws:
         with suppress(ModelError):  # of a law that cannot be used: reported where it is used
             own = study.own_law(label)
-            ends = [abs(end) for end in getattr(own and own.load(), "valid_range", ()) if end]
-            if ends and (max(ends) < min(walls) or min(ends) > 1e3 * max(walls)):
-                yield (
-                    f"{label}: the force table reaches x = {max(ends):g}, the walls of the study "
-                    f"are at {min(walls):g} to {max(walls):g}: give both in metres"
-                )
+            table = own and own.load()
+            if isinstance(table, ForceTable):
+                yield from (f"{label}: {doubt}" for doubt in _doubts_of_table(table, walls))
+
+
+def _doubts_of_table(table: ForceTable, walls: Sequence[float]) -> Iterator[str]:
+    ends = [abs(end) for end in table.valid_range if end]
+    if walls and (max(ends) < min(walls) or min(ends) > 1e3 * max(walls)):
+        yield (
+            f"the force table reaches x = {max(ends):g}, the walls of the study are at "
+            f"{min(walls):g} to {max(walls):g}: give both in metres"
+        )
+    force = np.array(table.F)
+    (changes,) = np.nonzero(force[1:] * force[:-1] < 0.0)
+    if changes.size > 2:  # a restoring force changes its sign at most once
+        noise = 1.05 * np.abs(force[changes[0] + 1 : changes[-1] + 1]).max()
+        yield (
+            f"the force changes its sign {changes.size} times near x = 0: measurement noise acts "
+            f"as stiffness there; write gs.ForceTable(x, F, noise={noise:.2g}) to set it to zero"
+        )

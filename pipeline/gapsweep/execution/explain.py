@@ -45,11 +45,11 @@ class Explanation:
     differences: Differences | None = None
 
 
-def explain(study: Study, plan: Plan, cache: Cache, limit: int) -> Iterator[Explanation]:
-    """Explain the first points of a plan, at most `limit` of them."""
+def explain(study: Study, plan: Plan, cache: Cache | None, limit: int) -> Iterator[Explanation]:
+    """Explain the first points of a plan, at most `limit` of them; None: there is no cache yet."""
     points = range(min(plan.n_points, limit))
     nearest: dict[int, Differences] = {}
-    if missing := [point for point in points if plan.status[point] < 0]:
+    if cache and (missing := [point for point in points if plan.status[point] < 0]):
         asked = [study.points(plan.cells[[point]])[0][1] for point in missing]
         previous = plan.previous(np.array(missing))
         for _, slab in cache.slabs():
@@ -59,7 +59,8 @@ def explain(study: Study, plan: Plan, cache: Cache, limit: int) -> Iterator[Expl
                     if point not in nearest or len(found) < len(nearest[point]):
                         nearest[point] = found
     for point in points:
-        label, place = _label(study, int(plan.cells[point])), cache.place(plan.keys[[point]])
+        label = _label(study, int(plan.cells[point]))
+        place = cache.place(plan.keys[[point]]) if cache else None
         if place is not None:
             slab, contents, row = place
             response = contents.responses.row(row)

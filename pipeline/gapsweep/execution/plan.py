@@ -45,6 +45,10 @@ class Plan:
     is_missing: NDArray[np.bool_]
     shape: tuple[int, ...]
 
+    def __repr__(self) -> str:
+        counts = f"{self.n_hits} in the cache, {self.n_missing} missing, {self.n_failed} failed"
+        return f"<Plan: {self.n_points} sweep points, {counts}>"
+
     @property
     def n_points(self) -> int:
         return len(self.keys)

@@ -72,10 +72,10 @@ class OwnLaw:
         return found
 
     def law(self, K_c: float, gap: Gap, K_ratio: float = 1.0) -> ContactLaw:
-        """The contact law between some walls."""
+        """The contact law between some walls; those of a table itself where `K_c` is 0."""
         found = self.load()
         if isinstance(found, ForceTable):
-            return found.between(gap)
+            return found.between(gap) if K_c else found
         return UserLaw(K_c, gap, found, K_ratio=K_ratio)
 
     @property

@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from gapsweep.errors import ModelError
 from gapsweep.model.contact import ContactLaw, checked_gap
-from gapsweep.model.oscillator import LARGEST, Gap
+from gapsweep.model.oscillator import LARGEST, Gap, checked
 from gapsweep.model.system import floats
 
 Array = NDArray[np.float64]
@@ -34,8 +34,12 @@ class ForceTable(ContactLaw):
     F : array_like, shape (n,)
         Restoring forces on the mass there [N].
     gap : Gap, optional
-        Walls, at which contacts are counted; by default the ends of the stretch about zero on which
-        the forces are zero, and no gap where there is none.
+        Walls, at which contacts are counted; by default the ends of the interval around zero in
+        which the forces are zero, and no gap where there is none.
+    noise : float
+        Largest force [N] that is measurement noise, ``>= 0``: in the interval around zero in which
+        no force is larger, all forces are set to zero. The walls then lie ``noise / K_c`` further
+        out than those of the noiseless force.
 
     Raises
     ------
@@ -57,10 +61,14 @@ class ForceTable(ContactLaw):
     x: tuple[float, ...]
     F: tuple[float, ...]
 
-    def __init__(self, x: ArrayLike, F: ArrayLike, gap: Gap | None = None) -> None:
+    def __init__(
+        self, x: ArrayLike, F: ArrayLike, gap: Gap | None = None, noise: float = 0.0
+    ) -> None:
         places, forces = _column("x", x), _column("F", F)
         _check(places, forces)
-        gap = _zero_stretch(places, forces) if gap is None else checked_gap(gap)
+        quiet = _quiet(places, forces, checked("noise", noise, low=0.0))
+        forces[quiet] = 0.0
+        gap = _width(places[quiet]) if gap is None else checked_gap(gap)
         lower = _chord(-places[0] - gap.j_1, -forces[0])
         upper = _chord(places[-1] - gap.j_2, forces[-1]) or _NO_WALL * lower
         given: dict[str, Any] = {"x": tuple(places.tolist()), "F": tuple(forces.tolist())}
@@ -164,16 +172,17 @@ def _check(x: Array, force: Array) -> None:
         )
 
 
-def _zero_stretch(x: Array, force: Array) -> Gap:
-    """The stretch about zero without a force."""
-    touched = np.flatnonzero(force != 0.0)
-    below, above = touched[x[touched] <= 0.0], touched[x[touched] >= 0.0]
-    first = below[-1] + 1 if below.size else 0
-    last = above[0] - 1 if above.size else x.size - 1
-    # Zero may lie beside a single point without force, or between two with one.
-    if not (first <= last and x[first] <= 0.0 <= x[last]):
-        return Gap(0.0, 0.0)
-    return Gap(0.0 - x[first], x[last])
+def _quiet(x: Array, force: Array, noise: float) -> slice:
+    """The points around zero at which no force is larger than the noise."""
+    loud = np.flatnonzero(np.abs(force) > noise)
+    below, above = loud[x[loud] <= 0.0], loud[x[loud] >= 0.0]
+    return slice(below[-1] + 1 if below.size else 0, above[0] if above.size else x.size)
+
+
+def _width(x: Array) -> Gap:
+    """The walls at the ends of an interval; none where it does not hold zero."""
+    # Zero may be a single point without force, or lie between two with one.
+    return Gap(0.0 - x[0], x[-1]) if x.size and x[0] <= 0.0 <= x[-1] else Gap(0.0, 0.0)
 
 
 def _chord(length: float, force: float) -> float:

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from gapsweep.errors import ModelError, described
 from gapsweep.model.contact import ContactLaw
-from gapsweep.user_code.load import plain
+from gapsweep.user_code.load import blame, plain
 
 Array = NDArray[np.float64]
 
@@ -53,7 +53,8 @@ class UserLaw(ContactLaw):
         except KeyboardInterrupt:
             raise
         except BaseException as error:  # the user's code may raise anything, SystemExit too
-            raise ModelError(f"{self.name}(0.0) raised {described(error)}") from error
+            message = f"{self.name}(0.0) raised {described(error)}"
+            raise ModelError(blame(None, error, message)) from error
         if not math.isfinite(value):
             raise ModelError(f"{self.name}(0.0) = {value}: must be finite")
 

@@ -6,6 +6,7 @@ the plain immutable values that the rest of the package works with.
 """
 
 import math
+import re
 import tomllib
 from collections.abc import Collection, Iterator, Mapping
 from os import PathLike
@@ -268,6 +269,8 @@ class StudySpec(TomlTable):
             ]
             if wrong:
                 raise ValueError("; ".join(wrong))
+        elif isinstance(given.get("sweep"), list):
+            given = given | {"sweep": [_with_walls(block) for block in given["sweep"]]}
         return given | {
             key: [_parted(table, names) for table in given[key]]
             for key in ("sweep", "history")
@@ -338,6 +341,15 @@ def _parameters(tables: Any) -> Any:
     return OscillatorTable.model_fields
 
 
+def _with_walls(block: Any) -> Any:
+    """A block of users' laws that leaves out K_c and gap: the law itself has the walls."""
+    labels = several(block.get("representation")) if isinstance(block, dict) else None
+    own = isinstance(labels, list) and all(isinstance(x, str) and ":" in x for x in labels)
+    if not own or {"K_c", "gap", "j_1", "j_2"} & block.keys():
+        return block
+    return block | {"K_c": 0.0, "gap": [0.0, 0.0]}
+
+
 def _parted(block: Any, parameters: Collection[str]) -> Any:
     """A block of points, or a history, with its parameters in a table within it."""
     if not isinstance(block, dict):
@@ -381,8 +393,17 @@ def parse(text: str, source: str = "study") -> StudySpec:
         said = "brackets nested too deeply to be read; no study needs more than ten: close them"
         raise StudyError([f"{source}: not valid TOML: {said}"]) from None
     except ValueError as error:  # numbers too long, too
-        raise StudyError([f"{source}: not valid TOML: {error}"]) from None
+        raise StudyError(
+            [f"{source}: not valid TOML: {error}{_line_before(text, error)}"]
+        ) from None
     return check(tables, source)
+
+
+def _line_before(text: str, error: ValueError) -> str:
+    """The line before the place of an error: a bracket or a quote that is open ends there."""
+    place = re.search(r"at line (\d+), column 1\)", str(error))
+    lines = text.splitlines()[: int(place[1]) - 1] if place else []
+    return "".join(f"; is line {n} complete? {line:.60}" for n, line in [*enumerate(lines, 1)][-1:])
 
 
 def check(tables: dict[str, Any], source: str = "study") -> StudySpec:

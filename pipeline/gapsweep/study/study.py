@@ -2,10 +2,11 @@
 
 import json
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
+from html import escape
 from itertools import chain
 from os import PathLike
 from pathlib import Path
@@ -66,6 +67,12 @@ class Study:
     spec: StudySpec
     source: str = "study"
 
+    def __post_init__(self) -> None:
+        if not isinstance(self.spec, StudySpec):
+            raise StudyError(
+                [f"{self.spec!r:.80}: write gs.Study.load(path) or gs.Study.from_dict(tables)"]
+            )
+
     def __repr__(self) -> str:
         n = int(self.grid.requested.sum())
         sizes = (
@@ -73,6 +80,35 @@ class Study:
         )
         points = f"{n} sweep point{'s' * (n != 1)}"
         return f"<Study {self.name!r}: {', '.join([points, *sizes])}>"
+
+    def _repr_html_(self) -> str:
+        """The study as a notebook shows it: its title, and the values along each dimension."""
+        rows = [
+            f"<tr><th>{name}</th><td>{size}</td><td>{escape(_ends(self.grid.labels(name)))}</td></tr>"
+            for name, size in zip(self.grid.dims, self.grid.shape, strict=True)
+        ]
+        return (
+            f"<b>{escape(self.title)}</b>: {int(self.grid.requested.sum())} sweep points"
+            f"<table><tr><th>dimension</th><th>size</th><th>values</th></tr>{''.join(rows)}</table>"
+        )
+
+    def plan(self, **options: Any) -> Any:
+        """Which points are in the cache and which are missing: `gapsweep.plan` of this study."""
+        from gapsweep import plan
+
+        return plan(self, **options)
+
+    def run(self, **options: Any) -> Any:
+        """Compute the study and open its responses: `gapsweep.run` with the same options."""
+        from gapsweep import run
+
+        return run(self, **options)
+
+    def query(self, **wanted: Any) -> Any:
+        """Responses of a part of the study, computed if missing: `gapsweep.query` of it."""
+        from gapsweep import query
+
+        return query(self, **wanted)
 
     @classmethod
     def load(cls, path: str | PathLike[str]) -> "Study":
@@ -447,6 +483,12 @@ class Study:
     def start_jitter(self, label: str) -> float:
         """What a representation's protocol adds to fixed initial displacements [m]."""
         return self._protocols[label.partition("@")[2]][1]
+
+
+def _ends(values: Sequence[Any]) -> str:
+    """All of some values in words, or the first and the last of many."""
+    shown = [f"{x:.6g}" if isinstance(x, float) else str(x) for x in values]
+    return ", ".join(shown if len(shown) <= 8 else [*shown[:3], "…", shown[-1]])
 
 
 def _snapshot(path: Path | None) -> Snapshot | None:

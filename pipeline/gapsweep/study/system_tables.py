@@ -205,12 +205,13 @@ def _made(name: str, function: Any, parameters: Mapping[str, float]) -> System:
             parts = {}
             if isinstance(found, System):
                 parts = {each.name: getattr(found, each.name) for each in fields(System)}
-    except (ModelError, KeyboardInterrupt):
+    except KeyboardInterrupt:
         raise
     except BaseException as error:  # the user's code may raise anything, SystemExit too
-        message = f"{name}: {described(error)}; its arguments are those in [parameters]"
+        what = str(error) if isinstance(error, ModelError) else described(error)
+        message = f"{name}: {what}; its arguments are those in [parameters]"
         if error.__traceback__ is not None and error.__traceback__.tb_next:  # it has been called
-            message = blame(Path(name), error, f"{name}: {described(error)}")
+            message = blame(None, error, f"{name}: {what}")
         raise ModelError(message) from None
     if not isinstance(found, System):
         raise ModelError(f"{name}: must return a gapsweep.System, not {type(found).__name__}")

@@ -221,9 +221,9 @@ def user_errors(
         raise StudyError([blame(path, error, message, function)]) from None
 
 
-def blame(path: Path, error: BaseException, message: str, function: Any = None) -> str:
-    """A message after the file and the last line of the user's code that ran."""
-    where = str(path)
+def blame(path: Path | None, error: BaseException, message: str, function: Any = None) -> str:
+    """A message after the file and the last line of the user's code that ran, or else a path."""
+    where = "" if path is None else f"{path}: "
     if isinstance(error, FileNotFoundError) and str(_folder()) in str(error.filename):
         name = Path(error.filename).name
         message = f'{name}: no data file of the module: write __data__ = ["{name}"] into it'
@@ -231,5 +231,5 @@ def blame(path: Path, error: BaseException, message: str, function: Any = None) 
     ran = [(frame.f_code, line) for frame, line in traceback.walk_tb(error.__traceback__)]
     for each, line in ([(code, code.co_firstlineno)] if code else []) + ran:
         if each.co_filename in _paths:
-            where = f"{_paths[each.co_filename]}:{line}"
-    return f"{where}: {plain(message)}"
+            where = f"{_paths[each.co_filename]}:{line}: "
+    return f"{where}{plain(message)}"

@@ -120,6 +120,8 @@ class Snapshot:
                 raise ModelError(
                     f"No module named {name!r} of yours: Python's library has one: rename the file"
                 )
+            if name.endswith(".py"):
+                raise ModelError(f"write {name[:-3]}, the name of the module, without .py")
             raise ModelError(
                 f"No module named {name!r}; the file must lie in a folder of Python's path"
                 + (f" or in {where}" if where else "")
