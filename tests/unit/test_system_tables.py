@@ -342,9 +342,7 @@ def test_a_call_that_fails_inside_a_function_is_told_from_a_call_of_the_function
     """Both are a TypeError of arguments: the line of the first, the parameters for the second."""
     inside = "import gapsweep as gs\ndef make(k):\n    return gs.Harmonic([k, 0.0])\n"
     tables = of_function(tmp_path, monkeypatch, "calls_inside", inside)
-    with pytest.raises(
-        gs.StudyError, match=r"calls_inside\.py:3: Harmonic: .*amplitude"
-    ) as refused:
+    with pytest.raises(gs.StudyError, match=r"calls_inside\.py:3: .*Harmonic: ") as refused:
         gs.Study.from_dict(tables)
     assert "[parameters]" not in str(refused.value)
     tables = of_function(tmp_path, monkeypatch, "other_names", "def make(stiffness):\n    pass\n")
