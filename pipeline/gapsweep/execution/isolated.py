@@ -7,7 +7,6 @@ over a socket of their own, so output of the called code disturbs nobody.
 import ctypes
 import os
 import pickle  # of a process that we started, over a private connection
-import resource
 import signal
 import subprocess
 import sys
@@ -23,9 +22,14 @@ import psutil
 from distributed.system import MEMORY_LIMIT
 
 from gapsweep.errors import ClusterError, ModelError, described
-from gapsweep.execution.workers import search_path
+from gapsweep.execution.workers import end_group, search_path
 from gapsweep.status import Status
 from gapsweep.study.software import software
+
+try:
+    import resource
+except ImportError:  # not a POSIX system: calls have no limits there but that of time
+    resource = None  # type: ignore[assignment]
 
 Result = TypeVar("Result")
 
@@ -144,8 +148,7 @@ class Isolated:
             self._pipe.close()
             with suppress(subprocess.TimeoutExpired):
                 process.wait(patience)
-            with suppress(ProcessLookupError):  # nothing is left of its group
-                os.killpg(process.pid, signal.SIGKILL)
+            end_group(process.pid)
             process.wait()
 
 
@@ -193,17 +196,20 @@ def serve() -> None:
     if sys.platform == "linux":  # the caller may be killed while a call hangs
         ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
     pipe, at_start = Connection(int(sys.argv[1])), psutil.Process().memory_info().vms
-    _limit(resource.RLIMIT_CORE, 0)
+    _limit("RLIMIT_CORE", 0)
     with suppress(EOFError, ConnectionError):  # the caller has gone
         pipe.send(software())
         while True:
             timeout, memory, call = pipe.recv()
-            _limit(resource.RLIMIT_AS, at_start + memory)
-            _limit(resource.RLIMIT_CPU, ceil(time.process_time() + timeout))
+            _limit("RLIMIT_AS", at_start + memory)
+            _limit("RLIMIT_CPU", ceil(time.process_time() + timeout))
             pipe.send_bytes(_result(call))
 
 
-def _limit(kind: int, value: int) -> None:
+def _limit(name: str, value: int) -> None:
+    if resource is None:
+        return
+    kind = getattr(resource, name)
     _, hard = resource.getrlimit(kind)
     resource.setrlimit(kind, (value if hard < 0 else min(value, hard), hard))
 

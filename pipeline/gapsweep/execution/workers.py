@@ -15,8 +15,9 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
-from multiprocessing import forkserver
 from typing import Any
+
+import psutil
 
 _CODE = "from gapsweep.execution.workers import serve; serve()"
 _LEAVE_SECONDS = 2.0
@@ -73,9 +74,23 @@ def end_workers(process: "subprocess.Popen[bytes]") -> None:
         process.stdin.close()
     with suppress(subprocess.TimeoutExpired):
         process.wait(_LEAVE_SECONDS)
-    with suppress(ProcessLookupError):  # nothing is left of its group
-        os.killpg(process.pid, signal.SIGKILL)
+    end_group(process.pid)
     process.wait()
+
+
+def end_group(pid: int) -> None:
+    """Kill a process that leads a session, and all that it has started.
+
+    Windows has no sessions: there the process and those of its descendants that can be found.
+    """
+    if hasattr(os, "killpg"):
+        with suppress(ProcessLookupError):  # nothing is left of its group
+            os.killpg(pid, signal.SIGKILL)
+        return
+    with suppress(psutil.NoSuchProcess):
+        leader = psutil.Process(pid)
+        for each in (*leader.children(recursive=True), leader):
+            each.kill()
 
 
 def search_path() -> str:
@@ -85,13 +100,17 @@ def search_path() -> str:
 
 def serve() -> None:
     """Keep workers running while standard input is open."""
-    multiprocessing.set_forkserver_preload(_PRELOADED)
-    forkserver.ensure_running()
+    method = "forkserver" if "forkserver" in multiprocessing.get_all_start_methods() else "spawn"
+    if method == "forkserver":
+        from multiprocessing import forkserver
+
+        multiprocessing.set_forkserver_preload(_PRELOADED)
+        forkserver.ensure_running()
     import dask  # while the other process imports as well
     from distributed import Nanny
 
     config, address, n, options = pickle.load(sys.stdin.buffer)  # of the process that started it
-    dask.config.set(config | {"distributed.worker.multiprocessing-method": "forkserver"})
+    dask.config.set(config | {"distributed.worker.multiprocessing-method": method})
 
     async def run() -> None:
         nannies = await asyncio.gather(*(Nanny(address, **options) for _ in range(n)))
@@ -100,4 +119,4 @@ def serve() -> None:
         await asyncio.gather(*closing, return_exceptions=True)  # they remove their folders
 
     asyncio.run(run())
-    os.killpg(0, signal.SIGKILL)  # this process and its remaining workers
+    end_group(os.getpid())  # this process and its remaining workers

@@ -76,7 +76,10 @@ def _remove_leftovers(path: Path) -> None:
 
 
 def _flush(path: Path) -> None:
-    descriptor = os.open(path, os.O_RDONLY)
+    is_folder = path.is_dir()
+    if is_folder and fcntl is None:  # Windows opens no folders
+        return
+    descriptor = os.open(path, os.O_RDONLY if is_folder else os.O_RDWR)
     try:
         os.fsync(descriptor)
     finally:
@@ -204,15 +207,17 @@ def alone_in(folder: Path) -> Iterator[None]:
     network file systems) nothing is kept; each file is replaced as a whole all the same.
     """
     folder.mkdir(parents=True, exist_ok=True)
+    if fcntl is None:  # nor can folders be opened there
+        yield
+        return
     descriptor = os.open(folder, os.O_RDONLY)
     try:
-        if fcntl is not None:
-            with suppress(OSError):
-                try:
-                    fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-                except BlockingIOError:
-                    warnings.warn(f"{folder}: waiting for the run that writes there", stacklevel=4)
-                    fcntl.flock(descriptor, fcntl.LOCK_EX)
+        with suppress(OSError):
+            try:
+                fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                warnings.warn(f"{folder}: waiting for the run that writes there", stacklevel=4)
+                fcntl.flock(descriptor, fcntl.LOCK_EX)
         yield
     finally:
         os.close(descriptor)
