@@ -16,7 +16,8 @@ if TYPE_CHECKING:
 
 _IN_CASE = ("representation", "omega", START)  # all other dimensions are of cases
 _FAST, _SOFT = 30.0, 1e-3  # times the natural frequency, and the stiffness of the spring
-_NAMES = ("zeta", "omega_n", "mass", "omega", "K_c")
+_FAR = 10.0  # times the amplitude of the linear resonance
+_NAMES = ("zeta", "omega_n", "mass", "forcing", "mean_load", "omega", "K_c", "wall")
 _SAMPLED = 16  # every so many points of a study show for most cases that a wall may be reached
 
 
@@ -73,7 +74,8 @@ def doubtful_numbers(values: Mapping[str, Any]) -> Iterator[str]:
     Parameters
     ----------
     values : mapping of str to number or array
-        Parameters of the oscillator, and `omega` and `K_c`, where a study has them.
+        Parameters of the oscillator, and `omega`, `K_c` and `wall` (distances of the nearer walls
+        [m]), where a study has them.
     """
     numbers = {name: np.asarray(values[name], float) for name in _NAMES if name in values}
     largest = {name: float(each.max()) for name, each in numbers.items() if each.size}
@@ -95,6 +97,13 @@ def doubtful_numbers(values: Mapping[str, Any]) -> Iterator[str]:
             f"K_c = {largest['K_c']:g} N/m: less than {_SOFT:g} of the spring's stiffness "
             f"m (2π omega_n)² = {spring:.3g} N/m; K_c is in N/m"
         )
+    if spring and least["zeta"] and "wall" in least:
+        load = largest["forcing"] / (2.0 * least["zeta"]) + abs(largest["mean_load"])
+        if 0.0 < _FAR * load / spring < least["wall"]:
+            yield (
+                f"gap = {least['wall']:g} m: more than {_FAR:g} times the amplitude of the linear "
+                f"resonance, {load / spring:.2g} m; gaps are in metres"
+            )
 
 
 def wrong_tables(study: "Study") -> Iterator[str]:

@@ -99,8 +99,10 @@ def plan(
         stages = pipeline.stage_reasons(loaded, planned, out, cache)
     doubts = []
     if loaded.spec.system is None:
-        doubts = [*doubtful_numbers({**loaded.spec.model, **loaded.grid.axes})]
-        doubts += filter(None, [bounded(loaded)])
+        far = bounded(loaded)
+        walls = {} if far else {"wall": [min(gap.j_1, gap.j_2) for gap in loaded.grid.gaps]}
+        doubts = [*doubtful_numbers({**loaded.spec.model, **loaded.grid.axes, **walls})]
+        doubts += filter(None, [far])
     numbers = {
         "points": planned.n_points,
         "hits": planned.n_hits,
