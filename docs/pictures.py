@@ -38,7 +38,7 @@ SCENES = ["soft-sym-9", "soft-asym-9", "hard-sym-9", "hard-asym-9"]
 
 def gallery() -> None:
     """Those of the gallery, by its own lines."""
-    page = (IMAGES.parent / "gallery.md").read_text()
+    page = (IMAGES.parent / "gallery" / "index.md").read_text()
     matplotlib.use("Agg")
     with TemporaryDirectory() as folder, chdir(folder):  # queries leave a cache there
         exec("".join(re.findall(r"^```python\n(.*?)^```$", page, re.DOTALL | re.MULTILINE)), {})

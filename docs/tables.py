@@ -46,7 +46,7 @@ _FACTS = ("type", "units", "what it is")
 
 
 def states() -> str:
-    """States of the search for steady responses, in `steady.md`: function, and what may follow."""
+    """States of the search for steady responses: function, and the states that may follow."""
     rows = (
         f"{state.name:15}{function:17}{' '.join(each.name for each in after)}\n"
         for state, (function, after) in TRANSITIONS.items()

@@ -153,7 +153,8 @@ def test_the_states_of_the_search_are_in_the_docs(monkeypatch):
     monkeypatch.syspath_prepend(DOCS)
     import tables
 
-    assert f"```text\n{tables.states()}```" in (DOCS / "steady.md").read_text()
+    page = DOCS / "explanation" / "steady_states.md"
+    assert f"```text\n{tables.states()}```" in page.read_text()
 
 
 def test_every_command_is_in_the_generated_reference(monkeypatch):
