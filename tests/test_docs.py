@@ -70,6 +70,8 @@ def test_every_block_is_of_a_kind_that_is_tested(page):
 def test_python_blocks_run_in_order(page, folder, monkeypatch):
     monkeypatch.chdir(folder)
     mpl.use("Agg")
+    for data in page.parent.glob("*.csv"):  # which the page reads
+        shutil.copy(data, folder)
     quick = Path(
         "quick.toml"
     )  # what `gapsweep init quick` leaves there, which refuses to overwrite
