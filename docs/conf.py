@@ -33,7 +33,7 @@ napoleon_use_ivar = True
 myst_heading_anchors = 3
 html_math_renderer = "mathml"
 html_static_path = ["_static"]
-html_css_files = ["math.css"]
+html_css_files = ["style.css"]
 myst_enable_extensions = ["dollarmath"]
 # Notebooks run while the documentation is built, each in an empty folder.
 nb_execution_mode = os.environ.get("GAPSWEEP_DOCS_NOTEBOOKS", "cache")

@@ -129,8 +129,23 @@ def test_every_command_is_in_the_readme_or_the_guide():
     assert not [name for name in commands.commands if f"gapsweep {name}" not in text]
 
 
+@pages
+def test_pages_show_the_pictures_that_their_code_draws(page):
+    """In the gallery and the tutorials; `python -m docs.pictures` draws them again."""
+    code = "".join(blocks(page, "python"))
+    shown = re.findall(r"^!\[.+\]\((\w[\w-]*\.png)\)$", page.read_text(), re.MULTILINE)
+    saved = re.findall(r"savefig\(\"([\w-]+\.png)\"", code)
+    if page.parent.name in ("gallery", "tutorials"):
+        assert shown == saved
+    assert page.parent.name != "gallery" or page.stem == "index" or shown == [f"{page.stem}.png"]
+
+
 def test_every_page_and_notebook_is_in_the_contents():
-    listed = set(re.findall(r"^[\w/-]+$", (DOCS / "index.md").read_text(), re.MULTILINE))
+    listed = set()
+    for page in PAGES:
+        for tree in re.findall(r"^```{toctree}\n(.*?)^```$", page.read_text(), re.DOTALL | re.M):
+            names = re.findall(r"^[\w/-]+$", tree, re.MULTILINE)
+            listed |= {str((page.parent / name).relative_to(DOCS)) for name in names}
     written = {
         str(p.relative_to(DOCS).with_suffix("")) for p in PAGES if "decisions" not in p.parts
     }
