@@ -1,4 +1,4 @@
-"""The pictures of the README and the pages: by the code of the pages, and from finished runs.
+"""The pictures of the README and the pages, and the outputs of the notebooks.
 
 python -m docs.pictures [data/runs/work-precision data/runs/two-masses data/runs/stability]
 """
@@ -11,6 +11,8 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import matplotlib
+import nbclient
+import nbformat
 import numpy as np
 from matplotlib import pyplot
 from matplotlib.figure import Figure
@@ -49,6 +51,18 @@ def pages() -> None:
             for picture in drawn:
                 shutil.copy(picture.name, picture)
         pyplot.close("all")
+
+
+def notebooks() -> None:
+    """Run every notebook in an empty folder and store its outputs."""
+    for path in sorted(Path(__file__).parent.glob("notebooks/*.ipynb")):
+        notebook = nbformat.read(path, as_version=4)
+        with TemporaryDirectory() as folder:
+            where = {"metadata": {"path": folder}}
+            nbclient.NotebookClient(notebook, timeout=300, resources=where).execute()
+        for cell in notebook.cells:
+            cell.metadata.pop("execution", None)  # times
+        nbformat.write(notebook, path)
 
 
 def hero() -> None:
@@ -123,3 +137,4 @@ if __name__ == "__main__":
         hero()
         start()
     pages()
+    notebooks()

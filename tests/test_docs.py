@@ -17,7 +17,7 @@ from gapsweep.study.spec import check
 
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
-MADE = {"_build", "generated", "notebooks"}
+MADE = {"_build", "generated"}
 PAGES = sorted(p for p in DOCS.rglob("*.md") if not MADE & set(p.relative_to(DOCS).parts))
 BLOCK = re.compile(r"^```(\w+)( no-test)?\n(.*?)^```$", re.DOTALL | re.MULTILINE)
 MINIMAL = {
@@ -149,7 +149,7 @@ def test_every_page_and_notebook_is_in_the_contents():
     written = {
         str(p.relative_to(DOCS).with_suffix("")) for p in PAGES if "decisions" not in p.parts
     }
-    notebooks = {f"notebooks/{p.stem}" for p in (ROOT / "workflows" / "notebooks").glob("*.md")}
+    notebooks = {f"notebooks/{p.stem}" for p in (DOCS / "notebooks").glob("*.ipynb")}
     assert listed == (written | notebooks) - {"index"}
 
 
