@@ -47,10 +47,19 @@ def folder(tmp_path_factory):
     return folder
 
 
-@pytest.mark.parametrize("page", [*PAGES, ROOT / "README.md"], ids=lambda p: p.name)
+@pytest.mark.parametrize("page", [*PAGES, *ROOT.glob("*.md")], ids=lambda p: p.name)
 def test_links_lead_somewhere_in_a_clone(page):
     links = re.findall(r"\]\(([^)#:]+)(?:#[^)]*)?\)", BLOCK.sub("", page.read_text()))
     assert [link for link in links if not (page.parent / link).exists()] == []
+
+
+def test_pages_that_code_names_exist():
+    folders = [ROOT / name for name in ("pipeline", "workflows", "benchmarks", ".github")]
+    files = [path for folder in folders for path in folder.rglob("*.*") if path.is_file()]
+    texts = [path.read_text() for path in files if path.suffix in {".py", ".toml", ".yml", ".md"}]
+    named = {name for text in texts for name in re.findall(r"docs/[\w/-]+\.md", text)}
+    assert named
+    assert [name for name in named if not (ROOT / name).exists()] == []
 
 
 @pages
