@@ -1,7 +1,5 @@
 """Sphinx configuration. Build: ``python -m sphinx -W -b html docs OUT``; needs no network."""
 
-import os
-import shutil
 import sys
 from pathlib import Path
 
@@ -33,21 +31,15 @@ napoleon_use_ivar = True
 myst_heading_anchors = 3
 html_math_renderer = "mathml"
 html_static_path = ["_static"]
-html_css_files = ["math.css"]
+html_css_files = ["style.css"]
 myst_enable_extensions = ["dollarmath"]
-# Notebooks run while the documentation is built, each in an empty folder.
-nb_execution_mode = os.environ.get("GAPSWEEP_DOCS_NOTEBOOKS", "cache")
-nb_execution_in_temp = True
-nb_execution_timeout = 300
-nb_execution_raise_on_error = True
+# Notebooks are stored with their outputs; tests run them.
+nb_execution_mode = "off"
 nb_merge_streams = True
 
 
 def make_pages(_app: object) -> None:
-    """What is not written by hand: notebooks, and tables from the code they describe."""
-    notebooks = HERE / "notebooks"
-    shutil.rmtree(notebooks, ignore_errors=True)
-    shutil.copytree(HERE.parent / "workflows" / "notebooks", notebooks)
+    """Tables that the code describes."""
     generated = HERE / "reference" / "generated"
     generated.mkdir(exist_ok=True)
     for name, text in tables.pages().items():

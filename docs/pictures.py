@@ -1,7 +1,6 @@
-"""The pictures of the README and the pages: of the gallery, and from finished runs.
+"""The pictures of the README and the pages, and the outputs of the notebooks.
 
-python -m docs.pictures [data/runs/paper data/runs/work-precision data/runs/two-masses
-                        data/runs/stability]
+python -m docs.pictures [data/runs/work-precision data/runs/two-masses data/runs/stability]
 """
 
 import re
@@ -12,14 +11,15 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import matplotlib
+import nbclient
+import nbformat
 import numpy as np
+from matplotlib import pyplot
 from matplotlib.figure import Figure
-from workflows.paper.figures import figures
 from workflows.paper.paper_figures import start_scan
 from workflows.paper.refined import starts
 
 import gapsweep as gs
-from gapsweep.analysis.claims import Run
 from gapsweep.report.bench_figures import atlas
 from gapsweep.report.style import MATPLOTLIB
 
@@ -36,14 +36,33 @@ METHODS = [
 SCENES = ["soft-sym-9", "soft-asym-9", "hard-sym-9", "hard-asym-9"]
 
 
-def gallery() -> None:
-    """Those of the gallery, by its own lines."""
-    page = (IMAGES.parent / "gallery.md").read_text()
+def pages() -> None:
+    """Those that pages of the gallery and tutorials draw by their own code."""
     matplotlib.use("Agg")
-    with TemporaryDirectory() as folder, chdir(folder):  # queries leave a cache there
-        exec("".join(re.findall(r"^```python\n(.*?)^```$", page, re.DOTALL | re.MULTILINE)), {})
-        for picture in Path().glob("*.png"):
-            shutil.copy(picture, IMAGES)
+    for page in sorted(Path(__file__).parent.glob("*/*.md")):
+        blocks = re.findall(r"^```python\n(.*?)^```$", page.read_text(), re.DOTALL | re.MULTILINE)
+        drawn = [path for path in page.parent.glob("*.png") if f"({path.name})" in page.read_text()]
+        if not blocks or not drawn:
+            continue
+        with TemporaryDirectory() as folder, chdir(folder):
+            for data in page.parent.glob("*.csv"):
+                shutil.copy(data, folder)
+            exec("".join(blocks), {})
+            for picture in drawn:
+                shutil.copy(picture.name, picture)
+        pyplot.close("all")
+
+
+def notebooks() -> None:
+    """Run every notebook in an empty folder and store its outputs."""
+    for path in sorted(Path(__file__).parent.glob("notebooks/*.ipynb")):
+        notebook = nbformat.read(path, as_version=4)
+        with TemporaryDirectory() as folder:
+            where = {"metadata": {"path": folder}}
+            nbclient.NotebookClient(notebook, timeout=300, resources=where).execute()
+        for cell in notebook.cells:
+            cell.metadata.pop("execution", None)  # times
+        nbformat.write(notebook, path)
 
 
 def hero() -> None:
@@ -80,14 +99,6 @@ def start() -> None:
     start_scan(starts(study)).savefig(IMAGES / "start.png", dpi=110)
 
 
-def peaks(folder: Path) -> None:
-    """Fig. 6c: every peak of the exact law behind those of each approximation."""
-    with gs.open(folder / "responses.nc") as responses:
-        drawn = figures(Run({"responses": responses}))
-        figure = next(one.figure for one in drawn if one.name == "Fig. 6c")
-    figure.savefig(IMAGES / "peaks.png", dpi=110)
-
-
 def work_precision(folder: Path) -> None:
     """Cost over error in four scenes."""
     figure = Figure(figsize=(9.5, 7.0))
@@ -120,9 +131,10 @@ def two_masses(folder: Path) -> None:
 
 if __name__ == "__main__":
     with matplotlib.rc_context(MATPLOTLIB):
-        drawn = peaks, work_precision, two_masses, failures
+        drawn = work_precision, two_masses, failures
         for draw, folder in zip(drawn, sys.argv[1:], strict=False):
             draw(Path(folder).absolute())
         hero()
         start()
-    gallery()
+    pages()
+    notebooks()

@@ -32,8 +32,8 @@ def pages() -> dict[str, str]:
         "coordinates": _table(("coordinate", "over", *_FACTS), _coordinates()),
         "responses": _table(("variable", "over", *_FACTS), _responses()),
         "attractors": _table(("variable", "over", *_FACTS), _attractors()),
-        "agreement": _table(("variable", "over", "units", "what it is"), _agreement()),
-        "timing": _table(("variable", "over", "units", "what it is"), _timing()),
+        "agreement": _table(("variable", "over", "units", "meaning"), _agreement()),
+        "timing": _table(("variable", "over", "units", "meaning"), _timing()),
         "static": _table(("variable", "over", *_FACTS), _static()),
         "histories": _table(("variable", "over", *_FACTS), _histories()),
         "branches": _table(("variable", "over", *_FACTS), _branches()),
@@ -42,11 +42,11 @@ def pages() -> dict[str, str]:
     }
 
 
-_FACTS = ("type", "units", "what it is")
+_FACTS = ("type", "units", "meaning")
 
 
 def states() -> str:
-    """States of the search for steady responses, in `steady.md`: function, and what may follow."""
+    """States of the search for steady responses: function, and the states that may follow."""
     rows = (
         f"{state.name:15}{function:17}{' '.join(each.name for each in after)}\n"
         for state, (function, after) in TRANSITIONS.items()

@@ -17,7 +17,7 @@ from gapsweep.study.spec import check
 
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
-MADE = {"_build", "generated", "notebooks"}
+MADE = {"_build", "generated"}
 PAGES = sorted(p for p in DOCS.rglob("*.md") if not MADE & set(p.relative_to(DOCS).parts))
 BLOCK = re.compile(r"^```(\w+)( no-test)?\n(.*?)^```$", re.DOTALL | re.MULTILINE)
 MINIMAL = {
@@ -47,10 +47,19 @@ def folder(tmp_path_factory):
     return folder
 
 
-@pytest.mark.parametrize("page", [*PAGES, ROOT / "README.md"], ids=lambda p: p.name)
+@pytest.mark.parametrize("page", [*PAGES, *ROOT.glob("*.md")], ids=lambda p: p.name)
 def test_links_lead_somewhere_in_a_clone(page):
     links = re.findall(r"\]\(([^)#:]+)(?:#[^)]*)?\)", BLOCK.sub("", page.read_text()))
     assert [link for link in links if not (page.parent / link).exists()] == []
+
+
+def test_pages_that_code_names_exist():
+    folders = [ROOT / name for name in ("pipeline", "workflows", "benchmarks", ".github")]
+    files = [path for folder in folders for path in folder.rglob("*.*") if path.is_file()]
+    texts = [path.read_text() for path in files if path.suffix in {".py", ".toml", ".yml", ".md"}]
+    named = {name for text in texts for name in re.findall(r"docs/[\w/-]+\.md", text)}
+    assert named
+    assert [name for name in named if not (ROOT / name).exists()] == []
 
 
 @pages
@@ -70,6 +79,8 @@ def test_every_block_is_of_a_kind_that_is_tested(page):
 def test_python_blocks_run_in_order(page, folder, monkeypatch):
     monkeypatch.chdir(folder)
     mpl.use("Agg")
+    for data in page.parent.glob("*.csv"):  # which the page reads
+        shutil.copy(data, folder)
     quick = Path(
         "quick.toml"
     )  # what `gapsweep init quick` leaves there, which refuses to overwrite
@@ -127,12 +138,27 @@ def test_every_command_is_in_the_readme_or_the_guide():
     assert not [name for name in commands.commands if f"gapsweep {name}" not in text]
 
 
+@pages
+def test_pages_show_the_pictures_that_their_code_draws(page):
+    """In the gallery and the tutorials; `python -m docs.pictures` draws them again."""
+    code = "".join(blocks(page, "python"))
+    shown = re.findall(r"^!\[.+\]\((\w[\w-]*\.png)\)$", page.read_text(), re.MULTILINE)
+    saved = re.findall(r"savefig\(\"([\w-]+\.png)\"", code)
+    if page.parent.name in ("gallery", "tutorials"):
+        assert shown == saved
+    assert page.parent.name != "gallery" or page.stem == "index" or shown == [f"{page.stem}.png"]
+
+
 def test_every_page_and_notebook_is_in_the_contents():
-    listed = set(re.findall(r"^[\w/-]+$", (DOCS / "index.md").read_text(), re.MULTILINE))
+    listed = set()
+    for page in PAGES:
+        for tree in re.findall(r"^```{toctree}\n(.*?)^```$", page.read_text(), re.DOTALL | re.M):
+            names = re.findall(r"^[\w/-]+$", tree, re.MULTILINE)
+            listed |= {str((page.parent / name).relative_to(DOCS)) for name in names}
     written = {
         str(p.relative_to(DOCS).with_suffix("")) for p in PAGES if "decisions" not in p.parts
     }
-    notebooks = {f"notebooks/{p.stem}" for p in (ROOT / "workflows" / "notebooks").glob("*.md")}
+    notebooks = {f"notebooks/{p.stem}" for p in (DOCS / "notebooks").glob("*.ipynb")}
     assert listed == (written | notebooks) - {"index"}
 
 
@@ -153,7 +179,8 @@ def test_the_states_of_the_search_are_in_the_docs(monkeypatch):
     monkeypatch.syspath_prepend(DOCS)
     import tables
 
-    assert f"```text\n{tables.states()}```" in (DOCS / "steady.md").read_text()
+    page = DOCS / "explanation" / "steady_states.md"
+    assert f"```text\n{tables.states()}```" in page.read_text()
 
 
 def test_every_command_is_in_the_generated_reference(monkeypatch):

@@ -225,7 +225,7 @@ def test_file_explains_itself(files, tmp_path):
 
 
 def test_documentation_names_every_metric():
-    text = (Path(__file__).parents[2] / "docs" / "metrics.md").read_text()
+    text = (Path(__file__).parents[2] / "docs" / "reference" / "metrics.md").read_text()
     assert [name for name in METRICS if f"`{name}`" not in text] == []
 
 

@@ -26,7 +26,8 @@ TABLE_2 = {
 }
 TABLE_CASES = {"weak": SOFT_SYMMETRIC, "strong": HARD_SYMMETRIC}
 
-# Initial conditions [m, m/s]: Table 1 states rest, the figures agree with +0.4 mm (docs/claims.md).
+# Initial conditions [m, m/s]: Table 1 states rest, the figures agree with +0.4 mm (the page
+# docs/explanation/claims.md).
 REST, RELEASED = "rest", "+0.4 mm"
 STARTS = {REST: (0.0, 0.0), RELEASED: (4e-4, 0.0)}
 

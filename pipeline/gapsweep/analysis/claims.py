@@ -271,7 +271,9 @@ def stated(names: Mapping[str, Any]) -> list[Claim]:
     )
     twice = [str(n) for n, count in Counter(one.id for one in found).items() if count > 1]
     if not found:
-        raise ValueError("no claims: a claim is a function under @claim, see docs/claims.md")
+        raise ValueError(
+            "no claims: a claim is a function under @claim, see docs/explanation/claims.md"
+        )
     if twice:
         raise ValueError(f"claim {', '.join(twice)}: stated more than once; number them apart")
     return sorted(found, key=lambda one: one.id)

@@ -1,7 +1,7 @@
 """What `agreement.nc` holds: every metric, its unit, its formula, and how it is summed up.
 
-Written down once, here; ``docs/metrics.md`` explains it to readers. A4 to A14 are the numbers
-of the metrics there; A1 to A3 compare forces and need no responses.
+``docs/reference/metrics.md`` explains them to readers. A4 to A14 are the numbers of the metrics
+there; A1 to A3 compare forces and need no responses.
 """
 
 from collections.abc import Iterator

@@ -2,7 +2,7 @@
 
 A run fails with a status, is `right`, solves its own law whose answer is not the exact one
 (`model_error`), or reports ok although its own law is not solved (`silent_wrong`). Definitions:
-docs/bench.md.
+docs/reference/bench.md.
 """
 
 import math

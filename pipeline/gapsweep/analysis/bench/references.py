@@ -109,7 +109,7 @@ class Scale:
 
 
 def gap_scale(scenario: Scenario, reach: float) -> Scale:
-    """The width of the gap and that times the forcing's angular frequency; see docs/bench.md."""
+    """Gap width and its product with the angular frequency; see docs/reference/bench.md."""
     length = scenario.gap.j_1 + scenario.gap.j_2 or reach
     return Scale(length=length, speed=2.0 * math.pi * scenario.omega * length)
 

@@ -1,6 +1,6 @@
 """The failure atlas ``stability.nc``: all methods on hard scenarios whose right answer is known.
 
-Definitions: docs/bench.md.
+Definitions: docs/reference/bench.md.
 """
 
 import numpy as np

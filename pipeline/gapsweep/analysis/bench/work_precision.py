@@ -2,7 +2,7 @@
 
 Errors are solver errors (against the method's own law, solved tightly) and total errors (against
 the exact law); the difference is the model error, which no tolerance reduces. All methods are timed
-in one process, in turns. Definitions: docs/bench.md.
+in one process, in turns. Definitions: docs/reference/bench.md.
 """
 
 import math
