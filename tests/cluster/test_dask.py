@@ -153,7 +153,9 @@ class TestWorkerWithOtherCode:
                 assert (ds["status"] == gs.Status.OK).all()
             assert late[0].wait(timeout=30) == 0
         if installed is with_other_numerics:  # without gapsweep it closes itself
-            (told,) = [str(each.message) for each in recwarn if "retired" in str(each.message)]
+            (told,) = [
+                str(each.message) for each in recwarn if "stopped using" in str(each.message)
+            ]
             assert re.search(reason, told)
 
 
