@@ -65,7 +65,7 @@ def test_another_study_is_refused_in_a_folder_that_is_taken(gapsweep, finished):
     done = gapsweep(finished, "run", "other.toml", "--out", "out")
     assert done.returncode == 1
     assert done.stderr.count("\n") == 1
-    assert "out: holds the files of study 'tiny', this one is 'other'" in done.stderr
+    assert "out: has the files of study 'tiny', not of 'other'" in done.stderr
     assert (finished / "out" / "responses.nc").read_bytes() == before
 
 
@@ -141,7 +141,7 @@ def test_a_claims_file_that_is_a_link_is_one_line(gapsweep, tmp_path):
     done = gapsweep(tmp_path, "run", "tiny.toml", "--out", "out")
     assert done.returncode == 1
     assert "Traceback" not in done.stderr
-    assert "c-cache/claims: a symbolic link" in done.stderr.splitlines()[-1]
+    assert "c-cache/claims: must be a file, is a symbolic link" in done.stderr.splitlines()[-1]
     assert not (tmp_path / "nowhere").exists()
 
 
@@ -200,7 +200,7 @@ def test_a_cache_that_cannot_be_written_waits_for_no_workers(gapsweep, finished,
     assert done.returncode == 1
     assert "Traceback" not in done.stderr
     assert "starting the workers" not in done.stderr
-    assert done.stderr.splitlines()[-1].endswith("name a cache elsewhere with --cache")
+    assert done.stderr.splitlines()[-1].endswith("choose another cache with --cache")
 
 
 @pytest.mark.parametrize("said", ["x{", "[]", "3"])
@@ -320,7 +320,7 @@ def test_of_two_studies_started_at_once_one_is_refused_before_it_computes(tmp_pa
             time.sleep(0.1)
         (refused,) = (name for name, run in runs.items() if run.poll() is not None)
         assert runs[refused].returncode == 1
-        assert "out: holds the files of study" in runs[refused].stderr.read()
+        assert "out: has the files of study" in runs[refused].stderr.read()
         assert not (tmp_path / f"{refused}-cache").exists()
     finally:
         for run in runs.values():

@@ -97,7 +97,7 @@ def test_a_process_that_does_not_start_is_an_error_of_the_call(monkeypatch, code
 
 def test_a_process_of_other_code_answers_nothing(monkeypatch):
     monkeypatch.setattr(module, "software", lambda: {"numerics": "before the edit"})
-    with Isolated(10.0) as isolated, pytest.raises(gs.ClusterError, match="edited"):
+    with Isolated(10.0) as isolated, pytest.raises(gs.ClusterError, match="changed during the run"):
         isolated(calls.same, 1)
 
 

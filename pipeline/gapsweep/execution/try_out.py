@@ -71,8 +71,8 @@ def try_out(study: Study, timeout: float, say: Callable[[str], None]) -> None:
                 own = study.own_law(label)
             except ModelError:
                 continue
-            for step, function in (("importing", _imports), ("calling at x = 0", _calls)):
-                say(f"{step} {label} (timeout {limit:g} s)")
+            for step, function in (("importing {}", _imports), ("calling {} at x = 0", _calls)):
+                say(f"{step.format(label)} (timeout {limit:g} s)")
                 try:
                     isolated(function, own)
                 except CallError as lost:
@@ -81,7 +81,7 @@ def try_out(study: Study, timeout: float, say: Callable[[str], None]) -> None:
                     why = lost.message
                     if lost.status is Status.TIMED_OUT and timeout < _LONGEST:
                         why += f"; allow up to {_LONGEST:g} s with --timeout"
-                    where = f"{study.source}: {step} {label}"
+                    where = f"{study.source}: {step.format(label)}"
                     raise StudyError([f"{where}: {why}"]) from None
 
 
