@@ -204,14 +204,14 @@ def test_what_a_dataset_raises_is_one_line(folder, client):
     [
         ("    tanh, poly", "    raise SystemExit(0)\n    tanh, poly", "claim 1: SystemExit: 0"),
         ("    tanh, poly", "    raise BaseException\n    tanh, poly", "claim 1: BaseException"),
-        ('f"{ratio:.2g} times."', "5", "claim 1: TypeError: what it returns: sentence: must be"),
+        ('f"{ratio:.2g} times."', "5", "claim 1: TypeError: result: sentence: must be"),
         (
             "    return [Test(",
             "    return None\n    return [Test(",
             "claim 1: TypeError: must return",
         ),
         ('">", 1.0', '">", "1"', "claim 1: TypeError: a test: threshold: must be"),
-        ("{ratio:.2g} times", "\\ud800", "claim 1: ValueError: what it returns: sentence: must"),
+        ("{ratio:.2g} times", "\\ud800", "claim 1: ValueError: result: sentence: must"),
         ('"The larger of two."', "None", "TypeError: claim 1: why: must be text, not None"),
         ("@claim(2", "@claim('2'", "ValueError: claim '2': id: must be a whole number from 1"),
         ('"widths": widths', '"claims": widths', "'claims': the name of a file of gapsweep"),
@@ -254,7 +254,7 @@ def test_a_half_character_in_a_section_is_one_line(finished, capsys):
     [
         ("claims.py", "def larger(run):", "def larger(run:", "claims.py:8: SyntaxError"),
         ("widths.py", "import xarray", "import nonsense", "widths.py:2: ModuleNotFoundError"),
-        ("claims.py", "@claim(2", "@claim(1", "claims.py: claim 1: stated more than once"),
+        ("claims.py", "@claim(2", "@claim(1", "claims.py: claim 1: must have different numbers"),
         ("claims.py", "@claim", "# claim", "claims.py: no claims"),
         ("claims.py", '"widths":', '"static":', "'static': the name of a file of gapsweep"),
         ("claims.py", '"widths":', '"Widths":', "'Widths': names must have the letters"),

@@ -321,7 +321,7 @@ def test_basins_on_a_cluster_are_those_of_one_process(client):
     there = gs.basins(*asked, **axes, steady=steady, client=client)
     xr.testing.assert_identical(here, there)
     own = gs.law(lambda x: 0.0, 1.0, gs.Gap(0.0, 0.0))
-    with pytest.raises(gs.ModelError, match="client: not for laws of your own"):
+    with pytest.raises(gs.ModelError, match="client: not allowed with user laws"):
         gs.basins(gs.Oscillator(), own, 19.0, **axes, client=client)
 
 

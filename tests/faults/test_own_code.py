@@ -149,7 +149,10 @@ def law(x):
 """
 FATAL = [
     ("import os; os._exit(7)", "importing fatal:law: its process ended with exit code 7"),
-    (AT_ZERO.format("os._exit(0)"), "calling fatal:law at x = 0: its process ended with exit code 0"),
+    (
+        AT_ZERO.format("os._exit(0)"),
+        "calling fatal:law at x = 0: its process ended with exit code 0",
+    ),
     (AT_ZERO.format("raise KeyboardInterrupt"), "calling fatal:law at x = 0: KeyboardInterrupt"),
 ]
 
