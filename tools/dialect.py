@@ -17,11 +17,11 @@ ROOT = Path(__file__).parents[1]
 PATHS = ("pipeline/gapsweep", "docs", "workflows", "README.md", "CONTRIBUTING.md", "CHANGELOG.md")
 SKIPPED = ("docs/decisions/", "docs/_build/", "docs/generated/", "docs/notebooks/")
 WORDS = re.compile(
-    r"""\bstand-ins? | (?<!\.)\bscenes?\b | \bbesides?\b | \balone\b | \banew\b | \baside\b
+    r"""(?i:\bstand-ins? | (?<!\.)\bscenes?\b | \bbesides?\b | \balone\b | \banew\b | \baside\b
     | \b(?:an?|the|its|their|every|each|all|one|two|same|other|random|several|of|\d+)\ starts?\b(?!\ (?:=|in\b|points))
     | \bstarts\ (?:of|that|and)\b | \bfloors?\b | \bprices?\b | \btruths?\b | \btold\b | \bspecks?\b
     | \b(?:computed|made|compiled|read|done)\ again | \bby\ (?:itself|themselves)\b | \blast\ heard\b
-    | \bof\ (?:its|their|your|one's)\ own\b | \bpour(?:ed|s)?\b | \brattle[ds]\b | \bhills?\b | \btraps?\b
+    | \bof\ (?:its|their|your|one's)\ own\b | \bpour(?:ed|s)?\b | \brattle[ds]\b | \bhills?\b | \btraps?\b)
     | (?:^|(?<=[.!?:]\ ))(?:What\ (?![^.?]*\?)|Whose\b|Of\ (?!course)|That\ (?:is\b|are\b|\w+s\b))
     """,  # noqa: E501
     re.VERBOSE | re.MULTILINE,

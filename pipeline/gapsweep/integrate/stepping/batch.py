@@ -146,7 +146,7 @@ def run(
     t_0, t_end : ndarray, shape (n,)
         Start and end [s].
     record_from : ndarray, shape (n,)
-        Time from which extrema, contacts and section points are recorded [s]. A start is not an
+        Time from which extrema, contacts and section points are recorded [s]. The initial state is not an
         event: only what happens after `t_0` is recorded.
     queue : ndarray of int, optional
         The points that follow none in the order in which lanes take them; default as they stand.
