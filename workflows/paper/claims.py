@@ -111,7 +111,7 @@ c2 = claim(2, "Sect. 2",
 
 NONE, EVENTS, FINER = NO_EVENTS + PAPER, EXACT + PAPER, f"{NO_EVENTS}@finer"
 SIX, NINE, TRUTH = TANH_6 + PAPER, "tanh-1e9@paper", "truth"
-AFTER_4 = "Reference: the exact law with rtol 1e-12. Motions 1 nm apart are still within 2 nm then. "
+AFTER_4 = "Reference: the exact law with rtol 1e-12. Motions 1 nm apart stay within 2 nm. "
 c3 = claim(3, "Sect. 1",
     "'Time integration methods suffer from accumulating roundoff error if the precise times and "
     "locations of contacts are not captured.'",

@@ -146,8 +146,8 @@ def run(
     t_0, t_end : ndarray, shape (n,)
         Start and end [s].
     record_from : ndarray, shape (n,)
-        Time from which extrema, contacts and section points are recorded [s]. The initial state is not an
-        event: only what happens after `t_0` is recorded.
+        Time from which extrema, contacts and section points are recorded [s]. The initial
+        state is not an event: only events after `t_0` are recorded.
     queue : ndarray of int, optional
         The points that follow none in the order in which lanes take them; default as they stand.
     follows : ndarray of bool, shape (n,), optional
