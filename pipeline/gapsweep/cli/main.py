@@ -30,10 +30,10 @@ class _InOrder(click.Group):
 )
 @click.version_option(package_name="gapsweep")
 def commands() -> None:
-    """Parameter studies of oscillators with freeplay.
+    """Parameter studies of mechanical systems with freeplay.
 
     Exit codes: 0 finished, 1 a study, file or cluster error, 2 a wrong command line, 3 finished
-    but some points failed, 130 interrupted (run again to resume).
+    but some points failed, 130 interrupted (a new run resumes).
 
     \b
     Examples:
