@@ -287,7 +287,7 @@ def test_units_are_those_of_the_dataset(responses, ax):
         (lambda r, a: r.gapsweep.agreement(), "amplitude_error_median: .* in agreement.nc"),
         (lambda r, a: r.gapsweep.work_precision(), "trajectory_error: .* work_precision.nc"),
         (lambda r, a: r.gapsweep.bifurcation(K_c=3.0), r"K_c = 3.0: .* which has 14000"),
-        (lambda r, a: r.gapsweep.bifurcation(stiffness=3.0), "stiffness: no coordinate"),
+        (lambda r, a: r.gapsweep.bifurcation(stiffness=3.0), "stiffness: not a coordinate"),
         (lambda r, a: r.gapsweep.bifurcation(gap=slice(1, 2)), "gap = slice.*: must be a label"),
         (lambda r, a: r.gapsweep.bifurcation(representation="tan"), ".tan.: not in this"),
         (lambda r, a: r.gapsweep.bifurcation(omega=[5.0, 5.5]), r"omega = 5.5: not in this"),

@@ -308,7 +308,7 @@ def test_several_models_and_laws_give_what_each_gives_alone():
     ("omega", "x_0", "said"),
     [
         ([7.0, -1.0], 0.0, "omega = -1: must be > 0"),
-        ([], 0.0, "must not be empty"),
+        ([], 0.0, "at least one"),
         ([7.0, math.nan], 0.0, "omega = nan: must be finite"),
         ([7.0, 8.0], [0.0, 0.0, 0.0], "omega, x_0, v_0: shape mismatch"),
     ],

@@ -419,7 +419,7 @@ def broadcast(**values: ArrayLike | None) -> list[NDArray[np.float64]]:
         except (TypeError, ValueError, OverflowError):
             raise ModelError(f"{name} = {value!r}: must be a number or numbers") from None
         if array.size == 0:
-            raise ModelError(f"{name} = {value!r}: must not be empty")
+            raise ModelError(f"{name} = {value!r}: must be a number or numbers, at least one")
         # The first value that fails names itself.
         is_omega = name == "omega"
         is_good = (np.abs(array) <= LARGEST) & (array >= (SMALLEST if is_omega else -LARGEST))
