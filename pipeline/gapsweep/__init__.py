@@ -1,4 +1,4 @@
-"""gapsweep: distributed parameter studies of oscillators with freeplay."""
+"""gapsweep: simulation and parameter studies of mechanical systems with freeplay."""
 
 import importlib
 from typing import TYPE_CHECKING, Any
@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from gapsweep.store.netcdf import read as open
     from gapsweep.study.study import Study
 
-# numba, Dask, xarray and matplotlib take seconds to import: each comes with what needs it.
+# numba, Dask, xarray and matplotlib take seconds to import; each is imported at first use.
 _ON_DEMAND = {
     **dict.fromkeys(("Response", "ResponseClass", "Steady"), "response.result"),
     **dict.fromkeys(("Polynomial", "RationalPolynomial"), "model.fitted"),
@@ -59,10 +59,10 @@ _ON_DEMAND = {
     "static_error": "analysis.datasets.contact_errors",
     "systems": "model.systems",
 }
-# Names that stand for a module, not for something in it.
+# Names of modules.
 _MODULES = ("systems",)
 
-# What these return is drawn by ``ds.gapsweep``: it is there once one of them is.
+# These return datasets; importing one of them registers the accessor ``ds.gapsweep``.
 _RETURN_DATASETS = ("basins", "branches", "open", "query", "run", "special_curve")
 
 __all__ = [

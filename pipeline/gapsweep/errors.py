@@ -22,20 +22,20 @@ _LONGEST = 300  # characters of an error that is somebody else's
 
 
 class GapsweepError(Exception):
-    """Base of all errors that a user can cause and mend."""
+    """Base class of gapsweep's errors; the message names the cause and a remedy."""
 
 
 class ModelError(GapsweepError, ValueError):
-    """A parameter, contact law or fit that cannot be used."""
+    """A parameter, contact law or fit is invalid."""
 
 
 class StudyError(GapsweepError, ValueError):
-    """A study that cannot be run.
+    """A study is invalid.
 
     Parameters
     ----------
     problems : sequence of str
-        One line per problem, all of them at once.
+        All problems of the study, a line each.
     """
 
     def __init__(self, problems: Sequence[str]) -> None:
@@ -44,15 +44,15 @@ class StudyError(GapsweepError, ValueError):
 
 
 class StoreError(GapsweepError, OSError):
-    """A cache or NetCDF file that cannot be read or written."""
+    """A cache or NetCDF file cannot be read or written."""
 
 
 class DatasetError(GapsweepError, ValueError):
-    """A dataset that does not hold what a plot needs, or holds more than fits into one."""
+    """A dataset lacks what a plot needs, or has more than a plot can show."""
 
 
 class ClusterError(GapsweepError, RuntimeError):
-    """A Dask cluster that cannot be reached or was lost."""
+    """A Dask cluster cannot be reached or was lost."""
 
 
 def described(error: BaseException) -> str:

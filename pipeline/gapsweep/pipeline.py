@@ -60,7 +60,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """What a run left behind.
+    """The result of a run.
 
     Attributes
     ----------
@@ -96,35 +96,35 @@ def run(
 ) -> xr.Dataset:
     """Compute a study, store its datasets and report, and open the responses.
 
-    Only what the cache does not hold is computed; an interrupted run goes on where it was.
+    Points in the cache are not recomputed, so that an interrupted run resumes.
 
     Parameters
     ----------
     study : Study or path
         A study, or the path of its file.
     client : distributed.Client, optional
-        A Dask cluster to use; None starts a local one, or joins `scheduler`.
+        Dask cluster to use; None starts a local cluster, or joins `scheduler`.
     out : path, optional
         Output folder, ``data/runs/<study name>`` if None.
     cache : path, optional
-        Folder of the cache; see `cache_path`.
+        Folder of the cache; by default ``$GAPSWEEP_CACHE``, else ``data/cache``.
     workers : int
-        Processes of the local cluster.
+        Number of processes of the local cluster, ``>= 1``.
     scheduler : str, optional
         Address of a running Dask scheduler.
     batch : int, optional
-        Points per task; None lets measured costs decide.
+        Points per task, ``>= 1``; None chooses it from measured costs.
     timeout : float
-        Time [s] that one point may take before its status is ``timed_out``.
+        CPU time limit of a point [s], ``> 0``; a point that exceeds it has status ``timed_out``.
     retry_failed : bool
-        Compute points again whose stored outcome is a failure.
+        Whether to recompute points whose stored status is a failure.
     on_progress : callable, optional
-        Observer of the `Progress`; None shows a bar.
+        Called with the `Progress`; None shows a progress bar.
 
     Returns
     -------
     Dataset
-        ``responses.nc``, opened.
+        The opened file ``responses.nc``; see the page *Datasets* of the documentation.
 
     Raises
     ------
@@ -160,7 +160,7 @@ def run(
     if found.attrs["study_json"] != study.json:  # since the folder was let go
         found.close()
         raise StoreError(
-            f"{outcome.folder}: another run has put a study of the same name there: name another "
+            f"{outcome.folder}: overwritten by another study of the same name; choose another "
             "folder with out="
         )
     return found
@@ -285,7 +285,7 @@ def plan(
     study = Study.of(study)
     path, say = cache_path(cache), partial(tell, on_progress, Progress(0, 0))
     _try_out_own_laws(study, timeout, say)
-    say("looking up what is stored")
+    say("looking up cached points")
     if not path.exists():
         return make_plan(study, selection=selection)
     with Cache(path, read_only=True) as store:
@@ -397,8 +397,8 @@ def claims(folder: str | Path, study: Study | None = None) -> dict[str, Any]:
         decided = read_json(folder / CLAIMS)
     if decided is None:
         raise StoreError(
-            f"{folder / CLAIMS}: no verdicts on the responses of this run: "
-            f"'gapsweep claims {folder} --study FILE' decides the claims of a study"
+            f"{folder / CLAIMS}: no verdicts for the responses of this run; evaluate the claims "
+            f"of a study with 'gapsweep claims {folder} --study FILE'"
         )
     return decided
 
@@ -409,7 +409,7 @@ def _make_one(file: str, study: Study, folder: Path) -> None:
     stage = next((stage for stage in stages_of(study) if stage.file == file), None)
     if stage is None:
         table, name = ("claims", "claims.py") if file == CLAIMS else ("report", "figures.py")
-        example = f'[{table}] module = "{name}" names the Python file'
+        example = f'name a Python file, as [{table}] module = "{name}"'
         raise StudyError([f"{study.source}: {table}: missing; {example}"])
     make_file(stage, RunContext(folder, study))
 
@@ -447,7 +447,9 @@ def bench(
         If the study has no ``[bench]``, or the output folder cannot be used.
     """
     if study.spec.bench is None:
-        raise StudyError([f"{study.source}: bench: missing; it names scenes and methods"])
+        raise StudyError(
+            [f"{study.source}: bench: missing; add [bench] with scenarios and methods"]
+        )
     folder = run_folder(study, out)
     check_writable(folder)
     study, say = Study.of(study), say or (lambda _: None)
@@ -482,9 +484,9 @@ def query(
     on_progress: OnProgress | None = None,
     **wanted: Any,
 ) -> xr.Dataset:
-    """Steady responses of a part of a study, from the cache; only what is missing is computed.
+    """Return steady responses of a part of a study; compute only points missing in the cache.
 
-    A query whose points are all stored starts no cluster.
+    If all points are cached, no cluster is started.
 
     Parameters
     ----------
@@ -493,20 +495,21 @@ def query(
     client, cache, workers, scheduler, on_progress
         As for `run`.
     **wanted
-        What is wanted of the study's own points, by dimension, as ``omega=slice(7.0, 12.0)``: a
-        value, a list or, for numbers, a slice that includes both ends. All if left out.
+        Selection by dimension, as ``omega=slice(7.0, 12.0)``: a value of the study, a list of
+        values or, for numbers, a slice that includes both ends. By default all points.
 
     Returns
     -------
     Dataset
-        In memory, as ``responses.nc``, of the selected coordinates; attractors are numbered
-        among the selected starts. Attributes `n_points`, `n_hits` and `n_computed` say where
-        the points came from; those of a sweep that lead to a selected one count too.
+        In memory, with the variables of ``responses.nc``; attractors are numbered among the
+        selected initial conditions. The attributes `n_points`, `n_hits` and `n_computed` are the
+        numbers of points, cached points and computed points, including the points of a sweep
+        that lead to a selected point.
 
     Raises
     ------
     GapsweepError
-        If a value is not among the study's own, or cluster or cache cannot be used.
+        If the study has no such value, or cluster or cache cannot be used.
 
     Examples
     --------
@@ -555,8 +558,8 @@ def _as_stored(planned: Plan, store: Cache) -> Plan:
     status = store.status(planned.keys)
     if lost := int(np.sum(status < 0)):
         raise StoreError(
-            f"{store.path}: {lost} points of this run are no longer stored: another process has "
-            "removed them, or a disk failed: run again to resume"
+            f"{store.path}: {lost} points of this run were removed by another process or a disk "
+            "failure; run again to resume"
         )
     return replace(planned, status=status)
 
@@ -579,7 +582,7 @@ def _computed(
         begin()
         return before
     # Now, before anybody waits for workers.
-    check_writable(path if path.exists() else path.parent, "a cache elsewhere with --cache")
+    check_writable(path if path.exists() else path.parent, "another cache with --cache")
     from gapsweep.execution.execute import execute
 
     with connect() as connected:
@@ -588,10 +591,10 @@ def _computed(
             try:
                 done = execute(study, planned, store, connected, on_progress=on_progress, **how)
             except KeyboardInterrupt as interrupt:
-                tell(on_progress, before, "interrupted, stopping")
-                interrupt.add_note(f"{store.path} keeps what was computed: run again to resume")
+                tell(on_progress, before, "stopping the computation")
+                interrupt.add_note(f"computed points are in {store.path}; run again to resume")
                 raise
-        tell(on_progress, done, "leaving the workers")
+        tell(on_progress, done, "closing the cluster")
     return done
 
 
@@ -605,7 +608,7 @@ def _connected(
         return
     from gapsweep.execution.cluster import cluster
 
-    say(f"joining {scheduler}" if scheduler else "starting the workers")
+    say(f"connecting to {scheduler}" if scheduler else "starting the workers")
     with cluster(workers, scheduler) as connected:
         yield connected
 

@@ -67,8 +67,8 @@ def check_owner(study: Study, folder: Path) -> None:
     for owner in owners:
         if owner != study.name:
             raise StoreError(
-                f"{folder}: holds the files of study {owner!r}, this one is {study.name!r}: choose "
-                "another folder with --out, or delete this one"
+                f"{folder}: has the files of study {owner!r}, not of {study.name!r}; choose "
+                "another folder with --out, or delete this folder"
             )
 
 
@@ -81,7 +81,7 @@ def check_writable(folder: Path, other: str = "another folder with --out") -> No
         If nothing can be written in a folder; `other` is what to name then.
     """
     if folder.is_symlink() and not folder.exists():
-        raise StoreError(f"{folder}: is a link to nothing; remove it, or name {other}")
+        raise StoreError(f"{folder}: is a broken symbolic link; remove it, or choose {other}")
     existing = next(p for p in (folder, *folder.absolute().parents) if p.exists())
     try:
         str(folder).encode()  # netCDF takes no other names
@@ -89,7 +89,9 @@ def check_writable(folder: Path, other: str = "another folder with --out") -> No
             pass
     except (OSError, UnicodeError) as error:
         why = getattr(error, "strerror", None) or f"not UTF-8: {error}"
-        raise StoreError(f"{folder}: cannot be written: {existing}: {why}; name {other}") from None
+        raise StoreError(
+            f"{folder}: cannot be written: {existing}: {why}; choose {other}"
+        ) from None
 
 
 @contextmanager
@@ -104,7 +106,7 @@ def locked_run(folder: Path) -> Iterator[None]:
     if folder.is_file():
         raise StoreError(f"{folder}: {NO_FOLDER}")
     if not (folder / RESPONSES).exists():
-        raise StoreError(f"{folder / RESPONSES}: no such file; 'gapsweep run' makes it")
+        raise StoreError(f"{folder / RESPONSES}: no such file; 'gapsweep run' writes it")
     with alone_in(folder):
         yield
 
@@ -132,9 +134,9 @@ def read_json(path: Path) -> dict[str, Any] | None:
         return None
     if not (intact := is_intact(path)):
         command = "claims" if path.name == CLAIMS else "report"
-        why = "damaged" if intact is False else "no SHA-256 of it is recorded in SHA256SUMS"
+        why = "damaged" if intact is False else "has no checksum in SHA256SUMS"
         raise StoreError(
-            f"{path}: {why}; 'gapsweep {command} {path.parent} --study FILE' makes it again"
+            f"{path}: {why}; 'gapsweep {command} {path.parent} --study FILE' rewrites it"
         )
     found: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
     return found if is_of_run(path) else None
@@ -150,15 +152,15 @@ def reason_to_make(path: Path, now: MadeFrom) -> str | None:
     if not path.exists():
         return "absent"
     if not (intact := is_intact(path)):
-        return DAMAGED if intact is False else "no SHA-256 of it is recorded"
+        return DAMAGED if intact is False else "no checksum in SHA256SUMS"
     before = _recorded(path)
     if not before:
-        return "not known what it was made from"
+        return "inputs unknown"
     changed = [name for name in {**now, **before} if now.get(name) != before.get(name)]
     if changed:
         return f"{', '.join(changed)} changed"
     lost = next((each for each in _linked(path) if not (each.exists() and is_intact(each))), None)
-    return f"{lost.name} absent or damaged" if lost else None
+    return f"{lost.name} missing or damaged" if lost else None
 
 
 def _linked(path: Path) -> Iterator[Path]:

@@ -206,7 +206,8 @@ def make_files(
         reason = reason_to_make(path, now)
         if reason == DAMAGED:
             warnings.warn(
-                f"{path}: damaged or changed since it was written, made again", stacklevel=3
+                f"{path}: damaged or changed since it was written; gapsweep rewrites it",
+                stacklevel=3,
             )
         if reason or (retry_failed and stage.failed_motions(run.folder)):
             run.say(f"making {stage.file}")
@@ -244,7 +245,7 @@ def _own_stages(study: Study) -> list[Stage]:
         name = file.removesuffix(".nc")
         if name in taken:
             where = f"{study.claims_module}: DATASETS: {name!r}"
-            raise StudyError([f"{where}: a file of gapsweep's own; choose another name"])
+            raise StudyError([f"{where}: the name of a file of gapsweep; choose another name"])
         code = Source(f"code of {file}", partial(_own_code, function))
         stages.append(Stage(file, (), (SETTINGS, code), partial(_own_dataset, file, function)))
     return stages
@@ -280,7 +281,7 @@ def write_page(folder: Path) -> Path:
 
     page = folder / REPORT
     if page.parent.is_symlink():
-        raise StoreError(f"{page.parent}: a symbolic link, which could lead anywhere: remove it")
+        raise StoreError(f"{page.parent}: must be a folder, is a symbolic link; remove it")
     with reading(folder), opened(folder, PAGE.inputs) as found:
         responses, timing = found.pop("responses"), found.pop("timing")
         return write_report(

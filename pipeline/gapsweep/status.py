@@ -8,7 +8,7 @@ DIVERGED_AT = 1e3
 
 
 class Status(IntEnum):
-    """How a simulation or a sweep point ended; the order is part of the dataset schema.
+    """Status of a simulation or a sweep point; datasets store its number.
 
     Examples
     --------
@@ -37,5 +37,5 @@ class Status(IntEnum):
 
     @property
     def failed(self) -> bool:
-        """Whether there is no result; unresolved points and left fit ranges are results."""
+        """Whether there is no result; ``unresolved`` and ``out_of_fit_range`` are no failures."""
         return self > Status.OUT_OF_FIT_RANGE

@@ -37,11 +37,13 @@ def own_datasets(study: Study) -> dict[str, Callable[[Study], Any]]:
     assert study.claims_code is not None
     found = getattr(load_module(study.claims_code), "DATASETS", {})
     if not isinstance(found, Mapping):
-        raise StudyError([f"{path}: DATASETS: must be a dict from names to functions of the study"])
+        raise StudyError(
+            [f"{path}: DATASETS: must be a dict of functions, as DATASETS = {{'name': function}}"]
+        )
     for name, function in found.items():
         where = f"{path}: DATASETS: {name!r}"
         if not isinstance(name, str) or not re.fullmatch("[a-z_]+", name):
-            raise StudyError([f"{where}: a name must be of the letters a to z and _"])
+            raise StudyError([f"{where}: names must have the letters a to z and _ only"])
         if not callable(function):
             raise StudyError([f"{where}: must be a function of the study, not {function!r:.40}"])
     return {f"{name}.nc": function for name, function in found.items()}
@@ -143,6 +145,6 @@ def _sections_in(code: Snapshot) -> "Callable[[Run], Any]":
     """The function of a module that makes sections of the report."""
     found: Callable[[Run], Any] | None = getattr(load_module(code), "sections", None)
     if not callable(found):
-        message = f"{code.path}: no function sections(run), which returns parts of the report"
+        message = f"{code.path}: function sections(run) is missing; it returns parts of the report"
         raise StudyError([message])
     return found

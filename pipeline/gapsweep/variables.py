@@ -91,12 +91,12 @@ COUNTS = {
     "n_contacts": Variable("i8", "1", "wall crossings of the motion, in and out", 0),
     "n_steps": Variable("i8", "1", "accepted steps of the motion", 0),
     "n_rejected": Variable("i8", "1", "rejected steps of the motion", 0),
-    "nfev": Variable("i8", "1", "right-hand sides of the motion", 0),
+    "nfev": Variable("i8", "1", "right-hand-side evaluations of the motion", 0),
 }
 # What a point of a call starts from.
 INPUTS = {
     "omega": Variable("f8", "Hz", "forcing frequency"),
-    START: Variable("i4", "1", "number of the start"),
+    START: Variable("i4", "1", "number of the initial condition"),
     "x_0": Variable("f8", "m", "initial displacement", dims=(COORDINATE,)),
     "v_0": Variable("f8", "m s-1", "initial velocity", dims=(COORDINATE,)),
     "z_0": Variable("f8", "", "initial first-order state", dims=(LAG,)),

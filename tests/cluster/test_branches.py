@@ -222,7 +222,7 @@ def test_laws_that_are_fitted_at_every_value_are_refused_in_their_scene(client, 
     is_fit = found["attractor_representation"].values == "poly-13"
     assert is_fit.any()
     np.testing.assert_array_equal(found["attractor_status"], is_fit * gs.Status.MODEL_INVALID)
-    assert "follow 'omega'" in str(found["attractor_message"].values[is_fit][0])
+    assert "use 'omega'" in str(found["attractor_message"].values[is_fit][0])
     assert (found["attractor_on_branch"].values[~is_fit] >= 0).all()
 
 

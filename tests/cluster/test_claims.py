@@ -204,17 +204,17 @@ def test_what_a_dataset_raises_is_one_line(folder, client):
     [
         ("    tanh, poly", "    raise SystemExit(0)\n    tanh, poly", "claim 1: SystemExit: 0"),
         ("    tanh, poly", "    raise BaseException\n    tanh, poly", "claim 1: BaseException"),
-        ('f"{ratio:.2g} times."', "5", "claim 1: TypeError: what it returns: sentence: must be"),
+        ('f"{ratio:.2g} times."', "5", "claim 1: TypeError: result: sentence: must be"),
         (
             "    return [Test(",
             "    return None\n    return [Test(",
             "claim 1: TypeError: must return",
         ),
         ('">", 1.0', '">", "1"', "claim 1: TypeError: a test: threshold: must be"),
-        ("{ratio:.2g} times", "\\ud800", "claim 1: ValueError: what it returns: sentence: must"),
+        ("{ratio:.2g} times", "\\ud800", "claim 1: ValueError: result: sentence: must"),
         ('"The larger of two."', "None", "TypeError: claim 1: why: must be text, not None"),
         ("@claim(2", "@claim('2'", "ValueError: claim '2': id: must be a whole number from 1"),
-        ('"widths": widths', '"claims": widths', "'claims': a file of gapsweep's own"),
+        ('"widths": widths', '"claims": widths', "'claims': the name of a file of gapsweep"),
     ],
 )
 def test_what_a_claim_does_wrong_is_one_line(finished, old, new, said, capsys):
@@ -237,7 +237,7 @@ def test_verdicts_that_nothing_vouches_for_are_refused(finished, capsys, left):
     (out / CLAIMS).write_bytes(left or (out / CLAIMS).read_bytes())
     assert exit_code(["claims", os.fspath(out)]) == FAULT
     (line,) = capsys.readouterr().err.splitlines()
-    assert "claims.json: no SHA-256 of it is recorded in SHA256SUMS" in line
+    assert "claims.json: has no checksum in SHA256SUMS" in line
 
 
 def test_a_half_character_in_a_section_is_one_line(finished, capsys):
@@ -254,12 +254,17 @@ def test_a_half_character_in_a_section_is_one_line(finished, capsys):
     [
         ("claims.py", "def larger(run):", "def larger(run:", "claims.py:8: SyntaxError"),
         ("widths.py", "import xarray", "import nonsense", "widths.py:2: ModuleNotFoundError"),
-        ("claims.py", "@claim(2", "@claim(1", "claims.py: claim 1: stated more than once"),
+        ("claims.py", "@claim(2", "@claim(1", "claims.py: claim 1: must have different numbers"),
         ("claims.py", "@claim", "# claim", "claims.py: no claims"),
-        ("claims.py", '"widths":', '"static":', "'static': a file of gapsweep's own"),
-        ("claims.py", '"widths":', '"Widths":', "'Widths': a name must be of the letters"),
+        ("claims.py", '"widths":', '"static":', "'static': the name of a file of gapsweep"),
+        ("claims.py", '"widths":', '"Widths":', "'Widths': names must have the letters"),
         ("claims.py", ": widths}", ": 1}", "'widths': must be a function of the study, not 1"),
-        ("figures.py", "def sections", "def others", "figures.py: no function sections(run)"),
+        (
+            "figures.py",
+            "def sections",
+            "def others",
+            "figures.py: function sections(run) is missing",
+        ),
     ],
 )
 def test_faulty_code_is_refused_before_anything_is_computed(folder, name, old, new, said, capsys):
@@ -281,11 +286,11 @@ def test_commands_name_what_is_missing(folder, tables, client, capsys):
     capsys.readouterr()
     assert exit_code(["claims", str(out)]) == FAULT
     (line,) = capsys.readouterr().err.splitlines()
-    assert f"'gapsweep claims {out} --study FILE' decides" in line
+    assert f"with 'gapsweep claims {out} --study FILE'" in line
     other = STUDY.replace('"small"', '"other"')
     (folder / "other.toml").write_text(other)
     assert exit_code(["claims", str(out), "--study", str(folder / "other.toml")]) == FAULT
-    assert "holds the files of study 'small', this one is 'other'" in capsys.readouterr().err
+    assert "has the files of study 'small', not of 'other'" in capsys.readouterr().err
     plain = folder / "plain.toml"
     plain.write_text(STUDY[: STUDY.index("[claims]")])
     for command in ("claims", "report"):

@@ -153,7 +153,9 @@ class TestWorkerWithOtherCode:
                 assert (ds["status"] == gs.Status.OK).all()
             assert late[0].wait(timeout=30) == 0
         if installed is with_other_numerics:  # without gapsweep it closes itself
-            (told,) = [str(each.message) for each in recwarn if "retired" in str(each.message)]
+            (told,) = [
+                str(each.message) for each in recwarn if "stopped using" in str(each.message)
+            ]
             assert re.search(reason, told)
 
 
@@ -319,7 +321,7 @@ def test_basins_on_a_cluster_are_those_of_one_process(client):
     there = gs.basins(*asked, **axes, steady=steady, client=client)
     xr.testing.assert_identical(here, there)
     own = gs.law(lambda x: 0.0, 1.0, gs.Gap(0.0, 0.0))
-    with pytest.raises(gs.ModelError, match="client: not for laws of your own"):
+    with pytest.raises(gs.ModelError, match="client: not allowed with user laws"):
         gs.basins(gs.Oscillator(), own, 19.0, **axes, client=client)
 
 

@@ -281,7 +281,7 @@ def test_what_needs_one_displacement_is_left_out_with_a_word(made):
     assert not (folder / "out" / "static.nc").exists()
     from gapsweep.analysis.datasets.recommendations import advice
 
-    with pytest.raises(gs.StudyError, match="advice rests on bounds for an oscillator"):
+    with pytest.raises(gs.StudyError, match="advice is for oscillators only"):
         advice(study)
 
 

@@ -209,7 +209,7 @@ def test_run_repairs_damaged_rows(sound, client, tmp_path):
     cache = shutil.copytree(folder / "cache", tmp_path / "cache")
     n_lost = damaged_row(cache)
     assert 0 < n_lost < 40
-    with pytest.warns(UserWarning, match=r"\.seg: damaged, .* the next run computes again"):
+    with pytest.warns(UserWarning, match=r"\.seg: damaged, .* the next run recomputes"):
         repaired = gs.run(study, client, out=tmp_path / "out", cache=cache)
     with repaired:
         xr.testing.assert_equal(repaired["x_max"].load(), truth["x_max"])
@@ -228,7 +228,7 @@ def test_damaged_dataset_is_refused(sound, tmp_path, n_flips, n_truncations):
                 print(what, use(run))
 
 
-@pytest.mark.filterwarnings("ignore:.*no SHA-256 beside it")
+@pytest.mark.filterwarnings("ignore:.*not checked for damage")
 def test_damaged_digests_never_change_a_number(sound, tmp_path):
     _, folder, truth = sound
     run = shutil.copytree(folder / "out", tmp_path / "out")
@@ -254,7 +254,7 @@ def test_run_writes_a_damaged_dataset_again(sound, tmp_path):
         data = bytearray((run / name).read_bytes())
         data[len(data) // 2] ^= 1
         (run / name).write_bytes(data)
-    with pytest.warns(UserWarning, match="made again") as told:
+    with pytest.warns(UserWarning, match="rewrites it") as told:
         again = gs.run(study, out=run, cache=folder / "cache")
     with again:
         xr.testing.assert_equal(again["x_max"].load(), truth["x_max"])
@@ -270,7 +270,7 @@ def test_files_of_others_are_never_replaced(sound, tmp_path):
     theirs = xr.Dataset({"x": ("t", [1.0, 2.0])})
     theirs.to_netcdf(out / "timing.nc", engine="netcdf4")
     before = (out / "timing.nc").read_bytes()
-    with pytest.raises(gs.StoreError, match="not written by gapsweep, so it is left alone"):
+    with pytest.raises(gs.StoreError, match="not written by gapsweep; move the file"):
         gs.run(study, out=out, cache=folder / "cache")
     assert (out / "timing.nc").read_bytes() == before
     (out / "timing.nc").unlink()

@@ -61,7 +61,7 @@ def test_poison_points_get_their_own_status_and_all_others_complete(poisoned, tm
     assert said[0] == "ArithmeticError: no force here"
     assert said[1] == "its process was ended by SIGKILL"
     assert said[2] == "its process ended with exit code 7"
-    assert said[3] == "took longer than 10 s"
+    assert said[3] == "exceeded the time limit of 10 s"
     assert said[4].startswith("diverged before t = ")
 
 

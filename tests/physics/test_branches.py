@@ -621,7 +621,7 @@ SOFT = gs.Piecewise(1.4e4, gs.Gap(0.4e-3, 0.4e-3))
         ({"start": [0.0, 0.0]}, "at: missing; give the value of omega of the start"),
         ({"at": 8.0, "starts": [1.0, 2.0, 3.0]}, "starts: must be states of 2 numbers"),
         ({"along": "located", "between": (0.0, 1.0), "omega": 9.0}, "parameter 'located': must be"),
-        ({"omega": 3.0}, "omega = 3.0: is the parameter; leave it out"),
+        ({"omega": 3.0}, "omega = 3.0: leave it out, it is the parameter"),
         ({"at": 8.0, "follow": -1}, r"follow = -1: must be a whole number in 0..10"),
         ({"at": 8.0, "max_steps": 1}, r"max_steps = 1: must be a whole number in 2..100000"),
         ({"along": "amplitude"}, "along = 'amplitude': .* forcing and damping must be 0"),
@@ -642,13 +642,13 @@ def test_a_response_at_another_frequency_is_refused():
         {"between": (6.0, 12.0), "at": 9.0},
         {"along": "zeta", "between": (0.01, 0.1), "at": 0.03, "omega": 9.0},
     ):
-        with pytest.raises(gs.ModelError, match="= 9: the response start is at omega = 8"):
+        with pytest.raises(gs.ModelError, match="= 9: must be omega = 8 of the response"):
             gs.branches(gs.Oscillator(), SOFT, start=start, **options)
 
 
 def test_a_parameter_that_a_system_lacks_is_named_with_the_remedy():
     law = SYSTEMS.typical_section_law()
-    message = "parameter 'speed': must be one of .* keywords of a function that returns it"
+    message = "parameter 'speed': must be one of .* a function with this argument"
     with pytest.raises(gs.ModelError, match=message):
         gs.branches(SYSTEMS.typical_section(12.0), law, "speed", (2.0, 20.0))
     message = "start: an unforced system needs a gapsweep.Response"

@@ -122,7 +122,7 @@ def test_a_free_mass_that_touches_nothing_is_told_why():
     free = gs.Oscillator(omega_n=0.0, alpha=0.0, c=10.0, forcing=0.1)
     found = gs.respond(free, gs.Piecewise(1e4, gs.Gap(1.0, 1.0)), omega=9.0)
     assert found.response_class is gs.ResponseClass.UNRESOLVED
-    assert "every place in the gap" in found.message
+    assert "every position in the gap" in found.message
 
 
 def test_static_equilibria_follow_a_swept_mean_load():

@@ -207,7 +207,7 @@ def test_a_coordinate_that_follows_faintly_still_tells():
 def test_a_coordinate_that_dies_out_tells_nothing(q_0):
     found = gs.respond(beside(), WIDE, q_0=q_0)
     assert np.all(found.response_class == gs.ResponseClass.UNRESOLVED)
-    assert "another coordinate should come first" in np.ravel(found.message)[0]
+    assert "another coordinate must be the first" in np.ravel(found.message)[0]
 
 
 def test_rest_on_a_wall_has_a_class_but_no_exponent():
@@ -223,7 +223,7 @@ def test_rest_on_a_wall_has_a_class_but_no_exponent():
 
 def test_what_nothing_holds_is_refused():
     system = gs.System(mass=np.eye(2), stiffness=np.zeros((2, 2)), contacts={"stop": [0, 1]})
-    with pytest.raises(gs.ModelError, match="a time of its own"):
+    with pytest.raises(gs.ModelError, match="no time scale"):
         gs.respond(system, WIDE, q_0=[0.3, -0.1])
 
 
@@ -333,7 +333,7 @@ def test_an_orbit_that_is_long_settled_on_is_neither_chaos_nor_torus():
     found = gs.respond(section, law, q_0=start[:, :3], v_0=start[:, 3:])
     assert (found.response_class == gs.ResponseClass.UNRESOLVED).all()
     said = set(found.message)
-    assert any("repeats, but after more" in one for one in said)
+    assert any("repeats after more" in one for one in said)
     # By no search: where a long motion has led, it repeats itself after 298 maxima, and no sooner.
     run = gs.simulate(section, law, q_0=[0.005, 0.02, 0.05], t_end=9000.0, rtol=1e-9)
     late = np.asarray(run.section)[-2000:]
@@ -402,7 +402,7 @@ def test_what_grows_without_bound_is_not_chaotic():
     steady = gs.Steady(t_max=3e4)
     found = gs.respond(system, law, q_0=[0.26798492], steady=steady)
     assert found.response_class == gs.ResponseClass.UNRESOLVED
-    assert "still going farther" in found.message
+    assert "grew until the end" in found.message
     run = gs.simulate(system, law, q_0=[0.26798492], t_end=2000.0)
     assert run.status is gs.Status.DIVERGED
 

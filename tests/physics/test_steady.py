@@ -379,7 +379,7 @@ def test_one_outlier_does_not_separate_two_clouds():
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ({"x": []}, r"x = \[\]: must be finite numbers, at least one"),
+        ({"x": []}, r"x = \[\]: must be finite numbers and not empty"),
         ({"v": [math.nan]}, r"v = \[nan\]: must be finite numbers"),
         ({"omega": 0.0}, "omega = 0: must be > 0"),
         ({"omega": None}, "omega: missing; give the forcing frequency"),

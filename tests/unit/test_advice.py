@@ -166,7 +166,7 @@ def test_auto_shares_the_points_that_it_chooses():
         ({"auto": {"error": 0.5}}, r"auto\.error = 0.5: must be <= 0.1"),
         (
             {"sweep": [AUTO["sweep"][0] | {"representation": ["auto@x"]}], "protocol": {"x": {}}},
-            "takes no protocol",
+            "leave out the protocol",
         ),
         (
             {
@@ -180,7 +180,7 @@ def test_auto_shares_the_points_that_it_chooses():
                     }
                 ]
             },
-            "no time histories",
+            "history: 'auto' is not allowed",
         ),
     ],
 )
@@ -226,7 +226,7 @@ def test_command_advises_without_computing(tmp_path, monkeypatch, capsys):
     assert exit_code(["advise", "s.toml", "--error", "1e-2"]) == FINISHED
     text = " ".join(capsys.readouterr().out.split())
     assert " 7 7 exact " in text
-    assert "; not tanh-1e4" in text
+    assert "; others: tanh-1e4" in text
     assert exit_code(["advise", "s.toml", "--json"]) == FINISHED
     assert json.loads(capsys.readouterr().out)["error"] == 1e-3
     assert "not assessed" not in text
@@ -243,6 +243,6 @@ def test_a_law_of_the_user_is_said_not_to_be_assessed(tmp_path, monkeypatch, cap
         "K_c = [1.4e4]\ngap = [[0.4e-3, 0.4e-3]]\nomega = [7.0, 30.0]\n"
     )
     assert exit_code(["advise", "s.toml"]) == FINISHED
-    assert "own:bushing is not assessed" in capsys.readouterr().out
+    assert "own:bushing: not assessed" in capsys.readouterr().out
     assert exit_code(["advise", "s.toml", "--json"]) == FINISHED
     assert json.loads(capsys.readouterr().out)["not_assessed"] == ["own:bushing"]

@@ -88,7 +88,7 @@ def test_claims_select_any_parameter(forced, walled):
     points = run.points("tanh-10000", 1.4e4, "0.4/0.4", "amplitude", forcing=4.0)
     assert points["amplitude"].values[0] == pytest.approx(1.02 * 4e-3 / 5.0)
     assert points.sizes["point"] == len(OMEGA)
-    with pytest.raises(NotInRunError, match=r"nothing at .* forcing 5"):
+    with pytest.raises(NotInRunError, match=r"no values at .* forcing 5"):
         run.points("piecewise", 1.4e4, "0.4/0.4", "amplitude", forcing=5.0)
     run = Run({"responses": walled[0][0]})
     points = run.points("piecewise", 1.4e4, None, "status", j_1=J_1[0], j_2=J_2[1])

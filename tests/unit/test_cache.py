@@ -182,7 +182,7 @@ def test_what_is_no_folder_is_refused_in_one_line(tmp_path, tables, make):
     make(path)
     study = gs.Study.from_dict(tables)
     for use in (Cache, lambda p: pipeline.plan(study, p), lambda p: gs.query(study, cache=p)):
-        with pytest.raises(gs.StoreError, match=r"cache\.sqlite: .*name a folder") as told:
+        with pytest.raises(gs.StoreError, match=r"cache\.sqlite: .*choose a folder") as told:
             use(path)
         assert "\n" not in str(told.value)
 

@@ -189,7 +189,7 @@ def test_verdicts_are_fit_for_json_and_in_order():
 
 def test_open_tests_are_named():
     sentence = made(5, math.nan, 0.9, floor=0.2).decided(Run({}))["sentence"]
-    assert sentence == "Measured. Open (no number, or within its floor): size; size."
+    assert sentence == "Measured. Open (no number, or within its uncertainty): size; size."
 
 
 def test_what_the_run_has_not_leaves_a_claim_undecidable():
@@ -257,7 +257,7 @@ def test_claims_of_a_module_are_found_once_and_numbered_apart():
     one, other = made(1), made(2)
     names = {"a": one, "b": other, "also": one, "Claim": Claim, "n": 1}
     assert stated(names) == [one, other]
-    with pytest.raises(ValueError, match="claim 1: stated more than once"):
+    with pytest.raises(ValueError, match="claim 1: must have different numbers"):
         stated({"a": one, "b": made(1)})
     with pytest.raises(ValueError, match="no claims"):
         stated({"Claim": Claim})
@@ -320,7 +320,7 @@ def test_what_is_not_there_is_said_to_be_absent(run, asked):
 def test_a_missing_variable_is_named(run):
     with pytest.raises(NotInRunError, match=r"responses\.nc has no nfev"):
         run.scene("responses", "piecewise", 1.4e4, "0.4/0.4", "x", "nfev")
-    with pytest.raises(NotInRunError, match=r"nothing at representation poly-3, K_c 14000"):
+    with pytest.raises(NotInRunError, match=r"no values at representation poly-3, K_c 14000"):
         run.scene("responses", "poly-3", 1.4e4, "0.4/0.4", "x")
 
 

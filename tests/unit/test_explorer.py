@@ -466,7 +466,7 @@ def test_branches_of_a_run_are_lines_behind_its_points(run):
     found = branches([[1, 1, 0]] * 2, [[0, 1, 0]] * 2, representation=labels, K_c=K_c, gap=gap)
     found.attrs["created"] = "9999"
     found.to_netcdf(run / "branches.nc", engine="netcdf4")
-    with pytest.warns(UserWarning, match="no SHA-256 beside it"):
+    with pytest.warns(UserWarning, match="not checked for damage"):
         stored = StoredRun(run)
     lines = stored.branches(name)
     assert [(label, is_stable) for label, is_stable, _ in lines] == [

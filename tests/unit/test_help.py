@@ -105,5 +105,5 @@ def test_engines_are_those_of_the_solver():
 
 
 def test_a_key_of_a_selection_is_given_once():
-    with pytest.raises(click.BadParameter, match="'omega' is given 2 times: write omega=A,B"):
+    with pytest.raises(click.BadParameter, match="'omega' occurs 2 times; write omega=A,B"):
         selected(("omega=2", "K_c=1e4", "omega=20"))

@@ -200,7 +200,9 @@ def test_the_only_value_that_is_swept_is_that_of_a_history():
 
 def test_of_several_values_a_history_says_its_own():
     sweep = SWEEP | SWEPT | {"K_ratio": [0.01, 1.0], "zeta": [0.02, 0.03]}
-    with pytest.raises(gs.StudyError, match=r"history\[0\].zeta: the study sweeps it; say which"):
+    with pytest.raises(
+        gs.StudyError, match=r"history\[0\].zeta: swept by the study; choose one value"
+    ):
         study_of(SCENE | UNLIKE | {"K_ratio": 1.0}, sweep=[sweep])
     study = study_of(SCENE | UNLIKE | {"K_ratio": 1.0, "zeta": 0.02}, sweep=[sweep])
     one = histories(study).isel(history=0, representation=0)

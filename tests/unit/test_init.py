@@ -44,7 +44,7 @@ def test_what_is_there_stays_as_it_is(name, folder, capsys):
     written, _ = STUDIES[name]
     (folder / written).write_text("mine")
     assert exit_code(["init", name]) == 1
-    error = f"error: {written}: exists already and is left as it is; move it, or go to another"
+    error = f"error: {written}: exists already; move it"
     assert error in capsys.readouterr().err
     assert (folder / written).read_text() == "mine"
 

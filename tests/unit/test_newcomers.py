@@ -1,4 +1,4 @@
-"""Mistakes that a newcomer makes: each is told in one line what to write instead."""
+"""Mistakes that a newcomer makes: one line says what to write instead."""
 
 import re
 import tomllib
@@ -33,7 +33,7 @@ IN_A_STUDY = {
     "name of another tool": (
         "zeta",
         "damping",
-        "oscillator.damping = 0.03: unknown key; there are zeta, omega_n, mass, alpha, forcing, "
+        "oscillator.damping = 0.03: unknown key; known keys: zeta, omega_n, mass, alpha, forcing, "
         "mean_load, c",
     ),
     "misspelt table": (
@@ -41,7 +41,7 @@ IN_A_STUDY = {
         "[oscilator]",
         "oscilator: unknown key; did you mean oscillator?",
     ),
-    "one bracket": ("[[sweep]]", "[sweep]", "sweep: write [[sweep]], in double brackets"),
+    "one bracket": ("[[sweep]]", "[sweep]", "sweep: must be a list of tables; write [[sweep]]"),
     "unit in the number": (
         "[1.4e4]",
         '"14 kN/m"',
@@ -51,14 +51,14 @@ IN_A_STUDY = {
     "range of MATLAB": (
         GRID,
         '"1:30"',
-        "sweep[0].omega[0] = '1:30': must be a number, in Hz; a range is "
-        "{ start = ..., stop = ..., step = ... }",
+        "sweep[0].omega[0] = '1:30': must be a number, in Hz; write a range as "
+        "{ start = 1.0, stop = 30.0, step = 0.5 }",
     ),
     "end of a range": (
         "stop",
         "end",
         "sweep[0].omega.stop: missing; write stop = 30.0",
-        "sweep[0].omega.end = 30.0: unknown key; there are start, stop, step, num",
+        "sweep[0].omega.end = 30.0: unknown key; known keys: start, stop, step, num",
     ),
     "no step": (", step = 1.0", "", "sweep[0].omega: give step or num"),
     "no frequencies": (
@@ -76,13 +76,13 @@ IN_A_STUDY = {
     "swept in the wrong table": (
         "0.03",
         "[0.03, 0.1]",
-        "oscillator.zeta = [0.03, 0.1]: must be a number; what is swept stands in [[sweep]]",
+        "oscillator.zeta = [0.03, 0.1]: must be a number; write swept values in [[sweep]]",
     ),
     "engine": ("compiled", "scipi", "solver.engine = 'scipi': must be 'compiled' or 'scipy'"),
     "protocol": (
         "tanh-1e4",
         "tanh-1e4@fine",
-        "protocol 'fine' is used by a label but there is no [protocol.fine]",
+        "protocol 'fine' is used by a label, but [protocol.fine] is missing",
     ),
     "number for a name": ('"mine"', "3", "study.name = 3: must be text, in quotes"),
 }
@@ -111,17 +111,17 @@ IN_PYTHON = {
 ON_THE_COMMAND_LINE = {
     "study by its name": (
         ["run", "quick"],
-        "error: quick: cannot be read: No such file or directory; name a study file, as that which "
-        "'gapsweep init' writes",
+        "error: quick: cannot be read: No such file or directory; write an example study "
+        "with 'gapsweep init'",
     ),
-    "folder for a study": (["plan", "."], "error: .: cannot be read: Is a directory; name a study"),
+    "folder for a study": (["plan", "."], "error: .: cannot be read: Is a directory"),
     "study for a folder": (
         ["status", "mine.toml"],
-        "mine.toml: is a file; name the folder of a run, as data/runs/quick",
+        "mine.toml: must be the folder of a run, as data/runs/quick",
     ),
     "misspelt column": (
         ["query", "mine.toml", "--columns", "xmax", "--scheduler", "tcp://nobody:1"],
-        "'xmax': did you mean x_max?",  # before anything is computed, or asked of a cluster
+        "'xmax': no such variable; did you mean x_max?",  # before a cluster is used
     ),
     "misspelt command": (["paln"], "No such command 'paln'. Did you mean 'plan'?"),
     "misspelt option": (["run", "mine.toml", "--worker", "4"], "Did you mean '--workers'?"),
@@ -129,7 +129,10 @@ ON_THE_COMMAND_LINE = {
         ["query", "mine.toml", "--sel", "gap=0.4"],
         "gap = '0.4': not in the study, which has 0.4/0.4",
     ),
-    "start of a query": (["query", "mine.toml", "--sel", "omega"], "'omega': must read KEY=VALUE"),
+    "start of a query": (
+        ["query", "mine.toml", "--sel", "omega"],
+        "'omega': must be KEY=VALUE, as omega=10",
+    ),
 }
 OF_PYDANTIC = re.compile("valid |[Ii]nput|should|required|permitted|Value error")
 

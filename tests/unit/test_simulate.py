@@ -227,19 +227,19 @@ def test_extrema_of_a_loaded_oscillator_are_listed_once():
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ({}, "t_end = missing: give one of the two, as t_end=10.0 or n_periods=100"),
-        ({"t_end": 1.0, "n_periods": 3}, "t_end = 1.0, and n_periods = 3: give one of the two"),
-        ({"n_periods": 0}, "n_periods = 0: must be whole and > 0, as n_periods=100"),
-        ({"n_periods": [3, 2.5]}, "n_periods = 2.5: must be whole and > 0"),
+        ({}, "t_end = missing: give either, as t_end=10.0 or n_periods=100"),
+        ({"t_end": 1.0, "n_periods": 3}, "t_end = 1.0, and n_periods = 3: give either"),
+        ({"n_periods": 0}, "n_periods = 0: must be a whole number > 0, as n_periods=100"),
+        ({"n_periods": [3, 2.5]}, "n_periods = 2.5: must be a whole number > 0"),
         ({"n_periods": "3"}, "n_periods = '3': must be a number"),
         ({"n_periods": True}, "n_periods = True: must be a number"),
         ({"n_periods": [1, 2], "x_0": [0.0] * 3}, "n_periods: shape mismatch"),
-        ({"t_end": 1.0, "law": []}, r"law = \[\]: must be one, or a sequence of at least one"),
+        ({"t_end": 1.0, "law": []}, r"law = \[\]: must be one object or a sequence, not empty"),
         ({"t_end": 1.0, "law": LAWS[:2], "x_0": [0.0] * 3}, "law, omega, .*: shape mismatch"),
         ({"t_end": 1.0, "oscillator": [gs.Oscillator(), 3]}, "oscillator = 3: must be"),
         (
             {"t_end": 1.0, "oscillator": [gs.Oscillator(), gs.systems.two_masses()]},
-            "'x_1', 'x_2', 'stop'.*: several must all be oscillators, or systems with the same",
+            "'x_1', 'x_2', 'stop'.*: must be oscillators, or systems with equal",
         ),
     ],
 )

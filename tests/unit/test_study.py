@@ -315,7 +315,7 @@ def test_sparse_blocks_that_span_a_huge_dataset_are_refused(tables):
 def test_undefined_protocol_is_named(tables):
     tables["sweep"][0]["representation"] = ["tanh-1e6@paper"]
     (problem,) = problems(tables)
-    assert "there is no [protocol.paper]" in problem
+    assert "[protocol.paper] is missing" in problem
 
 
 def test_points_carry_canonical_values(tables):
@@ -368,8 +368,8 @@ def test_blocks_that_do_not_sweep_a_number_keep_that_of_the_oscillator(tables):
     ("change", "message"),
     [
         ({"gap": None}, "sweep[0].gap: missing; write gap = [4e-4, 4e-4], in m, or j_1 and j_2"),
-        ({"j_1": 1e-3}, "sweep[0]: give gap, or both j_1 and j_2"),
-        ({"gap": None, "j_1": 1e-3}, "sweep[0]: give gap, or both j_1 and j_2"),
+        ({"j_1": 1e-3}, "sweep[0]: give gap, or j_1 and j_2"),
+        ({"gap": None, "j_1": 1e-3}, "sweep[0]: give gap, or j_1 and j_2"),
         ({"forcing": []}, "sweep[0].forcing"),
         ({"mass": [0.0]}, "sweep[0].mass = 0: must be > 0"),
         ({"zeta": {"start": -0.1, "stop": 1.0, "num": 3}}, "sweep[0].zeta = -0.1: must be"),
@@ -442,7 +442,7 @@ def with_(**changes):
         (lambda tables: tables["study"].update(name="a b"), "'a b': must be letters, digits, '.'"),
         (
             lambda tables: tables.update(sweep=tables["sweep"][0]),
-            "study: sweep: write [[sweep]], in double brackets",
+            "study: sweep: must be a list of tables; write [[sweep]]",
         ),
         (lambda tables: tables.pop("sweep"), "study: sweep: missing"),
         (lambda tables: tables.update(oscillator=3), "oscillator = 3: must be a table"),
@@ -500,9 +500,9 @@ def test_branches_have_defaults_and_stand_in_the_json(tables):
         ({"rtol": 0.0}, "branches.rtol = 0.0: must be >= 1e-13"),
         ({"atol": -1.0}, "branches.atol = -1.0: must be > 0"),
         ({"along": 3}, "branches.along = 3: must be text, in quotes"),
-        ({"along": "K_c"}, "branches.along = 'K_c': must be a swept number of the study: omega"),
-        ({"along": "gap"}, "branches.along = 'gap': must be a swept number of the study: omega"),
-        ({"along": "speed"}, "must be a swept number of the study: omega"),
+        ({"along": "K_c"}, "branches.along = 'K_c': must be a swept parameter: omega"),
+        ({"along": "gap"}, "branches.along = 'gap': must be a swept parameter: omega"),
+        ({"along": "speed"}, "must be a swept parameter: omega"),
     ],
 )
 def test_wrong_tables_of_branches_are_refused(tables, given, words):
@@ -523,8 +523,8 @@ def test_branches_without_a_range_or_a_law_that_can_be_followed_are_refused(tabl
         gs.Study.from_dict(tables | {"branches": {}})
     first, second = error.value.problems
     assert "branches.along = 'omega'" in first
-    assert "give one several values in [[sweep]]" in first
-    assert "no representation of the study is followed" in second
+    assert "write several values in [[sweep]]" in first
+    assert "no representation of the study can be continued" in second
 
 
 def test_branches_along_what_a_contact_has_of_its_own_are_refused():
@@ -542,7 +542,7 @@ def test_branches_along_what_a_contact_has_of_its_own_are_refused():
         ],
         "branches": {"along": "K_c"},
     }
-    with pytest.raises(gs.StudyError, match="sets it for one contact alone"):
+    with pytest.raises(gs.StudyError, match=r"must be set in .*sweep"):
         gs.Study.from_dict(tables)
 
 

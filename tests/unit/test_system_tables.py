@@ -186,22 +186,30 @@ def test_sobol_starts_of_systems_fill_their_box():
 
 REFUSED = {
     "both forms": (TWO_MASSES, {"system__function": "two_masses"}, "not both"),
-    "no stiffness": (TWO_MASSES, {"system__stiffness": None}, "give mass and stiffness"),
+    "no stiffness": (TWO_MASSES, {"system__stiffness": None}, "write mass and stiffness"),
     "other function": (SECTION, {"system__function": "wing"}, "module:function, or one of"),
     "absent module": (SECTION, {"system__function": "nowhere:wing"}, "nowhere"),
     "argument": (SECTION, {"parameters__chord": 1.0}, "chord"),
     "taken name": (SECTION, {"parameters__omega": 1.0}, "choose another name"),
-    "oscillator": (SECTION, {"oscillator": {"zeta": 0.1}}, "oscillator: not with [system]"),
+    "oscillator": (SECTION, {"oscillator": {"zeta": 0.1}}, "oscillator: not allowed with [system]"),
     "bad matrix": (TWO_MASSES, {"system__mass": [[1.0, 2.0]]}, "mass"),
-    "contact": (TWO_MASSES, {"contact__stopp": {"K_c": 1.0}}, "'stopp' is none of the system"),
-    "own law": (TWO_MASSES, {"contact__stop": {"representation": "a:b"}}, "stands in the sweep"),
+    "contact": (
+        TWO_MASSES,
+        {"contact__stopp": {"K_c": 1.0}},
+        "'stopp': must be a contact of the system: stop",
+    ),
+    "own law": (
+        TWO_MASSES,
+        {"contact__stop": {"representation": "a:b"}},
+        "write the representation of all contacts in [[sweep]]",
+    ),
     "no K_c": (TWO_MASSES, {"sweep__0__K_c": None}, "K_c: missing"),
     "no gap": (TWO_MASSES, {"sweep__0__gap": None}, "gap: missing"),
     "no omega": (TWO_MASSES, {"sweep__0__omega": None}, "omega: missing"),
-    "omega": (SECTION, {"sweep__0__omega": 3.0}, "nothing forces the system"),
-    "sweep": (SECTION, {"sweep__0__initial_condition": "sweep_up"}, "follow the frequency"),
+    "omega": (SECTION, {"sweep__0__omega": 3.0}, "the system is not forced"),
+    "sweep": (SECTION, {"sweep__0__initial_condition": "sweep_up"}, "sweeps need omega"),
     "start": (TWO_MASSES, {"sweep__0__initial_condition": [0.1, 0.2]}, "must be 4"),
-    "auto": (TWO_MASSES, {"sweep__0__representation": "auto"}, "name the representation"),
+    "auto": (TWO_MASSES, {"sweep__0__representation": "auto"}, "write one, as 'piecewise'"),
     "taken by agreement": (SECTION, {"parameters__recall": 1.0}, "choose another name"),
     "parameter without use": (TWO_MASSES, {"parameters": {"k": 1.0}}, "'k': must be in"),
     "scale without value": (TWO_MASSES, {"system__forcing__0__scale": "p"}, "'p': must be in"),
@@ -214,7 +222,7 @@ REFUSED = {
             "contact": {n: {"representation": "piecewise"} for n in ("stop", "between")},
             "sweep__0__representation": ["piecewise", "tanh-1e4"],
         },
-        "representation: no contact takes it",
+        "representation: unused",
     ),
     "unknown": (SECTION, {"sweep__0__sped": [1.0]}, "unknown key"),
     "zeta": (TWO_MASSES, {"sweep__0__zeta": [0.1]}, "unknown key"),
@@ -347,7 +355,7 @@ def test_a_call_that_fails_inside_a_function_is_told_from_a_call_of_the_function
     assert "[parameters]" not in str(refused.value)
     tables = of_function(tmp_path, monkeypatch, "other_names", "def make(stiffness):\n    pass\n")
     with pytest.raises(
-        gs.StudyError, match=r"TypeError.*its arguments are those in \[parameters\]"
+        gs.StudyError, match=r"TypeError.*the function needs the arguments of \[parameters\]"
     ):
         gs.Study.from_dict(tables)
 
@@ -496,7 +504,7 @@ def test_a_function_of_more_than_its_arguments_is_refused(tmp_path, monkeypatch,
         f"def make(k):\n    mass = [[1.0 + ({more})]]\n"
         "    return gs.System(mass=mass, stiffness=[[k]], contacts={'stop': [1.0]})\n",
     )  # fmt: skip
-    with pytest.raises(gs.StudyError, match=f"system{at}: two calls make different systems"):
+    with pytest.raises(gs.StudyError, match=f"system{at}: two calls return different systems"):
         gs.Study.from_dict(tables).model.at({"k": 2.0})
 
 
@@ -526,7 +534,7 @@ def test_names_of_arguments_are_no_parameters(name):
     """`gs.query(study, workers=1)` would take the value for a number of processes."""
     tables = changed(SECTION, sweep__0__speed=[8.0])
     tables["parameters"] = {**tables["parameters"], name: 1.0}
-    with pytest.raises(gs.StudyError, match=f"'{name}' is reserved in studies"):
+    with pytest.raises(gs.StudyError, match=f"'{name}' is a reserved name"):
         gs.Study.from_dict(tables)
 
 

@@ -279,9 +279,9 @@ def test_another_law_on_the_front_is_named(measured):
         ({"oscillator": {"speed": 1.0}}, {}, "bench.scene[0].oscillator.speed"),
         ({"horizon": 0}, {}, "bench.scene[0].horizon"),
         ({"without": ["tanh-1e4"]}, {}, "without tanh-1e4: no such method"),
-        ({}, {"rtol": [1e-6, 1e-3]}, "rtol must descend"),
+        ({}, {"rtol": [1e-6, 1e-3]}, "rtol must be descending"),
         ({}, {"rtol": [1.0]}, "bench.method[0].rtol[0]"),
-        ({}, {"atol": [1e-6, 1e-9]}, "atol has 2 values, rtol 1"),
+        ({}, {"atol": [1e-6, 1e-9]}, "atol has 2 values, rtol has 1"),
         ({}, {"label": "piecewise@none"}, "protocol 'none'"),
         ({}, {"label": "sinh-3"}, "bench.method[0].label"),
     ],
@@ -294,7 +294,7 @@ def test_wrong_tables_are_refused(scene, method, named):
 
 
 def test_names_are_given_once():
-    with pytest.raises(gs.StudyError, match="soft, piecewise: given more than once"):
+    with pytest.raises(gs.StudyError, match="soft, piecewise: must occur once only"):
         study_of(SOFT, SOFT, methods=[METHODS[0], METHODS[0]])
 
 

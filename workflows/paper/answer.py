@@ -62,9 +62,9 @@ def answer(run: Run) -> list[str]:
     return [
         f"Locate contacts and take the exact law: at the paper's tolerance its error is "
         f"{_range(_nearer(run), '.0f')} times smaller after four forcing periods than "
-        f"without location (hard contact, 0/0.8 mm). What a tangent law saves depends on the "
-        f"solver: it takes {_range(_work(run), '.2f')} of the exact law's right-hand sides with "
-        f"one Runge-Kutta pair, {_range(_times(run), '.2g')} times its time with this engine's "
+        f"without location (hard contact, 0/0.8 mm). The saving of a tangent law depends on "
+        f"the solver: it takes {_range(_work(run), '.2f')} of the exact law's right-hand sides "
+        f"with one Runge-Kutta pair, {_range(_times(run), '.2g')} times its time with the engine's "
         f"defaults, and {_range(SCIPY_TIME, '.2f')} times with scipy's terminal events and "
         f"restarts.",
         f"If a tool cannot locate contacts, take the exact force all the same, with tight "

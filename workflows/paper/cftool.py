@@ -32,18 +32,18 @@ def cftool(study: Study) -> xr.Dataset:
     Returns
     -------
     Dataset
-        ``pole_share``: share of the starts that end with a pole in the fit range; ``best_share``:
-        share that find the best of the others, whose ``rmse`` and ``force_at_zero`` are per unit
+        ``pole_share``, ``best_share``: shares of random initial values that lead to a pole in the
+        fit range, and to the best other fit. Its ``rmse`` and ``force_at_zero`` are per unit
         contact stiffness [m], NaN if there is none.
     """
     gaps = [gap for gap in study.grid.gaps if gap.label in GAPS]
     x_max = study.spec.fit.range
     found = np.array([[[_fits(g, r, u, x_max) for u in UNITS] for r in RATIOS] for g in gaps])
     names = {
-        "pole_share": ("1", "share of the starts that end with a pole in the range"),
-        "best_share": ("1", "share of the starts that find the best fit without a pole"),
-        "rmse": ("m", "RMS force error of the best without a pole, per unit contact stiffness"),
-        "force_at_zero": ("m", "its force at x = 0 per unit contact stiffness"),
+        "pole_share": ("1", "share of random fits with a pole in the fit range"),
+        "best_share": ("1", "share of random fits that are the best fit without a pole"),
+        "rmse": ("m", "RMS force error of the best fit, per unit contact stiffness"),
+        "force_at_zero": ("m", "force of the best fit at x = 0, per unit contact stiffness"),
     }
     return xr.Dataset(
         {

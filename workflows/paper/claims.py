@@ -43,7 +43,7 @@ DATASETS = {"ladders": ladders, "cftool": cftool, "bands": bands, "windows": win
 POLY, RATPOLY, TANH, ARCTAN, LOGARCTAN = WEAK
 POLY_21, RATPOLY_5, TANH_6, ARCTAN_6, LOGARCTAN_6 = STRONG
 BOTH_GAPS, PAPER = (SYMMETRIC, ASYMMETRIC), "@paper"
-OPTIMUM = "Of the least-squares optimum; the paper's coefficients are not given. "
+OPTIMUM = "For the least-squares optimum; the paper does not state its coefficients. "
 CFTOOL = "From 20 random initial values, as cftool draws them. "
 
 fig2 = Figure("Fig. 2", SOFT, SYMMETRIC)
@@ -112,7 +112,7 @@ c2 = claim(2, "Sect. 2",
 
 NONE, EVENTS, FINER = NO_EVENTS + PAPER, EXACT + PAPER, f"{NO_EVENTS}@finer"
 SIX, NINE, TRUTH = TANH_6 + PAPER, "tanh-1e9@paper", "truth"
-AFTER_4 = "Truth: the exact law with rtol 1e-12. Motions 1 nm apart are still within 2 nm then. "
+AFTER_4 = "Reference: the exact law with rtol 1e-12. Motions 1 nm apart stay within 2 nm. "
 c3 = claim(3, "Sect. 1",
     "'Time integration methods suffer from accumulating roundoff error if the precise times and "
     "locations of contacts are not captured.'",
@@ -304,7 +304,7 @@ def periods(at: At, label: str, scene: tuple[float, str], omega: Sequence[float]
 
 
 on_3 = fig6b.share_of_frequencies("period 3", (17.0, 21.0))
-starts_on_3 = fig6b.table("share of 400 starts that end on period 3", lambda at, label: share(
+starts_on_3 = fig6b.table("share of 400 initial conditions with period 3", lambda at, label: share(
     periods(at, label, SOFT_SYMMETRIC, (17.0, 19.0, 21.0)) == 3), ".1%")
 c26 = claim(26, fig6b,
     "'The RatPoly 5/3, Tanh, and Arctan models appearing to capture the entire range of "
@@ -614,8 +614,8 @@ LOOP = constants("time of a loop around RK45 with restarts over one without", {
 EVENT_CAPABILITY = constants("time of solve_ivp with terminal events over that loop", {
     "soft 1e-4": (1.56, 0.05), "soft 1e-6": (1.39, 0.04), "hard 1e-4": (1.42, 0.05),
     "hard 1e-6": (1.34, 0.09)})
-RESTARTS = ("The restart alone, and with all that terminal events cost: one Runge-Kutta pair in "
-            "scipy, which is interpreted as the paper's solver is. ")
+RESTARTS = ("Cost of the restart, and of terminal events as a whole: one Runge-Kutta pair in "
+            "scipy, which is interpreted like the paper's solver. ")
 c58 = claim(58, "Table 2",
     "'Because it uses the event detection capability, which requires the simulation to stop and "
     "restart at every instance of contact.'",
@@ -714,7 +714,7 @@ def near_0_4(n: int) -> Table:
                        ".0%")
 
 
-false_3 = fig11.table("starts that end on a period 3, 11 Hz", lambda at, label: share(
+false_3 = fig11.table("initial conditions with period 3, 11 Hz", lambda at, label: share(
     periods(at, label, HARD_ASYMMETRIC, (11.0,)) == 3), ".0%")
 c68 = claim(68, fig11,
     "'A period-1 response with superharmonics should have been captured, but a period-3 response "

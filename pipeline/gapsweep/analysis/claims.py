@@ -87,7 +87,7 @@ class Number:
             return None
         both = np.isfinite(self.each) & np.isfinite(other.each)
         if not both.any():
-            raise NotInRunError("two laws have no point in common there")
+            raise NotInRunError("the laws have no common point in this selection")
         return self.each[both], other.each[both]
 
     def __str__(self) -> str:
@@ -111,7 +111,7 @@ def mean(values: ArrayLike, of: ArrayLike | None = None) -> Number:
     each = np.ravel(np.asarray(values, dtype=float))
     found = each[np.isfinite(each)]
     if not found.size:
-        raise NotInRunError("nothing was asked for there")
+        raise NotInRunError("the study has no points in this selection")
     value = float(found.mean())
     points = None if of is None else np.ravel(np.asarray(of))
     return Number(value, _spread(found - value), found.size, each, points)
@@ -135,7 +135,7 @@ def ratio_of_sums(numerators: ArrayLike, denominators: ArrayLike) -> Number:
     both = np.isfinite(above) & np.isfinite(below)
     above, below = above[both], below[both]
     if not below.sum() > 0.0:
-        raise NotInRunError("no costs there")
+        raise NotInRunError("no costs in this selection")
     value, n = float(above.sum() / below.sum()), below.size
     spread = 0.0
     if n > 1:
@@ -219,7 +219,9 @@ class Claim:
         found = verdict(test.holds for test in tests)
         if unsettled := [test.says for test in tests if test.holds is None]:
             more = f" and {len(unsettled) - 3} more" if len(unsettled) > 3 else ""
-            sentence += f" Open (no number, or within its floor): {'; '.join(unsettled[:3])}{more}."
+            sentence += (
+                f" Open (no number, or within its uncertainty): {'; '.join(unsettled[:3])}{more}."
+            )
         return {
             "id": self.id,
             "place": self.place,
@@ -246,7 +248,7 @@ def _checked(found: Any) -> Found:
         and all(isinstance(test, Test) for test in found[0])
     ):
         raise TypeError(f"must return a list of tests and a sentence, not {found!r:.40}")
-    _check_texts("what it returns", sentence=found[1])
+    _check_texts("result", sentence=found[1])
     return found
 
 
@@ -272,10 +274,10 @@ def stated(names: Mapping[str, Any]) -> list[Claim]:
     twice = [str(n) for n, count in Counter(one.id for one in found).items() if count > 1]
     if not found:
         raise ValueError(
-            "no claims: a claim is a function under @claim, see docs/explanation/claims.md"
+            "no claims; define functions with the decorator @claim, see docs/explanation/claims.md"
         )
     if twice:
-        raise ValueError(f"claim {', '.join(twice)}: stated more than once; number them apart")
+        raise ValueError(f"claim {', '.join(twice)}: must have different numbers")
     return sorted(found, key=lambda one: one.id)
 
 
@@ -359,7 +361,7 @@ class Run:
                 self._read[key] = selected(found, at).load()
             except DatasetError:
                 where = ", ".join(f"{dim} {label}" for dim, label in at.items())
-                raise NotInRunError(f"{name}.nc has nothing at {where}") from None
+                raise NotInRunError(f"{name}.nc has no values at {where}") from None
         return self._read[key]
 
     def scene(

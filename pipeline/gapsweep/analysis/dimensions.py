@@ -138,7 +138,7 @@ def selected(dataset: xr.Dataset, wanted: Mapping[str, Any]) -> xr.Dataset:
     for name, value in wanted.items():
         if name not in dataset.coords:
             known = ", ".join(str(coordinate) for coordinate in dataset.coords)
-            raise DatasetError(f"{name}: no coordinate of this dataset; it has {known}")
+            raise DatasetError(f"{name}: not a coordinate of this dataset; choose from {known}")
         coordinate = dataset[name]
         try:
             where = positions(name, coordinate.values, value)

@@ -30,7 +30,7 @@ def _existing(cache: Path | None, *, read_only: bool = True) -> "Cache":
 
     path = cache_path(cache)
     if not path.exists():
-        raise StoreError(f"{path}: no such folder; 'gapsweep run' makes it")
+        raise StoreError(f"{path}: no such folder; 'gapsweep run' creates it")
     return Cache(path, read_only=read_only)
 
 
@@ -38,7 +38,7 @@ def _existing(cache: Path | None, *, read_only: bool = True) -> "Cache":
 @options.cache
 @options.as_json
 def info(cache: Path | None, as_json: bool) -> None:
-    """Show how much is stored, by which code, and with which status.
+    """Show the number of points by version and status.
 
     \b
     Example:
@@ -55,8 +55,8 @@ def info(cache: Path | None, as_json: bool) -> None:
     size = f"{found['bytes'] / 1e6:.1f} MB in {found['segments']} segments"
     click.echo(f"{found['folder']}: format {found['format']}, {size}")
     click.echo(
-        f"{found['points']} points, {found['current']} of the present code, "
-        f"{found['of_other_code']} of other code"
+        f"{found['points']} points, {found['current']} of this version of the code, "
+        f"{found['of_other_code']} of other versions"
     )
     for label, count in found["status"].items():
         click.echo(f"{count:>10}  {label}")
@@ -74,17 +74,19 @@ def verify(cache: Path | None) -> int:
     from gapsweep.console import busy
     from gapsweep.store import maintenance
 
-    with busy("reading every point"), _existing(cache) as store:
+    with busy("checking all points"), _existing(cache) as store:
         verdict = maintenance.verify(store)
-    click.echo(f"{verdict.n_points} sound points, {len(verdict.damaged)} damaged segments")
+    click.echo(f"{verdict.n_points} intact points, {len(verdict.damaged)} damaged segments")
     return 0 if verdict.is_sound else 1
 
 
 @cache_commands.command()
 @options.cache
-@click.option("--apply", is_flag=True, help="Really remove.  [default: only say what would go]")
+@click.option("--apply", is_flag=True, help="Remove; without it, only count what would be removed.")
 def gc(cache: Path | None, apply: bool) -> None:
-    """Remove points of other code and damage, and merge small segments.
+    """Remove damaged points and points of other versions.
+
+    Small segment files are merged.
 
     \b
     Examples:
@@ -96,5 +98,5 @@ def gc(cache: Path | None, apply: bool) -> None:
 
     with _existing(cache, read_only=not apply) as store:
         n_points, n_damaged = maintenance.clean(store, numerics_fingerprint(), apply=apply)
-    verb = "removed" if apply else "could be removed; --apply does it"
-    click.echo(f"{n_points} points and the damage of {n_damaged} segments {verb}")
+    verb = "removed:" if apply else "to be removed by 'gapsweep cache gc --apply':"
+    click.echo(f"{verb} {n_points} points, damage in {n_damaged} segments")

@@ -18,11 +18,11 @@ STUDIES = {
 @click.command()
 @click.argument("name", type=click.Choice(tuple(STUDIES)), default="quick")
 def init(name: str) -> None:
-    """Write a study to start from into the current folder.
+    """Write an example study into the current folder.
 
-    quick: one file with a few laws and frequencies, seconds to compute; the default. two-masses: a
-    machine with two coordinates and a one-sided stop. paper: the folder of a whole paper's study,
-    with its claims and figures, minutes.
+    quick (default): six contact laws at 30 frequencies, computed in seconds. two-masses: two
+    coordinates and a one-sided stop. paper: the folder of the paper's study with its claims and
+    figures, computed in minutes.
 
     \b
     Examples:
@@ -32,12 +32,12 @@ def init(name: str) -> None:
     carried, study = STUDIES[name]
     _copy(_carried(carried), Path(carried))
     click.echo(f"written: {carried}")
-    click.echo(f"next:    gapsweep plan {study}   says what it would compute")
-    click.echo(f"         gapsweep run {study}    computes it, datasets and a report")
+    click.echo(f"next:    gapsweep plan {study}   # show what a run would compute")
+    click.echo(f"         gapsweep run {study}    # compute the points, datasets and the report")
 
 
 def _carried(name: str) -> Path:
-    """Where a study of ours stands: in the installed package, or beside it in a clone."""
+    """Path of an example study: in the installed package, or in the clone next to it."""
     package = Path(__file__).parents[1]
     installed = package / "workflows" / name
     return installed if installed.exists() else package.parents[1] / "workflows" / name
@@ -52,8 +52,10 @@ def _copy(source: Path, target: Path) -> None:
                 file.write(source.read_bytes())
     except FileExistsError:
         raise StoreError(
-            f"{target}: exists already and is left as it is; move it, or go to another folder"
+            f"{target}: exists already; move it, or change to another folder"
         ) from None
     except (OSError, shutil.Error) as error:
         reason = error.strerror if isinstance(error, OSError) and error.strerror else error
-        raise StoreError(f"{target}: cannot be written: {reason}; go to another folder") from None
+        raise StoreError(
+            f"{target}: cannot be written: {reason}; change to another folder"
+        ) from None

@@ -19,7 +19,7 @@ from gapsweep.errors import STOPPING, GapsweepError
 
 
 class _InOrder(click.Group):
-    """Its help lists commands as one comes to need them."""
+    """A group whose help lists commands in the order of a workflow."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         return list(self.commands)
@@ -30,10 +30,10 @@ class _InOrder(click.Group):
 )
 @click.version_option(package_name="gapsweep")
 def commands() -> None:
-    """Parameter studies of oscillators with freeplay.
+    """Parameter studies of mechanical systems with freeplay.
 
     Exit codes: 0 finished, 1 a study, file or cluster error, 2 a wrong command line, 3 finished
-    but some points failed, 130 interrupted (run again to resume).
+    but some points failed, 130 interrupted (a new run resumes).
 
     \b
     Examples:
@@ -55,7 +55,7 @@ for command in _COMMANDS:
 
 
 def main() -> None:
-    """Entry point: every known error becomes a line on stderr, never a traceback."""
+    """Run the command line and exit; an error is printed in one line, without a traceback."""
     # In worker processes, too, no module of the current folder may stand in for a library.
     os.environ["PYTHONSAFEPATH"] = "1"
     # What imports and figures make lives on: looked through as often as usual, it takes an eighth

@@ -1,6 +1,6 @@
 """Arguments, options and exit codes that several commands share.
 
-Nothing is imported here that takes time: whoever asks for help shall not wait.
+Nothing slow is imported here, so that help appears at once.
 """
 
 import sys
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from gapsweep.study.study import Study
 
 FINISHED, FAULT, SOME_FAILED, INTERRUPTED = 0, 1, 3, 130
-FEW = 5  # of many names that are told
+FEW = 5  # names that are listed
 ENGINES = ("compiled", "scipy")  # those of gapsweep.integrate.problem, without its imports
 
 study = click.argument("study", type=click.Path(path_type=Path))
@@ -33,48 +33,47 @@ out = click.option(
     help="Output folder.  [default: data/runs/<study name>]",
 )
 engine = click.option(
-    "--engine", type=click.Choice(ENGINES), help="Solver engine.  [default: as the study says]"
+    "--engine", type=click.Choice(ENGINES), help="Solver engine.  [default: engine of the study]"
 )
-retry_failed = click.option("--retry-failed", is_flag=True, help="Compute failed points again.")
+retry_failed = click.option("--retry-failed", is_flag=True, help="Recompute failed points.")
 timeout = click.option(
     "--timeout",
     type=click.FloatRange(min=0, min_open=True),
     default=DEFAULT_TIMEOUT,
     show_default=True,
-    help="Seconds of processor time that one sweep point or motion may take.",
+    help="CPU time limit of one sweep point or motion [s].",
 )
 workers = click.option(
     "--workers", type=click.IntRange(min=1), default=2, show_default=True, help="Local processes."
 )
 scheduler = click.option("--scheduler", metavar="ADDRESS", help="Use a running Dask scheduler.")
-beside = click.option(
+of_study = click.option(
     "--study",
     metavar="FILE",
     type=click.Path(path_type=Path),
-    help="Study whose Python modules are run for this.  [default: show what is stored]",
+    help="Study file whose Python modules are executed.  [default: show stored results]",
 )
-as_json = click.option("--json", "as_json", is_flag=True, help="Machine-readable output.")
+as_json = click.option("--json", "as_json", is_flag=True, help="Print JSON.")
 selection = click.option(
     "--sel",
     "wanted",
     metavar="KEY=VALUE",
     multiple=True,
-    help="Points to take: KEY is any dimension of the study, as representation, K_c, gap or omega, "
-    "VALUE one value, a list A,B,... or, for numbers, a range A:B that includes both ends. Repeat "
-    "for several keys.",
+    help="Select points. KEY: a dimension of the study, such as representation, K_c, gap or omega. "
+    "VALUE: one value, a list A,B,... or a range of numbers A:B, ends included. Repeatable.",
 )
 
 _LABELLED = ("representation", "gap")
 
 
 def first(names: Sequence[str]) -> str:
-    """The first few of some names, and how many more there are."""
+    """The first `FEW` names and the number of the others."""
     more = [f"{len(names) - FEW} more"] if len(names) > FEW else []
     return ", ".join([*names[:FEW], *more])
 
 
 def loaded(path: Path, engine: str | None) -> "Study":
-    """The study in a file, on the engine asked for."""
+    """The study of a file, with another engine if one is named."""
     from gapsweep.study.spec import read
     from gapsweep.study.study import Study
 
@@ -86,14 +85,14 @@ def loaded(path: Path, engine: str | None) -> "Study":
     with redirect_stdout(sys.stderr):
         found = Study.load(path)
     if found.grid.starts.kind.any() and len(found.grid.omega) == 1:
-        said = "sweeps follow the frequency, and there is one: they start from rest"
-        click.echo(f"warning: {path}: initial_condition: {said}", err=True)
+        reason = "sweeps need several values of omega; this sweep starts from rest"
+        click.echo(f"warning: {path}: initial_condition: {reason}", err=True)
     return found.with_engine(engine) if engine else found
 
 
 @contextmanager
 def at_work() -> Iterator["OnProgress"]:
-    """Show progress; what a study's code prints meanwhile is no result of the command."""
+    """Show progress; output of a study's code goes to stderr."""
     from gapsweep.console import progress_bar
 
     with redirect_stdout(sys.stderr), progress_bar() as observer:
@@ -106,7 +105,7 @@ def selected(wanted: tuple[str, ...]) -> dict[str, Any]:
     keys = [key for key, _ in found]
     for key in keys:
         if keys.count(key) > 1:
-            message = f"{key!r} is given {keys.count(key)} times: write {key}=A,B"
+            message = f"{key!r} occurs {keys.count(key)} times; write {key}=A,B"
             raise click.BadParameter(message, param_hint="--sel")
     return dict(found)
 
@@ -116,13 +115,13 @@ def _selected(text: str) -> tuple[str, Any]:
 
     key, equals, value = text.partition("=")
     if not equals or not value:
-        raise click.BadParameter(f"{text!r}: must read KEY=VALUE", param_hint="--sel")
+        raise click.BadParameter(f"{text!r}: must be KEY=VALUE, as omega=10", param_hint="--sel")
     if key in OF_CALLS:
-        raise click.BadParameter(f"{key!r}: no dimension of a study", param_hint="--sel")
+        raise click.BadParameter(f"{key!r}: not a dimension of a study", param_hint="--sel")
     if key in _LABELLED:
         return key, value.split(",")
     if key == "initial_condition" and not value.replace(",", "").replace(":", "").isdecimal():
-        return key, value.split(",")  # the study knows its starts, and names them
+        return key, value.split(",")  # the study checks the names
     number = int if key == "initial_condition" else float
     try:
         if ":" in value:

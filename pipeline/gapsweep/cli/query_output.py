@@ -18,29 +18,29 @@ from gapsweep.store.artefact import replacing
 from gapsweep.study.study import Study
 from gapsweep.variables import to_dataframe
 
-# What fits a terminal beside the dimensions: how the motion is, and whether it is one.
+# Variables that fit a terminal next to the dimensions.
 _COLUMNS = ("amplitude", "period_multiple", "response_class", "status")
 _DIGITS = 4
-_OF_TABLE = "more: --columns x_max,x_min,... prints others, --to csv all, --digits 6 more digits"
-_OF_CSV = "all columns to the last digit, as csv: --to table prints the few that tell the motion"
+_OF_TABLE = "more columns: --columns x_max,x_min,... or --to csv; more digits: --digits 6"
+_OF_CSV = "output: csv with all columns and digits; for a short table: --to table"
 # A longer name has two lines above its column.
 _LONG = 10
 
 
 @dataclass(frozen=True, slots=True)
 class Form:
-    """How responses are written.
+    """Format of the output.
 
     Attributes
     ----------
     kind : str
         ``table``, ``csv``, ``json`` or ``nc``.
     columns : sequence of str
-        Variables, beside the dimensions; all if empty.
+        Variables in addition to the dimensions; all if empty.
     digits : int, optional
         Significant digits; all if None.
     hint : str
-        How to have other columns, to one who has not said which.
+        Printed below the output: how to select columns; empty if columns were named.
     """
 
     kind: str
@@ -52,7 +52,7 @@ class Form:
     def of(
         cls, kind: str | None, columns: str | None, digits: int | None, output: Path | None
     ) -> "Form":
-        """What a command line asks for; a table is for whom sits at a terminal."""
+        """The format that command-line options ask for; by default a table on a terminal."""
         hint = ""
         if kind is None:
             kind = "table" if output is None and sys.stdout.isatty() else "csv"
@@ -60,36 +60,41 @@ class Form:
         if kind == "nc" and output is None:
             raise click.UsageError("--to nc needs --output FILE")
         if kind == "nc" and (columns or digits):
-            raise click.UsageError("--to nc holds every variable to its last digit")
+            raise click.UsageError(
+                "--to nc writes all variables and digits; leave out --columns and --digits"
+            )
         if kind == "table" and output is not None:
-            raise click.UsageError("--to table is for the terminal; --output takes csv, json or nc")
+            raise click.UsageError(
+                "--to table prints on the terminal; with --output use csv, json or nc"
+            )
         named = tuple(columns.split(",")) if columns else ()
         if kind == "table":
             return cls(kind, named or _COLUMNS, digits or _DIGITS, "" if named else _OF_TABLE)
         return cls(kind, named, digits, hint)
 
     def check(self, study: Study) -> None:
-        """Refuse columns that nothing of a study has, before anything is computed."""
+        """Raise an error for columns that the study's responses do not have."""
         layout = Layout.of(study.grid, study.steady)
         wanted = [_base(name) for name in self.columns]
         _chosen(wanted, [*study.grid.coordinates(), *layout.variables])
 
 
 def check_output(output: Path) -> None:
-    """Refuse a file that is there, or has no folder, before anything is computed for it.
+    """Raise an error if an output file exists or its folder does not.
 
     Raises
     ------
     StoreError
+        If the file exists or its folder does not.
     """
     if output.exists():
-        raise StoreError(f"{output}: exists already; name a new file")
+        raise StoreError(f"{output}: exists already; choose another name")
     if not output.parent.is_dir():
-        raise StoreError(f"{output}: there is no folder {output.parent}")
+        raise StoreError(f"{output}: folder {output.parent} does not exist")
 
 
 def written(responses: xr.Dataset, form: Form, output: Path | None) -> None:
-    """Write a dataset, one row per sweep point or, as ``nc``, whole.
+    """Write a dataset: one row per sweep point, or a NetCDF file.
 
     Raises
     ------
@@ -117,7 +122,7 @@ def _text(responses: xr.Dataset, form: Form) -> str:
 
 
 def _print(responses: xr.Dataset, form: Form) -> None:
-    """A table for the eye: what all rows have in common stands above it, once."""
+    """Print a table; dimensions with one value are printed once above it."""
     frame = _frame(responses, form)
     dims = [str(dim) for dim in responses["status"].dims]
     same = [dim for dim in dims if frame[dim].nunique() == 1 and dim not in form.columns]
@@ -147,7 +152,7 @@ def _head(responses: xr.Dataset, name: str) -> str:
 
 
 def _frame(responses: xr.Dataset, form: Form) -> Any:
-    """A row per sweep point, with the variables asked for; flags in words."""
+    """A row per sweep point with the selected variables; flags as words."""
     points = responses["status"].dims
     frame = to_dataframe(responses)
     if form.columns:
@@ -159,14 +164,16 @@ def _frame(responses: xr.Dataset, form: Form) -> Any:
 
 
 def _chosen(wanted: Sequence[str], known: Sequence[str]) -> list[str]:
-    """The columns that are asked for: of a variable those of all its coordinates or contacts."""
+    """The selected columns; a variable selects those of all its coordinates or contacts."""
     bases = [_base(name) for name in known]
     found = []
     for name in wanted:
         if name not in (*known, *bases):
             alike = difflib.get_close_matches(name, [*known, *bases], n=1)
             likely = f"did you mean {alike[0]}? " if alike else ""
-            message = f"{name!r}: {likely}Choose from {', '.join(dict.fromkeys(bases))}"
+            message = (
+                f"{name!r}: no such variable; {likely}choose from {', '.join(dict.fromkeys(bases))}"
+            )
             raise click.BadParameter(message, param_hint="--columns")
         found += [one for one, base in zip(known, bases, strict=True) if name in (one, base)]
     return found

@@ -1,4 +1,4 @@
-"""Commands on what runs have left, and the explorer."""
+"""Commands on the folder of a run, and the explorer."""
 
 import json
 from contextlib import suppress
@@ -15,9 +15,9 @@ from gapsweep.cli.options import FINISHED
 @click.argument("folder", metavar="DIR", type=click.Path(path_type=Path))
 @options.as_json
 def status(folder: Path, as_json: bool) -> int:
-    """Show the progress or the end of a run, from any shell.
+    """Show progress, outcome and damaged files of a run.
 
-    Names damaged files; reads at most 100 MB to find them.
+    Works from any shell. Checksums of at most 100 MB of files are tested.
 
     \b
     Example:
@@ -27,7 +27,7 @@ def status(folder: Path, as_json: bool) -> int:
     from gapsweep.store.state import RUNNING, RunState
 
     state = RunState.read(folder)
-    # A run that goes on makes anew what is damaged, and replaces files meanwhile.
+    # An active run replaces files, damaged ones too.
     damaged, unread = (None, None) if state.state == RUNNING else checked(folder)
     if as_json:
         click.echo(json.dumps(asdict(state) | {"damaged": damaged, "not_checked": unread}))
@@ -40,20 +40,22 @@ def status(folder: Path, as_json: bool) -> int:
     click.echo(f"started {state.started} on {state.host}")
     click.echo(f"updated {state.updated}")
     if damaged:
-        click.echo(f"damaged or absent: {options.first(damaged)}; run again to repair them")
+        click.echo(f"damaged or missing: {options.first(damaged)}; 'gapsweep run' repairs them")
     if unread:
-        click.echo(f"large, so not checked: {options.first(unread)}; sha256sum --check {SUMS}")
+        click.echo(
+            f"not checked (large): {options.first(unread)}; check with sha256sum --check {SUMS}"
+        )
     return FINISHED
 
 
 @click.command()
 @click.argument("folder", metavar="DIR", type=click.Path(path_type=Path))
-@options.beside
+@options.of_study
 def report(folder: Path, study: Path | None) -> int:
     """Rebuild the report of a run from its files.
 
-    Sections of the study's own [report] module are shown as stored; --study makes them again. No
-    file in DIR is executed.
+    Sections of a [report] module are shown as stored; --study recomputes them. No file in DIR is
+    executed.
 
     \b
     Examples:
@@ -63,7 +65,7 @@ def report(folder: Path, study: Path | None) -> int:
     from gapsweep import pipeline
     from gapsweep.console import busy
 
-    with busy("making the report"):
+    with busy("writing the report"):
         shown = pipeline.report(folder, options.loaded(study, None) if study else None)
     click.echo(f"report: {shown}")
     return FINISHED
@@ -71,12 +73,12 @@ def report(folder: Path, study: Path | None) -> int:
 
 @click.command()
 @click.argument("folder", metavar="DIR", type=click.Path(path_type=Path))
-@options.beside
+@options.of_study
 @options.as_json
 def claims(folder: Path, study: Path | None, as_json: bool) -> int:
-    """Show the verdicts of a run, or decide its claims again.
+    """Show the verdicts of a run's claims, or recompute them.
 
-    --study decides the claims of that study's [claims] module from the datasets in DIR and writes
+    --study evaluates the claims of that study's [claims] module on the datasets in DIR and writes
     claims.json there. No file in DIR is executed.
 
     \b
@@ -88,16 +90,16 @@ def claims(folder: Path, study: Path | None, as_json: bool) -> int:
     from gapsweep.console import busy, print_table
     from gapsweep.run_folder import CLAIMS
 
-    with busy("deciding the claims"):
+    with busy("evaluating the claims"):
         decided = pipeline.claims(folder, options.loaded(study, None) if study else None)
     if as_json:
         click.echo(json.dumps(decided, ensure_ascii=False))
         return FINISHED
-    told = [
+    rows = [
         (str(one["id"]), one["verdict"], f"{one['place']}: {one['claim']}\n{one['sentence']}")
         for one in decided["claims"]
     ]
-    print_table(("id", "verdict", "claim, and what was found"), told)
+    print_table(("id", "verdict", "claim and result"), rows)
     counts = ", ".join(f"{n} {verdict}" for verdict, n in decided["counts"].items())
     click.echo(f"{len(decided['claims'])} claims: {counts}")
     if study:
@@ -111,16 +113,16 @@ def claims(folder: Path, study: Path | None, as_json: bool) -> int:
     "--port",
     type=click.IntRange(0, 65535),
     default=0,
-    show_default="any that is free",
-    help="Port of this machine that the page is at.",
+    show_default="a free port",
+    help="Port of the page on this machine.",
 )
-@click.option("--no-browser", is_flag=True, help="Print the address, open no browser.")
+@click.option("--no-browser", is_flag=True, help="Print the address without opening a browser.")
 def explore(path: Path | None, port: int, no_browser: bool) -> int:
-    """Open a page whose figures follow its sliders.
+    """Open an interactive page with sliders for the parameters.
 
-    Computes frequency response, motion, section and spectrum while a slider moves. A study file
-    sets the ranges of the sliders. For the folder of a run the page also shows its points; a click
-    opens one. Only this machine can open the page; Ctrl-C closes it.
+    The page computes frequency response, motion, section and spectrum while a slider moves. A study
+    file sets the ranges of the sliders. For the folder of a run the page also shows the points of
+    the run; a click opens a point. Only this machine can open the page; Ctrl-C closes it.
 
     \b
     Examples:

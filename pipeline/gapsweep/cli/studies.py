@@ -1,6 +1,6 @@
 """Commands on studies.
 
-What computes takes seconds to import: each command imports what it needs.
+The numerical modules take seconds to import: each command imports only those it uses.
 """
 
 import json
@@ -25,12 +25,12 @@ from gapsweep.cli.options import FINISHED, SOME_FAILED
 @click.option(
     "--batch",
     type=click.IntRange(min=1),
-    help="Sweep points per task.  [default: chosen from measured cost]",
+    help="Sweep points per task.  [default: from measured cost]",
 )
 @options.timeout
 @options.retry_failed
 def run(study: Path, engine: str | None, **how: Any) -> int:
-    """Compute a study, its datasets and report, or resume it.
+    """Compute a study with its datasets and report, or resume it.
 
     \b
     Examples:
@@ -117,10 +117,12 @@ def plan(
         return FINISHED
     for name, value in numbers.items():
         click.echo(f"{name:>8}  {value}")
-    unknown = "unknown, for nothing like it is stored"
+    unknown = "unknown (no comparable points cached)"
     time = unknown if expected is None else f"{timedelta(seconds=round(expected))} (h:mm:ss)"
     click.echo(f"expected  {time}")
-    states = {file: f"to be made: {why}" if why else "up to date" for file, why in stages.items()}
+    states = {
+        file: f"to be written: {why}" if why else "up to date" for file, why in stages.items()
+    }
     click.echo()
     print_table(("file", "state"), states.items())
     for doubt in doubts:
@@ -139,13 +141,13 @@ def plan(
     "--to",
     "form",
     type=click.Choice(["table", "csv", "json", "nc"]),
-    help="A table to read; a row per point (csv), a JSON object per line (json), NetCDF (nc).  "
+    help="Format: a short table, csv or json lines with a row per point, or NetCDF (nc).  "
     "[default: table on a terminal, else csv]",
 )
 @click.option(
     "--columns",
     metavar="NAME,...",
-    help="Variables to print.  [default: the motion in a table, else all]",
+    help="Variables to print.  [default: four in a table, else all]",
 )
 @click.option(
     "--digits",
@@ -165,7 +167,7 @@ def query(
     output: Path | None,
     **how: Any,
 ) -> int:
-    """Print a table of responses; compute only missing points.
+    """Print responses; compute only points missing in the cache.
 
     \b
     Examples:
@@ -204,7 +206,7 @@ def query(
     type=click.IntRange(min=1),
     default=10,
     show_default=True,
-    help="Points to explain.",
+    help="Largest number of points.",
 )
 def explain(
     study: Path, wanted: tuple[str, ...], cache: Path | None, engine: str | None, limit: int
@@ -224,15 +226,15 @@ def explain(
         points = pipeline.explain(loaded, cache, limit + 1, observer, **options.selected(wanted))
     for n, point in enumerate(points):
         if n == limit:
-            click.echo(f"and more: --limit {10 * limit}")
+            click.echo(f"more points: --limit {10 * limit}")
             break
         click.echo(f"{point.label}: {point.status}{f' on {point.host}' if point.host else ''}")
         if point.message:
             click.echo(f"  {point.message}")
         if point.differences is None and point.status == "missing":
-            click.echo("  nothing is stored")
+            click.echo("  no comparable points cached")
         for name, (asked, stored) in (point.differences or {}).items():
-            click.echo(f"  {name}: asked {_short(asked)}, nearest stored {_short(stored)}")
+            click.echo(f"  {name}: {_short(asked)}; nearest cached point: {_short(stored)}")
     return FINISHED
 
 
@@ -245,12 +247,12 @@ def _short(text: str) -> str:
 @click.option(
     "--error",
     type=float,
-    help="Relative error of the steady amplitude to meet, 1e-9 to 0.1.  "
+    help="Allowed relative error of the steady amplitude, 1e-9 to 0.1.  "
     "[default: [auto] of the study, else 1e-3]",
 )
 @options.as_json
 def advise(study: Path, error: float | None, as_json: bool) -> int:
-    """Recommend the simplest adequate model for each scene.
+    """Recommend the simplest adequate model for each case.
 
     \b
     Example:
@@ -265,13 +267,13 @@ def advise(study: Path, error: float | None, as_json: bool) -> int:
     if as_json:
         click.echo(json.dumps({"error": error, "not_assessed": own, "scenes": scenes}))
         return FINISHED
-    print_text(f"for an error of the steady amplitude of {error:g}:")
+    print_text(f"allowed relative error of the steady amplitude: {error:g}")
     for scene in scenes:
-        print_text(_scene(scene))
+        print_text(_case(scene))
         for one in scene["starts"]:
             click.echo(f"\nfrom {one['start']}:")
             print_table(
-                ("from [Hz]", "to [Hz]", "least model", "rtol", "because"),
+                ("from [Hz]", "to [Hz]", "simplest model", "rtol", "reason"),
                 [
                     (*(f"{part[end]:g}" for end in ("from", "to")), part["model"],
                      f"{part['rtol']:g}", part["reason"])
@@ -281,11 +283,13 @@ def advise(study: Path, error: float | None, as_json: bool) -> int:
         click.echo()
         print_text(scene["approximations"])
     for label in own:
-        print_text(f"{label} is not assessed: advice is for straight walls of stiffness K_c")
+        print_text(
+            f"{label}: not assessed; advice covers walls with a linear spring of stiffness K_c"
+        )
     return FINISHED
 
 
-def _scene(scene: dict[str, Any]) -> str:
+def _case(scene: dict[str, Any]) -> str:
     from gapsweep.study.schema import UNITS
 
     words = [f"K_c = {scene['K_c']:g} N/m", f"gap {scene['gap']} mm"]
@@ -302,8 +306,8 @@ def _scene(scene: dict[str, Any]) -> str:
 def bench(study: Path, out: Path | None, timeout: float, as_json: bool) -> int:
     """Measure error, cost and status of methods.
 
-    Every method of the study's [bench] runs on every scene. Costs are measured in one process,
-    errors of several scenes in as many as there are processors; user laws run in others.
+    Every method of the study's [bench] runs on every scenario. Costs are measured in one process.
+    Errors are computed in one process per processor, user laws in separate processes.
 
     \b
     Example:
@@ -332,5 +336,5 @@ def bench(study: Path, out: Path | None, timeout: float, as_json: bool) -> int:
             click.echo(sentence)
         click.echo(f"written: {file}")
     shown = files[0].parent / REPORT
-    click.echo(f"report: {shown}" if shown.exists() else "'gapsweep run' makes the report")
+    click.echo(f"report: {shown}" if shown.exists() else "'gapsweep run' writes the report")
     return code

@@ -89,26 +89,26 @@ def special_curve(
     *,
     max_steps: int = 500,
 ) -> xr.Dataset:
-    """Continue a special point of a branch in a second parameter.
+    """Return the curve of a special point of a branch over two parameters.
 
     Parameters
     ----------
     branches : Dataset
-        What `gapsweep.branches` returned, in this process.
+        Result of `gapsweep.branches` in the same process.
     point : int
-        Number of the special point among all of `branches`, counted from 0: branch by branch, in
-        their order along it. Folds, period doublings, torus bifurcations and grazes have curves.
+        Number of the special point from 0, counted along each branch, branch after branch. Folds,
+        period doublings, torus bifurcations and grazes have curves.
     second : str
-        The second parameter, named as in `gapsweep.branches`.
+        Second parameter, named as `along` of `gapsweep.branches`.
     between : tuple of float
-        Its range. The first parameter keeps its range.
+        Range of the second parameter, ascending. The first parameter keeps its range.
     max_steps : int
-        Points of the curve on either side, 2 to 100000.
+        Largest number of points on either side, 2 to 100000.
 
     Returns
     -------
     Dataset
-        Along `step` both parameters and the variables of `branches`.
+        Both parameters and the variables of `branches` over `step`.
 
     Raises
     ------
@@ -128,7 +128,7 @@ def special_curve(
     if not isinstance(family, Family):
         raise ModelError("branches: must come from gapsweep.branches in this process")
     if family.is_conservative:
-        raise ModelError("branches: of free motions along 'amplitude' have no curves")
+        raise ModelError("branches: free motions along 'amplitude' have no curves")
     row, kind = _row(branches, point)
     first = Window.of(family.names[0], branches.attrs["between"])
     windows = first, Window.of(second, between)
@@ -136,7 +136,7 @@ def special_curve(
     fixed = family.value_of(second, {first.name: value})
     if not windows[1].low <= fixed <= windows[1].high:
         raise ModelError(
-            f"between = {between!r}: must hold {second} = {fixed:g}, where the branch is"
+            f"between = {between!r}: must contain the value {second} = {fixed:g} of the branch"
         )
     values = {**family.values, first.name: value, second: fixed}
     omega = None if "omega" in (first.name, second) else family.omega

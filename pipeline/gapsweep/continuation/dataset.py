@@ -39,13 +39,17 @@ VARIABLES = {
     "multiplier_imag": Variable(
         "f8", "1", "imaginary part of the Floquet multipliers", dims=(MULTIPLIER,)
     ),
-    "start_state": Variable("f8", "", "state in which the orbit starts", dims=(STATE,)),
+    "start_state": Variable("f8", "", "initial state of the orbit", dims=(STATE,)),
 }
 OF_BRANCH = {
     "n_orbits": Variable("i4", "1", "orbits of the branch", 0),
-    "begins": Variable("i1", "1", "why the branch ends before its first orbit", 0, END_FLAGS),
-    "ends": Variable("i1", "1", "why the branch ends after its last orbit", 0, END_FLAGS),
-    "parent": Variable("i4", "1", "branch that this one leaves at its first orbit, -1: none", -1),
+    "begins": Variable(
+        "i1", "1", "reason for the end of the branch before its first orbit", 0, END_FLAGS
+    ),
+    "ends": Variable(
+        "i1", "1", "reason for the end of the branch after its last orbit", 0, END_FLAGS
+    ),
+    "parent": Variable("i4", "1", "branch from which this branch bifurcates, -1: none", -1),
 }
 _UNITS = {"omega": "Hz", "amplitude": "m", "K_c": "N m-1", "forcing": "N", "mass": "kg"}
 _UNITS |= {"j_1": "m", "j_2": "m", "gap": "m", "omega_n": "Hz", "alpha": "N m-3"}
@@ -138,7 +142,7 @@ def _attractors(found: Branches) -> dict[str, Any]:
         "attractor_on_branch": (
             dims,
             np.array([each.branch for each in some], "i4"),
-            {"long_name": "branch that the attractor lies on, -1: none"},
+            {"long_name": "branch of the attractor, -1: none"},
         ),
         f"attractor_{name}": (
             dims,

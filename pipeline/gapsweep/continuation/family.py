@@ -129,8 +129,8 @@ class Family:
         if any(name in _GAP or name in _names(law) for law in self._laws):
             if not all(law.is_numbers for law in self._laws):
                 raise ModelError(
-                    f"along = {name!r}: a fitted law, or one of your own, is another one at every "
-                    "value; follow 'omega' or a parameter of the model"
+                    f"along = {name!r}: parameters of fitted laws and user laws cannot be "
+                    "continued; use 'omega' or a parameter of the model"
                 )
             return
         known = [each for law in self._laws for each in _names(law) if each != "gap"]
@@ -139,15 +139,15 @@ class Family:
             known += inspect.signature(self.model).parameters
         allowed = ", ".join(dict.fromkeys(["omega", AMPLITUDE, *known, *_GAP]))
         raise ModelError(
-            f"parameter {name!r}: must be one of {allowed}; parameters of a System are keywords "
-            "of a function that returns it: pass that function as the model"
+            f"parameter {name!r}: must be one of {allowed}; for a parameter of a System, pass "
+            "a function with this argument that returns the System"
         )
 
     def _check_free(self) -> None:
         model = self.example
         if model.is_forced or model.decay_rate:
             raise ModelError(
-                "along = 'amplitude': continues free motions without damping: "
+                "along = 'amplitude': continues undamped free motions; "
                 "forcing and damping must be 0"
             )
 
@@ -209,7 +209,7 @@ class Family:
             If the model does not have it, or not one value of it.
         """
         if name in self.names:
-            raise ModelError(f"second = {name!r}: is the first parameter; name another one")
+            raise ModelError(f"second = {name!r}: must differ from the first parameter")
         if name == "omega" and self.omega is not None:
             return self.omega
         given = {**self.values, **values}
@@ -220,7 +220,7 @@ class Family:
         laws = self.laws_at(given)
         found = [getattr(law, name) for law in laws if name in _names(law) and name != "gap"]
         if name == "gap" and any(law.gap.j_1 != law.gap.j_2 for law in laws):
-            raise ModelError("second = 'gap': the walls differ; name j_1 or j_2")
+            raise ModelError("second = 'gap': the walls differ; use 'j_1' or 'j_2'")
         if name in _GAP:
             found = [getattr(law.gap, "j_1" if name == "gap" else name) for law in laws]
         if isinstance(model, Oscillator) and name in _names(model):
@@ -228,9 +228,7 @@ class Family:
         if default is not inspect.Parameter.empty:
             found = [default]
         if not found:
-            raise ModelError(
-                f"second = {name!r}: the model has no such parameter, or no value of it"
-            )
+            raise ModelError(f"second = {name!r}: not a parameter of the model, or without a value")
         return float(found[0])
 
     def models(self, windows: tuple[Window, ...], places: Array) -> Models:

@@ -43,39 +43,37 @@ def branches(
     rtol: float = DEFAULT_RTOL,
     atol: float = DEFAULT_ATOL,
 ) -> xr.Dataset:
-    """Continue periodic orbits along a parameter, stable and unstable, through folds and grazes.
+    """Return branches of stable and unstable periodic orbits over a parameter.
 
     Parameters
     ----------
     oscillator : Oscillator, System, or callable
-        A callable returns the model for keyword arguments, such as ``gs.systems.typical_section``.
+        Model, or a function that returns it for keywords, as ``gs.systems.typical_section``.
     law : ContactLaw or mapping of str to ContactLaw
         As in `gapsweep.simulate`.
     along : str
-        ``"omega"`` [Hz]; ``"amplitude"`` [m] of the first coordinate, of free motions without
-        damping; a field of the oscillator (``"forcing"``) or the law (``"K_c"``, ``"epsilon"``,
-        ``"j_1"``, ``"j_2"``, or ``"gap"``: both walls alike); or a keyword of the callable.
+        Parameter: ``"omega"`` [Hz]; ``"amplitude"`` [m] of the first coordinate in undamped free
+        motions; a field of the oscillator (``"forcing"``) or the law (``"K_c"``, ``"epsilon"``,
+        ``"j_1"``, ``"j_2"``, or ``"gap"`` for both walls); or a keyword of the function.
     between : tuple of float
         Range of the parameter, ascending.
     at : float or array_like, optional
-        Parameter values at which branches start, within `between`; by default where a `Response`
-        was found, or at eight values.
+        Parameter values at which branches start, within `between`; by default the value of a
+        `Response`, or eight values.
     start : Response or array_like, optional
-        An orbit to start from: a periodic response, or an initial state (displacements, velocities,
-        first-order states) near an orbit. By default branches start from all attractors that
-        motions from `starts` settle on.
+        First orbit: a periodic response, or an initial state (displacements, velocities,
+        first-order states) near an orbit. By default the attractors of motions from `starts`.
     omega : float, optional
-        Forcing frequency [Hz], where the parameter is another one.
+        Forcing frequency [Hz], if it is not the parameter.
     starts : array_like, shape (n, n_states), optional
-        Initial states of motions that are settled; by default rest, and the first coordinate
+        Initial states of motions that lead to attractors; by default rest, and the first coordinate
         displaced beyond either wall.
     follow : int
-        Generations of branches that leave others at period doublings and where symmetry breaks,
-        0 to 10.
+        Generations of branches that bifurcate at period doublings and symmetry breaking, 0 to 10.
     max_steps : int
-        Orbits of a branch on either side of its start, 2 to 100000.
+        Largest number of orbits on either side of the first orbit, 2 to 100000.
     rtol, atol : float
-        Tolerances of the compiled engine.
+        Tolerances of the compiled engine [-], [m].
 
     Returns
     -------
@@ -100,7 +98,7 @@ def branches(
     values = {along: places[0] if places else window.low}
     if omega is not None:
         if along == "omega":
-            raise ModelError(f"omega = {omega!r}: is the parameter; leave it out")
+            raise ModelError(f"omega = {omega!r}: leave it out, it is the parameter")
         omega = checked("omega", omega, low=0.0, strict=True)
     family = Family(oscillator, law, omega, (along,), values)
     solver = Solver.of("compiled", rtol, atol)
@@ -109,13 +107,13 @@ def branches(
     found.add(_attractors(equations, places, start, starts))
     if not found.attractors:
         raise ModelError(
-            "starts: no motion settles on a periodic orbit; give other starts, values at of "
-            f"{along}, or a start near an orbit"
+            "starts: no motion settles on a periodic orbit; change starts, the values of "
+            f"{along} as at, or an initial state near an orbit as start"
         )
     if start is not None and not found.found:
         raise ModelError(
             f"start: Newton's method finds no periodic orbit near it at {along} = "
-            f"{found.attractors[0].value:g}; settle it first, as with start=gs.respond(...)"
+            f"{found.attractors[0].value:g}; use a steady response, as start=gs.respond(...)"
         )
     for _ in range(follow):
         found.follow()
@@ -131,20 +129,22 @@ def _attractors(
     """Orbits that branches start from."""
     window, n_states = equations.windows[0], equations.n_states
     if start is not None and starts is not None:
-        raise ModelError("starts: branches begin at start; leave one of the two out")
+        raise ModelError("start and starts: give one of them only")
     if start is not None and at is not None and len(at) > 1:
-        raise ModelError(f"at = {at!r}: start is one orbit; give its value of {window.name} only")
+        raise ModelError(
+            f"at = {at!r}: must be one value of {window.name}, since start is one orbit"
+        )
     if isinstance(start, Response):
         if np.ndim(start.period_multiple):
-            raise ModelError("start: several responses; give one, as from gs.respond at one omega")
+            raise ModelError("start: must be one response, as from gs.respond at one omega")
         if start.response_class != ResponseClass.PERIODIC:
-            raise ModelError("start: the response is not periodic; give one that is")
+            raise ModelError("start: must be a periodic response")
         if equations.family.is_forced:
             own, is_parameter = float(start.inputs["omega"]), window.name == "omega"
             called = at[0] if at and is_parameter else equations.family.omega
             if called is not None and not math.isclose(own, called, rel_tol=1e-9):
                 name = "at" if is_parameter else "omega"
-                raise ModelError(f"{name} = {called:g}: the response start is at omega = {own:g}")
+                raise ModelError(f"{name} = {called:g}: must be omega = {own:g} of the response")
             at = _inside(window, own) if is_parameter else at
         if at is None:
             raise ModelError(f"at: missing; give the value of {window.name} of the response")
@@ -158,7 +158,7 @@ def _attractors(
         if equations.has_period:
             raise ModelError("start: an unforced system needs a gapsweep.Response")
         if at is None:
-            raise ModelError(f"at: missing; give the value of {window.name} of the start")
+            raise ModelError(f"at: missing; give the value of {window.name} of the orbit start")
         multiple = _periods(equations, at[0], state)
         return [Attractor(value=at[0], section=state[None, :], period=np.nan, multiple=multiple)]
     if equations.family.is_conservative:
@@ -215,7 +215,7 @@ def _free(equations: OrbitEquations, state: Array) -> Attractor:
     model, laws = equations.family.example, equations.family.laws_at({})
     law = dict(zip(model.contacts, laws, strict=True))
     if not state[0]:
-        raise ModelError("start: its first coordinate must not be 0: it is the amplitude")
+        raise ModelError("start: the first coordinate is the amplitude and must not be 0")
     n, slowest = model.n, model.slowest or model.fastest
     if not slowest:
         raise ModelError("start: this System has no natural frequency; give a Response")

@@ -84,8 +84,8 @@ def _local(workers: int) -> Iterator[Client]:
                 while len(local.scheduler.workers) < workers:
                     if process.poll() is not None:
                         raise ClusterError(
-                            f"no local cluster of {workers} workers: a worker process died as it "
-                            "started, perhaps for lack of memory; run again"
+                            f"no local cluster of {workers} workers: a worker process died during "
+                            "startup, perhaps for lack of memory; try fewer --workers"
                         )
                     time.sleep(_LOOK_SECONDS)
                 yield client
@@ -119,7 +119,7 @@ def check_workers(client: Client, waiting: Callable[[], None] = lambda: None) ->
         For each worker that is retired.
     """
     if client.asynchronous:
-        raise ClusterError("client: asynchronous; pass a synchronous one, as Client(address)")
+        raise ClusterError("client: must be synchronous, as Client(address)")
     try:
         task = None
         while not client.nthreads():
@@ -136,7 +136,7 @@ def check_workers(client: Client, waiting: Callable[[], None] = lambda: None) ->
     for worker, reason in refused.items():
         if len(refused) == len(found):
             raise ClusterError(f"{worker} {reason}")
-        warnings.warn(f"{worker} {reason}; this worker was retired", stacklevel=2)
+        warnings.warn(f"{worker} {reason}; gapsweep stopped using this worker", stacklevel=2)
         client.retire_workers([worker])
 
 
@@ -144,13 +144,13 @@ def _refusal(answer: Mapping[str, str] | BaseException) -> str:
     """Why a worker that answers so with its `software` is refused; empty if it is not."""
     if isinstance(answer, BaseException):
         return (
-            f"cannot run gapsweep ({first_line(answer)}): install the same version there, in the "
-            "environment that its 'dask worker' runs in"
+            f"cannot run gapsweep ({first_line(answer)}); install the same version in the "
+            "environment of its 'dask worker'"
         )
     for name, ours in software().items():
         if (theirs := answer.get(name)) != ours:
             what = "gapsweep with the sources" if name == "gapsweep" else name
-            return f"runs {what} {theirs}, here {ours}: install the same there and start it again"
+            return f"runs {what} {theirs}, here {ours}; install {ours} there and restart the worker"
     return ""
 
 

@@ -309,8 +309,8 @@ class _Execution:
     def _compute_anew(self, job: _Job) -> None:
         if job.losses == _MAX_LOSSES:
             raise ClusterError(
-                f"a result was lost {_MAX_LOSSES} times, as its workers died before it was "
-                "fetched: see their logs, and run again to resume"
+                f"a result was lost {_MAX_LOSSES} times because workers died before it was "
+                "fetched; see their logs, and run again to resume"
             )
         self.suspects.append(replace(job, losses=job.losses + 1))
 

@@ -119,7 +119,7 @@ class Isolated:
                 start_new_session=True,  # deaf to Ctrl-C; its group holds all that it starts
             )
         if self._answer(process, _START_SECONDS) != software():
-            raise ClusterError("gapsweep was edited during the run; run again to resume")
+            raise ClusterError("the code of gapsweep changed during the run; run again to resume")
         return process
 
     def _answer(self, process: "subprocess.Popen[bytes]", timeout: float) -> Any:
@@ -167,7 +167,7 @@ def failure(error: BaseException) -> tuple[Status, str]:
 
 
 def _too_long(timeout: float) -> CallError:
-    return CallError(Status.TIMED_OUT, f"took longer than {timeout:g} s")
+    return CallError(Status.TIMED_OUT, f"exceeded the time limit of {timeout:g} s")
 
 
 def _lost(process: "subprocess.Popen[bytes]", timeout: float) -> CallError:

@@ -44,7 +44,7 @@ def start_of(
         place = cache.place(previous)
         if place is None:
             raise StoreError(
-                f"{cache.path}: the point from which a sweep goes on is no longer stored: run "
+                f"{cache.path}: the preceding point of a sweep is no longer stored; run "
                 "again to resume"
             )
         _, contents, row = place

@@ -34,7 +34,7 @@ from gapsweep.store.slab import Slab, slabs
 from gapsweep.study.points import KEY, OF_CONTACT, Kind, Points
 from gapsweep.study.software import software, versions
 
-_RESTARTED = "the point before it has no end state: starts from the last one that has"
+_RESTARTED = "the preceding point has no end state; started from the last point that has"
 
 # What was computed before has its machine code.
 _warm: set[Kind] = set()
@@ -278,7 +278,7 @@ def models_of(points: Points) -> tuple[tuple[Rows, Models], dict[int, ModelError
         if ":" not in label:
             return contact_law(label, K_c, gap, kind.fit_range, K_ratio=K_ratio)
         if kind.own is None:
-            raise ModelError(f"{label}: the code of this law is not stored")
+            raise ModelError(f"{label}: the code of this user law is not stored")
         return kind.own.law(K_c, gap, K_ratio)
 
     def laws(row: States) -> tuple[ContactLaw, ...]:

@@ -71,8 +71,8 @@ def try_out(study: Study, timeout: float, say: Callable[[str], None]) -> None:
                 own = study.own_law(label)
             except ModelError:
                 continue
-            for step, function in (("imported", _imports), ("called at x = 0", _calls)):
-                say(f"the law {label!r} is {step}, for {limit:g} s at most")
+            for step, function in (("importing {}", _imports), ("calling {} at x = 0", _calls)):
+                say(f"{step.format(label)} (timeout {limit:g} s)")
                 try:
                     isolated(function, own)
                 except CallError as lost:
@@ -80,8 +80,8 @@ def try_out(study: Study, timeout: float, say: Callable[[str], None]) -> None:
                         break  # the plan refuses it, a history has it as its status
                     why = lost.message
                     if lost.status is Status.TIMED_OUT and timeout < _LONGEST:
-                        why += f"; --timeout gives it up to {_LONGEST:g} s"
-                    where = f"{study.source}: the law {label!r}, when {step}"
+                        why += f"; allow up to {_LONGEST:g} s with --timeout"
+                    where = f"{study.source}: {step.format(label)}"
                     raise StudyError([f"{where}: {why}"]) from None
 
 

@@ -98,13 +98,13 @@ def _by_taylor(models: Models, solver: Solver) -> bool:
         if located and not _is_oscillator(models):
             what = "restart = true" if solver.restart else "controller = 'ode45'"
             raise ModelError(
-                f"{what}: locates contacts of an Oscillator with omega_n > 0 and mean_load = 0 "
-                "only; otherwise use engine='scipy', or located=False (piecewise-noevents)"
+                f"{what}: needs an Oscillator with omega_n > 0 and mean_load = 0; "
+                "otherwise use engine='scipy', or located=False (piecewise-noevents)"
             )
         return not laws
     if located and len(located) < len(laws):
         raise ModelError(
-            f"{located[0]}: a contact is located only if all are; take located=False here "
+            f"{located[0]}: contacts are located for all contacts or none; use located=False "
             "(piecewise-noevents), or engine='scipy', which then locates none"
         )
     if _is_oscillator(models) and isinstance(laws[0], Tanh):

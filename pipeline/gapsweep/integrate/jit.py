@@ -247,7 +247,7 @@ def code_folder() -> Path:
     try:
         return _made(_private())
     except OSError:
-        said = "no folder for compiled code can be written: set NUMBA_CACHE_DIR to one"
+        said = "no writable folder for compiled code; set NUMBA_CACHE_DIR to a folder"
         raise OSError(said) from None
 
 

@@ -60,8 +60,8 @@ class Models:
         for system in self.systems:
             if not isinstance(system, Oscillator | System):
                 raise ModelError(
-                    f"oscillator = {system!r}: must be a gapsweep.Oscillator(), which without "
-                    "arguments is the paper's, or a gapsweep.System()"
+                    f"oscillator = {system!r}: must be a gapsweep.Oscillator() or a "
+                    "gapsweep.System()"
                 )
         for laws in self.laws:
             for each in laws:

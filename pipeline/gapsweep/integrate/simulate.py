@@ -65,53 +65,52 @@ def simulate(
     dense_output: bool = False,
     tangent: bool = False,
 ) -> Trajectory:
-    """Simulate an oscillator or a system from given initial states.
+    """Integrate the motion of an oscillator or a system; return its trajectory.
 
     Parameters
     ----------
     oscillator : Oscillator or System, or sequence of them
-        Several must be oscillators, or systems with the same coordinates, first-order states and
-        contacts.
+        The elements of a sequence must be oscillators, or systems with equal coordinates, contacts
+        and numbers of first-order states.
     law : ContactLaw or mapping of str to ContactLaw, or sequence of them
-        One law for all contacts, or that of each contact of a system, by its name.
+        One law for all contacts, or one law per contact of a system, by name.
     omega : float or array_like
-        Forcing frequency [Hz], ``> 0``; None of a system that is not forced.
+        Forcing frequency [Hz], ``> 0``; None for an unforced system.
     x_0 : float or array_like
         Displacement [m] of an oscillator at `t_0`. Sequences of models and laws, `omega`, initial
-        states and `n_periods` are broadcast against each other, as arrays of numpy are.
+        states and `n_periods` are broadcast together, as NumPy arrays.
     v_0 : float or array_like
-        Velocity [m/s], likewise; of a system, velocities along the last axis.
+        Velocity [m/s] at `t_0`; for a system, velocities along the last axis.
     q_0, z_0 : float or array_like
-        Coordinates [m] and first-order states of a system, along the last axis, which may be left
-        out if there is but one.
+        Coordinates [m] and first-order states of a system at `t_0`, along the last axis. The axis
+        may be omitted if the system has one.
     t_end, t_0 : float
-        End and start [s], ``t_end > t_0``.
+        End and start of the integration [s], ``t_end > t_0``.
     n_periods : int or array_like of int
-        In place of `t_end`: forcing periods from `t_0` to the end, ``> 0``. With ``t_0 = 0`` the
-        end is the last point of `section`; of the compiled engine bit for bit.
+        Forcing periods from `t_0` to the end, ``> 0``; instead of `t_end`. With ``t_0 = 0`` the
+        end is the last point of `section`.
     engine, rtol, atol, controller, restart
-        As in `gapsweep.integrate.problem.Solver`; tolerances that are None take the engine's
-        defaults: compiled 1e-9 and 1e-12, scipy 1e-4 and 1e-7.
+        As in `gapsweep.integrate.problem.Solver`. Defaults of `rtol` [-] and `atol` [m] are 1e-9
+        and 1e-12 with engine ``"compiled"``, 1e-4 and 1e-7 with ``"scipy"``.
     dense_output : bool
-        Whether to keep the motion between steps, for its history `t`, `x`, `v` and ``sample(t)``.
+        Whether to keep the history `t`, `x`, `v` and to enable ``sample(t)``.
     tangent : bool
-        Whether to integrate the variational equations along, for ``monodromy``; steps of smooth
-        laws are then cut for them, too. Where kinks of the force are not located
-        (``located=False``, a law of your own with corners) every one that is passed adds an error
-        that no tolerance bounds, 1e-4 to 1e-2 of the whole as measured; `respond` takes the located
-        law's for multipliers where there is one.
+        Whether to integrate the variational equations, for ``monodromy``; they also limit the
+        steps of smooth laws. Kinks of the force that are not located (``located=False``, a user law
+        with corners) add an error that does not depend on the tolerance, 1e-4 to 1e-2 of the
+        matrix in measurements. `respond` computes multipliers with located contacts if possible.
 
     Returns
     -------
     Trajectory
-        Its attributes are arrays if `omega`, a start or `n_periods` is one, or if there are several
-        models or laws. Of a system a `SystemTrajectory`.
+        Attributes are arrays if an argument is an array or a sequence. A system has a
+        `SystemTrajectory`.
 
     Raises
     ------
     ModelError
-        If an argument is out of range, shapes do not fit, or not one of `t_end` and `n_periods` is
-        given. A numerical failure is no error but a `status`.
+        If an argument is out of range, shapes differ, or both or none of `t_end` and `n_periods`
+        are given. A numerical failure is a `status`, not an error.
 
     Examples
     --------
@@ -132,7 +131,7 @@ def simulate(
         span = {"n_periods": _whole_periods(n_periods)}
     if (t_end is None) == (n_periods is None):
         said = "missing" if t_end is None else f"{t_end!r}, and n_periods = {n_periods!r}"
-        raise ModelError(f"t_end = {said}: give one of the two, as t_end=10.0 or n_periods=100")
+        raise ModelError(f"t_end = {said}: give either, as t_end=10.0 or n_periods=100")
     models, start, shape = cases(
         oscillator, law, omega, x_0, v_0, q_0, z_0, np.shape(span.get("n_periods", 0))
     )
@@ -200,7 +199,7 @@ def _whole_periods(n_periods: ArrayLike) -> Any:
     (given,) = broadcast(n_periods=n_periods)
     is_whole = (given == np.rint(given)) & (given >= 1.0) & (given <= _MOST_PERIODS)
     for wrong in given[~is_whole].flat:
-        raise ModelError(f"n_periods = {wrong:g}: must be whole and > 0, as n_periods=100")
+        raise ModelError(f"n_periods = {wrong:g}: must be a whole number > 0, as n_periods=100")
     return given.astype(np.int64)[()]
 
 
@@ -301,7 +300,7 @@ def _several(name: str, value: Any) -> NDArray[Any]:
     except ValueError as error:
         raise ModelError(f"{name}: {error}") from None
     if not found.size:
-        raise ModelError(f"{name} = {value!r}: must be one, or a sequence of at least one")
+        raise ModelError(f"{name} = {value!r}: must be one object or a sequence, not empty")
     return found
 
 
@@ -316,8 +315,8 @@ def _alike(systems: NDArray[Any]) -> Any:
     for each in others:
         if _names(each) != _names(first):
             raise ModelError(
-                f"oscillator: {_names(first)} and {_names(each)}: several must all be oscillators, "
-                "or systems with the same coordinates, contacts and number of first-order states"
+                f"oscillator: {_names(first)} and {_names(each)}: must be oscillators, or systems "
+                "with equal coordinates, contacts and numbers of first-order states"
             )
     return first
 
@@ -373,7 +372,9 @@ def _system_starts(
         if size == 1 and given.shape[-1:] != (1,):  # responses of one coordinate have no such axis
             given = given[..., None]
         if given.ndim and given.shape[-1] != size:
-            raise ModelError(f"{name}: has the shape {given.shape}, its last axis must be {size}")
+            raise ModelError(
+                f"{name}: has the shape {given.shape}; its last axis must have length {size}"
+            )
         parts.append(given if given.ndim else np.full(size, given))
     (frequency,) = [np.zeros(())] if omega is None else broadcast(omega=omega)
     try:
@@ -400,7 +401,7 @@ def _check_clock(models: Models, t_0: float) -> None:
     for k in np.flatnonzero(coarse)[:1].tolist():
         fastest = models.systems[models.system[k]].fastest
         raise ModelError(
-            f"t_0 = {t_0:g} s: at omega = {omega[k]:g} Hz its phase leaves a clock of "
+            f"t_0 = {t_0:g} s: at omega = {omega[k]:g} Hz the phase resolves times of "
             f"{resolved[k]:.2g} s, must be <= {_CLOCK_SHARE / fastest:.2g} s; start at t_0 = 0"
         )
 

@@ -49,39 +49,38 @@ def _of_motions(column: Callable[[Motions], NDArray[Any]]) -> Any:
 
 
 class Trajectory:
-    """One simulated motion, or an array of them: its end, its history, its events, its cost.
+    """A simulated motion, or an array of motions: end state, history, events and counts.
 
-    Every attribute is a plain value for one motion. For an array of motions it is an array of
-    their shape; ragged lists (`extrema`, `section`, ...) become arrays of arrays.
+    Attributes are plain values for one motion, arrays of the common shape for several motions, and
+    arrays of arrays for ragged lists (`extrema`, `section`, ...).
 
-    Events come from a second, recording pass over the same motion when they are first asked for:
-    most runs need none, and the motion does not depend on it by a single bit. A run that is to be
-    sampled is made when it is first asked about anything: if by `sample`, one pass does for all.
-    A pickle holds the end and the events asked for so far; dense output is computed again.
+    Events are computed at first use, by a second integration with bitwise equal steps. With
+    ``dense_output=True`` the integration itself runs at first use. A pickle contains the end state
+    and the events computed so far; dense output is recomputed.
 
     Attributes
     ----------
     t_end, x_end, v_end : float
-        Time [s], displacement [m] and velocity [m/s] where the run ended; earlier than asked for
-        if `status` is not ok.
+        Time [s], displacement [m] and velocity [m/s] at the end of the motion; `t_end` is earlier
+        than requested if `status` is not ok.
     t, x, v : ndarray
-        Their history, with ``dense_output=True``, at evenly spaced times from `t_0` to `t_end`: 16
-        for every step of the solver. An array of motions has one row of times, which ends at the
-        earliest `t_end`; times are the last axis of `x` and `v`.
+        History, with ``dense_output=True``, at evenly spaced times from `t_0` to `t_end`, 16 per
+        step of the solver. Several motions share the times, up to the earliest `t_end`; times are
+        the last axis of `x` and `v`.
     t_0 : float
-        Start [s].
+        Start of the motion [s].
     n_contacts, n_steps, n_rejected, nfev : int
-        Wall crossings (in and out, each counted once), accepted and rejected steps, right-hand
-        sides of the motion, without the search for extrema (for a Taylor method, expansions).
+        Wall crossings (in and out, each counted once), accepted and rejected steps, and
+        right-hand-side evaluations (expansions of a Taylor method), without the search for extrema.
     status : Status
-        How the run ended.
+        Outcome of the motion.
     inputs : mapping of str to object
         Arguments of the call by name, defaults included; frequencies and initial states have the
-        shape of the run. ``gs.simulate(**run.inputs)`` computes it again.
+        common shape. ``gs.simulate(**run.inputs)`` repeats the call.
     laws : tuple of ContactLaw
-        Of the contacts; of an oscillator the one. Of several an array of tuples.
+        Contact laws, one per contact; an array of tuples for several motions.
     monodromy : ndarray, shape (2, 2), or None
-        Derivative of the end state by the initial state, with ``tangent=True``.
+        Derivative of the end state with respect to the initial state, with ``tangent=True``.
 
     Examples
     --------
@@ -143,10 +142,10 @@ class Trajectory:
         return None if found is None else found.reshape(*self.shape, *found.shape[1:])
 
     def to_dataset(self) -> Any:
-        """The run as an `xarray.Dataset`: its history over `t` if there is one, else its end.
+        """Return an `xarray.Dataset` of the history over `t`, or without history of the end state.
 
-        The other dimensions are `omega` and `initial_condition` where every frequency is simulated
-        from every initial state, otherwise `point`.
+        Other dimensions are `omega` and `initial_condition` if every frequency has every initial
+        state, otherwise `point`.
         """
         if not self._has_dense_output:
             return self._ends()
@@ -173,7 +172,7 @@ class Trajectory:
         return dataset(self.inputs, self.shape, VARIABLES, arrays)
 
     def to_dataframe(self) -> Any:
-        """The values of `to_dataset` as a `pandas.DataFrame`: a row a motion, or a row a time."""
+        """Return the values of `to_dataset` as a `pandas.DataFrame`, a row per motion or time."""
         return to_dataframe(self.to_dataset(), *(["t"] if self._has_dense_output else []))
 
     def _repr_html_(self) -> str:
@@ -200,9 +199,9 @@ class Trajectory:
 
     @property
     def section(self) -> Array:
-        """Section, shape (n_points, n_states): the state at every whole forcing period.
+        """Poincaré section, shape (n_points, n_states): states at whole forcing periods.
 
-        Of a motion that nothing forces, where its first coordinate has a maximum.
+        The section of an unforced system is at the maxima of its first coordinate.
         """
         return self._ragged(self._events.section, self._events.n_section)
 
@@ -212,17 +211,17 @@ class Trajectory:
         return self._ragged(self._events.t_section, self._events.n_section)
 
     def sample(self, t: ArrayLike) -> tuple[Array, ...]:
-        """Displacement [m] and velocity [m/s] at times `t` [s] within the run.
+        """Return displacement [m] and velocity [m/s] at times `t` [s] of the motion.
 
         Parameters
         ----------
         t : array_like
-            Times [s]. For an array of motions the result has their shape, then that of `t`.
+            Times within ``t_0..t_end`` [s]. The result has the shape of the motions, then of `t`.
 
         Raises
         ------
         ModelError
-            If the run kept no dense output, or a time lies outside it.
+            If the run has no dense output, or a time is outside the motion.
         """
         try:
             t = floats(t)
@@ -235,7 +234,7 @@ class Trajectory:
         motions = self._dense_from(earlier if is_inside else math.inf)
         end = float(np.min(motions.t))
         if not motions.n_steps.all():
-            raise ModelError("a motion failed in its first step: it has no history")
+            raise ModelError("no history: a motion failed in its first step")
         inside = (t >= self.t_0) & (t <= end)
         if not np.all(inside):
             outside = float(t[~inside].flat[0])
@@ -250,9 +249,7 @@ class Trajectory:
     def _dense_from(self, t: float) -> Motions:
         """Dense output from `t` on; kept, and computed again only for earlier times."""
         if not self._has_dense_output:
-            raise ModelError(
-                "no history was kept, only t_end, ...: simulate with dense_output=True"
-            )
+            raise ModelError("no history: simulate with dense_output=True")
         if self._dense is None or self._dense[0] > t:
             self._dense = t, self._solve(t, True)
         return self._dense[1]
@@ -287,18 +284,19 @@ class Trajectory:
 
 
 class SystemTrajectory(Trajectory):
-    """One simulated motion of a `System`, or an array of them, as a `Trajectory`.
+    """A simulated motion of a `System`, or an array of motions, as a `Trajectory`.
 
     Attributes
     ----------
     q_end, v_end : ndarray, shape (..., n)
-        Coordinates [m] and velocities [m/s] where the run ended.
+        Coordinates [m] and velocities [m/s] at the end of the motion.
     z_end : ndarray, shape (..., m)
-        First-order states there.
+        First-order states at the end.
     q, v, z : ndarray, shape (..., n_times, n) or (..., n_times, m)
-        Their history at the times `t`, with ``dense_output=True``.
+        History at the times `t`, with ``dense_output=True``.
     monodromy : ndarray, shape (..., 2 n + m, 2 n + m), or None
-        Derivative of the end state (q, v, z) by the initial one, with ``tangent=True``.
+        Derivative of the end state (q, v, z) with respect to the initial state, with
+        ``tangent=True``.
 
     Examples
     --------
@@ -311,7 +309,7 @@ class SystemTrajectory(Trajectory):
 
     @property
     def system(self) -> System:
-        """The system; of several the first, whose names all have."""
+        """The system; the first one of a sequence."""
         system: System = objects(self.inputs["oscillator"]).flat[0]
         return system
 

@@ -32,16 +32,16 @@ _THIN = 30.0  # gap over the width of a layer
 
 @dataclass(frozen=True)
 class ContactLaw:
-    """What every contact law has.
+    """Base class of contact laws: force and slope over displacement.
 
     Parameters
     ----------
     K_c : float
-        Contact stiffness [N/m], ``>= 0``; of the upper wall, where the walls differ.
+        Contact stiffness [N/m], ``>= 0``; stiffness of the upper wall if the walls differ.
     gap : Gap
-        Distances of the two walls from the origin; a pair of numbers [m] is made one.
+        Distances of the walls from the origin; a pair of numbers [m] is taken as well.
     K_ratio : float
-        Stiffness of the lower wall over that of the upper [-], ``>= 0``.
+        Stiffness of the lower wall over the stiffness of the upper wall [-], ``>= 0``.
 
     Examples
     --------
@@ -67,44 +67,44 @@ class ContactLaw:
 
     @classmethod
     def canonical(cls, label: str, parameter: str) -> str:
-        """The one spelling of what follows the family in a label.
+        """Return the canonical spelling of the parameter in a label.
 
         Raises
         ------
         ModelError
-            If it is none of this family.
+            If the parameter is invalid for this family.
         """
         raise NotImplementedError
 
     @classmethod
     def of_label(cls, parameter: str, fit_range: float) -> dict[str, Any]:
-        """The numbers of the law's own that a canonical label says, by what follows its family."""
+        """Return the parameters of the law, by name, from the parameter of a canonical label."""
         raise NotImplementedError
 
     @property
     def exact(self) -> "Piecewise":
-        """The exact law between the same walls."""
+        """The exact law with the same walls and stiffnesses."""
         return Piecewise(self.K_c, self.gap, K_ratio=self.K_ratio)
 
     @property
     def walls(self) -> tuple[float, float]:
-        """Places of the lower and the upper wall [m]; one without stiffness stands out of reach."""
+        """Positions of the lower and upper wall [m]; ±`DIVERGED_AT` without stiffness."""
         low = -self.gap.j_1 if self.K_ratio * self.K_c else -DIVERGED_AT
         return low, self.gap.j_2 if self.K_c else DIVERGED_AT
 
     @property
     def is_symmetric(self) -> bool:
-        """Whether the contact is its own mirror image: walls equally far and equally stiff."""
+        """Whether the walls have equal distances and equal stiffnesses."""
         return self.gap.is_symmetric and self.K_ratio == 1.0
 
     @property
     def layer(self) -> float:
-        """Thickness of the smoothing layer at a wall [m]; NaN if it has none."""
+        """Thickness of the smoothing layer at a wall [m]; NaN for laws without a layer."""
         return math.nan
 
     @property
     def turns(self) -> tuple[float, ...] | None:
-        """Displacements [m] at which the force turns, maybe some more; None: look for them."""
+        """Displacements [m] that include all extrema of the force; None if unknown."""
         return None
 
     def __post_init__(self) -> None:
@@ -114,28 +114,28 @@ class ContactLaw:
 
     @property
     def valid_range(self) -> tuple[float, float]:
-        """Lowest and highest displacement [m] at which the law represents the contact."""
+        """Lowest and highest displacement [m] at which the law is valid."""
         return -math.inf, math.inf
 
     def force(self, x: ArrayLike) -> Array:
-        """Restoring force on the mass [N], shape of `x` [m]."""
+        """Return the restoring force on the mass [N] at displacements `x` [m], of their shape."""
         raise NotImplementedError
 
     def derivative(self, x: ArrayLike) -> Array:
-        """Slope dF_c/dx [N/m], shape of `x` [m]."""
+        """Return the slope dF_c/dx [N/m] at displacements `x` [m], of their shape."""
         raise NotImplementedError
 
 
 @called_as("gs.Piecewise(1.4e4, gs.Gap(4e-4, 4e-4)), in N/m and m")
 @dataclass(frozen=True)
 class Piecewise(ContactLaw):
-    """Exact freeplay: zero in the gap, a wall's stiffness times the penetration outside.
+    """Exact law: no force in the gap, stiffness times penetration beyond a wall.
 
     Parameters
     ----------
     located : bool
-        Whether every contact is located, within a step. False is the label
-        ``piecewise-noevents``: the same force, its kinks left to step-size control.
+        Whether contact times are located within a step. False has the label
+        ``piecewise-noevents``: the same force without event location.
 
     Examples
     --------
@@ -261,12 +261,12 @@ class _Switched(_Sharpened):
 @called_as("gs.Tanh(1.4e4, gs.Gap(4e-4, 4e-4), epsilon=1e4), in N/m, m and 1/m")
 @dataclass(frozen=True)
 class Tanh(_Switched):
-    """Hyperbolic-tangent blending.
+    """Smooth approximation of the exact law by hyperbolic tangents.
 
     Parameters
     ----------
     epsilon : float
-        Convergence parameter [1/m], ``> 0``; its inverse is the width of the layer.
+        Convergence parameter [1/m], ``> 0``; its reciprocal is the thickness of the layer.
 
     Examples
     --------
@@ -317,7 +317,7 @@ def _blend_slope(z: float) -> float:
 @called_as("gs.Arctan(1.4e4, gs.Gap(4e-4, 4e-4), epsilon=1e4), in N/m, m and 1/m")
 @dataclass(frozen=True)
 class Arctan(_Switched):
-    """Inverse-tangent blending, with algebraic tails far outside its layer.
+    """Smooth approximation of the exact law by arctangents; its error decays algebraically.
 
     Parameters
     ----------
@@ -342,7 +342,7 @@ class Arctan(_Switched):
 @called_as("gs.LogArctan(1.4e4, gs.Gap(4e-4, 4e-4), gamma=1e4), in N/m, m and 1/m")
 @dataclass(frozen=True)
 class LogArctan(_Sharpened):
-    """Integral of the arctan-smoothed stiffness, anchored so that ``force(0) = 0``.
+    """Smooth approximation: integral of an arctangent stiffness, with ``force(0) = 0``.
 
     Parameters
     ----------
@@ -351,8 +351,8 @@ class LogArctan(_Sharpened):
 
     Notes
     -----
-    The anchor moves the force of an asymmetric contact by a constant, between equal walls about
-    ``K_c (1 + ln(γ j_2)) / (π γ)`` for ``j_1 = 0``.
+    The condition ``force(0) = 0`` shifts the force of an asymmetric contact by a constant; for
+    ``j_1 = 0`` and equal stiffnesses about ``K_c (1 + ln(γ j_2)) / (π γ)``.
 
     Examples
     --------

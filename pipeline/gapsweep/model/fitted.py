@@ -93,14 +93,14 @@ class Fitted(ContactLaw):
 @called_as("gs.Polynomial(1.4e4, gs.Gap(4e-4, 4e-4), degree=13)")
 @dataclass(frozen=True)
 class Polynomial(Fitted):
-    """Least-squares polynomial.
+    """Least-squares polynomial approximation of the exact law.
 
     Parameters
     ----------
     degree : int
         Polynomial degree, 1 to 60.
     fit_range : float
-        Half-width of the fitted range [m], ``> 0``.
+        Half-width of the fit range [m], larger than the distance of either wall.
 
     Examples
     --------
@@ -132,19 +132,19 @@ class Polynomial(Fitted):
 @called_as("gs.RationalPolynomial(1.4e4, gs.Gap(4e-4, 4e-4), numerator=5, denominator=3)")
 @dataclass(frozen=True)
 class RationalPolynomial(Fitted):
-    """Least-squares rational polynomial without a pole in the fitted range.
+    """Least-squares rational approximation of the exact law, without poles in the fit range.
 
     Parameters
     ----------
     numerator, denominator : int
         Degrees, 1 to 20.
     fit_range : float
-        Half-width of the fitted range [m], ``> 0``.
+        Half-width of the fit range [m], larger than the distance of either wall.
 
     Raises
     ------
     ModelError
-        If the best fit has a pole in the range; the message names it.
+        If the best fit has a pole in the fit range.
 
     Examples
     --------

@@ -56,12 +56,12 @@ def family(label: str) -> type[ContactLaw] | None:
 
 
 def canonical_label(label: str) -> str:
-    """The one spelling of a label: ``tanh-10000`` and ``tanh-1e4`` are ``tanh-1e4``.
+    """Return the canonical spelling of a label, as ``tanh-1e4`` for ``tanh-10000``.
 
     Raises
     ------
     ModelError
-        If the label is unknown or its parameter out of range.
+        If the label is unknown or its parameter is out of range.
 
     Examples
     --------
@@ -116,20 +116,20 @@ def is_fitted(label: str) -> bool:
 def contact_law(
     label: str, K_c: float, gap: Gap, fit_range: float = FIT_RANGE, *, K_ratio: float = 1.0
 ) -> ContactLaw:
-    """Build a contact law from its label.
+    """Return the contact law of a label.
 
     Parameters
     ----------
     label : str
-        See the module's table.
+        Family and parameter, as ``piecewise``, ``tanh-1e4`` [1/m], ``poly-13`` or ``ratpoly-5/3``.
     K_c : float
-        Contact stiffness [N/m], ``>= 0``; of the upper wall, where the walls differ.
+        Contact stiffness [N/m], ``>= 0``; stiffness of the upper wall if the walls differ.
     gap : Gap
-        Distances of the walls from the origin.
+        Distances of the walls from the origin [m].
     fit_range : float
-        Half-width [m] of the range on which polynomials are fitted.
+        Half-width of the fit range of polynomials [m].
     K_ratio : float
-        Stiffness of the lower wall over that of the upper [-], ``>= 0``.
+        Stiffness of the lower wall over the stiffness of the upper wall [-], ``>= 0``.
 
     Examples
     --------
@@ -139,7 +139,7 @@ def contact_law(
     """
     label = canonical_label(label)
     if label == AUTO:
-        raise ModelError("'auto' is no law: a study chooses one for every sweep point")
+        raise ModelError("'auto' is for studies only; write a representation, as 'piecewise'")
     chosen = family(label)
     if chosen is None:
         return OwnLaw.of(label, [Path.cwd()]).law(K_c, gap, K_ratio)
@@ -150,7 +150,7 @@ def contact_law(
 def law(
     function: Callable[[float], float], K_c: float, gap: Gap, *, K_ratio: float = 1.0
 ) -> UserLaw:
-    """A user's own contact law from a scalar function of the displacement [m] to newtons.
+    """Return a user law: a function from displacement [m] to restoring force [N].
 
     Examples
     --------

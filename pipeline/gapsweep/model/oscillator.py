@@ -97,15 +97,15 @@ def whole(name: str, value: int, low: int, high: int) -> int:
 @called_as("gs.Oscillator(mass=3.0, omega_n=5.0, zeta=0.03), in kg, Hz and 1")
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Oscillator:
-    """Mass on a linear and a cubic spring, damped and loaded harmonically.
+    """Mass on a linear and a cubic spring, with damping and harmonic forcing.
 
     Parameters
     ----------
     zeta : float
         Damping ratio [-], ``>= 0``.
     omega_n : float
-        Natural frequency of the linear spring alone [Hz], ``>= 0``; 0 of a free mass, as of a gear
-        on its shaft, which only contacts hold.
+        Natural frequency without contact and cubic spring [Hz], ``>= 0``; 0 for a mass without a
+        spring, such as a gear.
     mass : float
         Mass m [kg], ``> 0``.
     alpha : float
@@ -113,9 +113,9 @@ class Oscillator:
     forcing : float
         Forcing amplitude p [N].
     mean_load : float
-        Constant load p_0 [N], as a drag torque or a weight.
+        Constant load p_0 [N], such as a weight.
     c : float
-        Viscous damping c [N s/m] in addition to that of `zeta`, ``>= 0``; a free mass has no other.
+        Viscous damping c [N s/m] in addition to `zeta`, ``>= 0``. `zeta` needs a spring.
 
     Examples
     --------
@@ -164,12 +164,12 @@ class Oscillator:
 
     @property
     def damping_ratio(self) -> float:
-        """`zeta` and, where there is a spring, the share of `c` [-]."""
+        """Damping ratio of `zeta` and `c` together [-]."""
         return self.zeta + (0.5 * self.c / (self.mass * self.omega_n_rad) if self.omega_n else 0.0)
 
     @property
     def is_held(self) -> bool:
-        """Whether a spring holds it, contacts apart."""
+        """Whether it has a linear spring."""
         return self.omega_n > 0.0
 
     @property
@@ -183,7 +183,7 @@ class Oscillator:
         return self.omega_n
 
     def unit(self, omega_rad: Any) -> tuple[Any, Any]:
-        """Size of one metre of the section in displacement and velocity.
+        """Return the scales of displacement [m] and velocity [m/s] of a motion of one metre.
 
         Parameters
         ----------
@@ -204,9 +204,9 @@ class Oscillator:
 
     @property
     def settling_rate(self) -> float:
-        """Rate at which the last of a free motion of the linear system decays [1/s].
+        """Smallest decay rate of a free motion of the linear system [1/s].
 
-        It is `decay_rate` up to critical damping; beyond, the motion creeps ever more slowly.
+        It equals `decay_rate` up to critical damping and is smaller beyond.
         """
         if not self.omega_n:
             return self.decay_rate
@@ -219,12 +219,12 @@ class Oscillator:
 @called_as("gs.Gap(1e-4, 1e-4), the distances of the lower and the upper wall in metres")
 @dataclass(frozen=True, slots=True)
 class Gap:
-    """Freeplay: the mass touches nothing while ``-j_1 <= x <= j_2``.
+    """Distances of the walls: there is no contact while ``-j_1 <= x <= j_2``.
 
     Parameters
     ----------
     j_1, j_2 : float
-        Distance of the lower and upper wall from the origin [m], ``>= 0``.
+        Distances of the lower and the upper wall from the origin [m], ``>= 0``.
 
     Examples
     --------

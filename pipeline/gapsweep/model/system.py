@@ -56,7 +56,7 @@ def floats(value: ArrayLike) -> Array:
     """
     is_plain = getattr(getattr(value, "dtype", None), "kind", "O") != "O"  # one kind for all
     if not all(map(is_number, [value] if is_plain else np.asarray(value, dtype=object).flat)):
-        raise TypeError("text or truth values among the numbers")
+        raise TypeError("text or booleans among the numbers")
     return np.array(value, dtype=float)
 
 
@@ -87,10 +87,10 @@ class Harmonic:
     k : int
         Multiple of the forcing frequency, 0 to 1000.
     phase : float
-        [rad]: the load is ``amplitude * cos(2 pi k omega t + phase)``.
+        Phase [rad] in ``amplitude * cos(2 pi k omega t + phase)``.
     inertial : bool
-        Whether it grows with frequency, as of an unbalance or of a base that moves: times
-        ``(2 pi k omega)²``.
+        Whether the amplitude is multiplied by ``(2 pi k omega)²``, as of an unbalance or a moving
+        base.
 
     Examples
     --------
@@ -111,7 +111,7 @@ class Harmonic:
             raise ModelError("inertial: a constant load (k = 0) has none")
 
     def growth(self, omega_rad: Any) -> Any:
-        """What the amplitude is multiplied by at an angular frequency, or at several [rad/s]."""
+        """Return the factor of the amplitude at an angular frequency [rad/s], or several."""
         return (self.k * omega_rad) ** 2 if self.inertial else 1.0 + 0.0 * omega_rad
 
 
@@ -148,11 +148,11 @@ class Modulation:
     Parameters
     ----------
     depth : float
-        [-].
+        Amplitude of the stiffness variation relative to the mean stiffness [-].
     k : int
         Multiple of the forcing frequency, 1 to 1000.
     phase : float
-        [rad].
+        Phase [rad].
 
     Examples
     --------
@@ -172,16 +172,16 @@ class Modulation:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Lags:
-    """First-order states z, as of aerodynamics or filters: ``z' = E q' + G q + H z``.
+    """First-order states, as of aerodynamics or filters: ``z' = E q' + G q + H z``.
 
     Parameters
     ----------
     force : array_like, shape (n, m)
-        D: what they do to the coordinates, with the sign of a stiffness.
+        D: the term ``D z`` on the left side of the equation of motion.
     of_speed, of_place : array_like, shape (m, n)
-        E and G.
+        E and G: influence of the velocities and the coordinates.
     of_lags : array_like, shape (m, m)
-        H.
+        H: influence of the states themselves.
 
     Examples
     --------
@@ -200,19 +200,19 @@ class Lags:
 @called_as("gs.System(mass=M, stiffness=K, contacts={'stop': [1.0, 0.0]})")
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True, repr=False)
 class System:
-    """A machine with n coordinates and contacts; see the module for its equation.
+    """A system with n coordinates: matrices, contacts, cubic springs and harmonic loads.
 
     Parameters
     ----------
     mass, stiffness : array_like, shape (n, n)
-        M, symmetric and positive definite, and K.
+        M, symmetric and positive definite [kg], and K [N/m].
     damping : array_like, shape (n, n), optional
-        C; none by default.
+        C [N s/m]; zero by default.
     contacts : mapping of str to array_like, shape (n,)
-        Direction b of every contact, by name; none by default.
+        Direction b of every contact, by name: the contact has the displacement ``b·q``.
     cubic : sequence of Cubic
     forcing : sequence of Harmonic
-        Without one of ``k >= 1`` nothing depends on time but what `modulation` makes depend.
+        Loads; a system without loads of ``k >= 1`` and without `modulation` is unforced.
     modulation : mapping of str to sequence of Modulation
         Periodic stiffness of contacts, by name.
     lags : Lags, optional
@@ -222,7 +222,7 @@ class System:
     Raises
     ------
     ModelError
-        If an array has another shape or holds no number, or M is not positive definite.
+        If an array has the wrong shape or is not of numbers, or M is not positive definite.
 
     Examples
     --------
@@ -291,7 +291,7 @@ class System:
 
     @property
     def parts(self) -> dict[str, tuple[str, ...]]:
-        """Dimensions within a point of a dataset, those with several entries, and their labels."""
+        """Dimensions of a response with several entries, and their labels."""
         lags = tuple(f"z_{i + 1}" for i in range(self.n_lags))
         found = {COORDINATE: tuple(self.coordinates), CONTACT: tuple(self.contacts), LAG: lags}
         return {name: labels for name, labels in found.items() if len(labels) > 1}
@@ -308,7 +308,7 @@ class System:
 
     @property
     def is_forced(self) -> bool:
-        """Whether anything in it repeats with the forcing's period."""
+        """Whether loads or stiffnesses depend on time."""
         return any(self.modulation.values()) or any(load.k > 0 for load in self.forcing)
 
     @property
@@ -318,7 +318,7 @@ class System:
 
     @property
     def sizes(self) -> Hashable:
-        """What systems have in common that an engine can take together."""
+        """Numbers of coordinates, contacts and loads, equal for systems integrated together."""
         harmonics = tuple((load.k, load.phase) for load in self.forcing)
         terms = tuple(map(len, self.modulation.values()))
         return self.n, self.n_lags, len(self.contacts), len(self.cubic), harmonics, terms
@@ -335,20 +335,19 @@ class System:
 
     @property
     def is_held(self) -> bool:
-        """Whether springs hold every coordinate, contacts apart."""
+        """Whether every coordinate has a stiffness without contact."""
         return int(np.linalg.matrix_rank(self.stiffness)) == self.n
 
     @property
     def decay_rate(self) -> float:
-        """Rate [1/s] at which a volume of states shrinks, whatever the forces, per state."""
+        """Rate [1/s] at which volumes in state space contract, divided by the number of states."""
         return -float(np.trace(first_order(self))) / self.n_states
 
     @property
     def settling_rate(self) -> float:
-        """Rate [1/s] at which the last of a free motion out of contact decays; 0: it never does.
+        """Smallest decay rate of a free motion without contact, at most `decay_rate` [1/s].
 
-        What neither decays nor grows there, for nothing but contacts holds it, does not count:
-        in contact it decays as the volume does.
+        Rigid-body modes, which only contacts restrain, do not count.
         """
         rates = -np.linalg.eigvals(first_order(self)).real
         decaying: list[float] = rates[rates > _STILL * np.abs(rates).max()].tolist()
@@ -356,21 +355,21 @@ class System:
 
     @property
     def slowest(self) -> float:
-        """Smallest natural frequency of what is held out of contact [Hz], 0 if nothing is."""
+        """Smallest nonzero natural frequency without contact [Hz], 0 if there is none."""
         moduli = np.abs(np.linalg.eigvals(first_order(self)))
         held = moduli[moduli > _STILL * moduli.max(initial=0.0)]
         return float(held.min(initial=math.inf)) / (2.0 * math.pi) if held.size else 0.0
 
     @property
     def fastest(self) -> float:
-        """Largest modulus of an eigenvalue of the linear part out of contact [Hz]."""
+        """Largest modulus of the eigenvalues of the linear system without contact [Hz]."""
         return float(np.abs(np.linalg.eigvals(first_order(self))).max()) / (2.0 * math.pi)
 
     def unit(self, omega_rad: ArrayLike) -> Array:
-        """Size of one metre of the lightest coordinate in every state, shape (n_states, ...).
+        """Return the scale of every state for a motion of one metre, shape (n_states, ...).
 
-        Coordinates and velocities are measured by their kinetic energy, first-order states by what
-        such a motion makes of them.
+        Scales of coordinates and velocities have the kinetic energy of the lightest coordinate;
+        first-order states follow from these motions.
 
         Parameters
         ----------

@@ -102,7 +102,7 @@ def __dir__() -> list[str]:
 
 
 def typical_section(speed: float, copy: str = "darabseh", density: float = 1.225) -> System:
-    """Wing section in an air stream, with freeplay at its flap: three degrees of freedom.
+    """Return a wing section in an air stream with freeplay at its flap, three coordinates.
 
     Coordinates are plunge ``h`` [m, down], pitch ``alpha`` [rad, nose up] and flap ``beta`` [rad,
     trailing edge down, against the wing]; all forces are those of a metre of span::
@@ -117,20 +117,20 @@ def typical_section(speed: float, copy: str = "darabseh", density: float = 1.225
     Parameters
     ----------
     speed : float
-        Of the air, U [m/s], ``> 0``; the studies go from 4 to 24.
+        Air speed U [m/s], ``> 0``; published studies cover 4 to 24.
     copy : str
-        Source of the numbers: ``"darabseh"``, or ``"conner-scaled"``, which follows from the
-        dimensionless ratios that Conner et al. print.
+        Source of the parameters: ``"darabseh"``, or ``"conner-scaled"`` from the dimensionless
+        ratios of Conner et al.
     density : float
-        Of the air [kg/m³], ``>= 0``.
+        Air density [kg/m³], ``>= 0``.
 
     Notes
     -----
     Conner, Tang, Dowell and Virgin, *J. Fluids Struct.* 11 (1997) 89-109. Printed: linear flutter,
     the flap on its spring, at 23.9 m/s; it is at 23.898 and 23.846 m/s in the two copies.
     They disagree in masses (m 1.558 or 1.5666 kg/m, with what plunges along 3.3843 or 3.39298) and
-    damping ratios (0.0133, 0.01626, 0.0133 or 0.0113, 0.01626, 0.0115), taken here of each
-    coordinate alone. Motions are printed from h = 0.01 m: with ``"conner-scaled"`` an asymmetric
+    damping ratios (0.0133, 0.01626, 0.0133 or 0.0113, 0.01626, 0.0115), applied here to each
+    uncoupled coordinate. Published from h = 0.01 m: with ``"conner-scaled"`` an asymmetric
     limit cycle at 12.36842 m/s, and a change to another at 12.7778 m/s.
 
     Raises
@@ -168,13 +168,14 @@ def typical_section(speed: float, copy: str = "darabseh", density: float = 1.225
 
 
 def typical_section_law(copy: str = "darabseh", freeplay: float = FREEPLAY) -> Piecewise:
-    """The flap's spring of the same copy of `typical_section`, behind its freeplay.
+    """Return the contact law of the flap of `typical_section`.
 
     Parameters
     ----------
     copy : str
+        As in `typical_section`.
     freeplay : float
-        On either side [rad], ``>= 0``; printed 2.12 degrees. Without any the section is linear.
+        Freeplay on either side [rad], ``>= 0``; published 2.12 degrees. 0: a linear section.
 
     Examples
     --------
@@ -258,7 +259,7 @@ def _theodorsen_constants(a: float, c: float) -> dict[int, float]:
 
 
 def two_masses() -> System:
-    """Two masses in a row, the first free at its outer side, where a one-sided spring stops it.
+    """Return a chain of two masses; a one-sided elastic stop limits the first.
 
     Without dimensions::
 
@@ -291,7 +292,7 @@ def two_masses() -> System:
 
 
 def two_masses_law() -> Piecewise:
-    """The one-sided stop of `two_masses`, ``100 (x - 1)`` beyond 1: `K_ratio` is 0.
+    """Return the one-sided stop of `two_masses`, ``100 (x - 1)`` beyond 1; `K_ratio` is 0.
 
     Examples
     --------
@@ -309,7 +310,7 @@ def gear_pair(
     errors: tuple[float, ...] = (0.01, 0.004, 0.002),
     depths: tuple[float, ...] = (-0.2, -0.1, -0.05),
 ) -> System:
-    """Spur gears with backlash, and a mesh whose stiffness is periodic.
+    """Return a spur gear pair with backlash and periodic mesh stiffness.
 
     Without dimensions; x is the transmission error along the line of action, in half backlashes::
 
@@ -324,7 +325,7 @@ def gear_pair(
     zeta : float
         Damping ratio [-], ``>= 0``.
     mean_load : float
-        Of the transmitted torque [-].
+        Mean transmitted load [-].
     errors, depths : tuple of float
         Harmonics 1, 2, ... of the static transmission error and of the mesh stiffness [-].
 
@@ -359,7 +360,7 @@ def gear_pair(
 
 
 def gear_pair_law() -> Piecewise:
-    """The mean mesh stiffness of `gear_pair`, 1, on either side of its backlash.
+    """Return the contact law of `gear_pair`: mean mesh stiffness 1 beyond the backlash.
 
     Examples
     --------
@@ -371,7 +372,7 @@ def gear_pair_law() -> Piecewise:
 
 
 def soft_impact_oscillator(zeta: float = 0.01, load: float = 0.9 * 0.8**2 / 1.26) -> System:
-    """A mass on a spring, driven against a second, stiffer one that waits at a distance.
+    """Return a harmonically forced mass on a spring, with a second spring behind a gap.
 
     Without dimensions, in gaps and natural frequencies::
 
@@ -382,8 +383,8 @@ def soft_impact_oscillator(zeta: float = 0.01, load: float = 0.9 * 0.8**2 / 1.26
     zeta : float
         Damping ratio [-], ``>= 0``.
     load : float
-        Amplitude. The default is that of a base that moves by 0.9 mm in front of a gap of 1.26 mm
-        at 2 pi omega = 0.8; it stays the same at any other, as in the source.
+        Forcing amplitude [-]. The default is that of a base motion of 0.9 mm with a gap of 1.26 mm
+        at 2 pi omega = 0.8; as in the source it does not depend on omega.
 
     Notes
     -----
@@ -413,12 +414,12 @@ def soft_impact_oscillator(zeta: float = 0.01, load: float = 0.9 * 0.8**2 / 1.26
 
 
 def soft_impact_oscillator_law(ratio: float = 29.0) -> Piecewise:
-    """The second spring of `soft_impact_oscillator`, ``ratio (x - 1)`` beyond 1; `K_ratio` is 0.
+    """Return the second spring of `soft_impact_oscillator`, ``ratio (x - 1)`` beyond 1.
 
     Parameters
     ----------
     ratio : float
-        Of its stiffness to the first one's [-], ``>= 0``.
+        Stiffness of the second spring over the stiffness of the first [-], ``>= 0``.
 
     Examples
     --------

@@ -20,22 +20,21 @@ _NO_WALL = 1e-12  # of the other chord: the ratio of two needs both
 
 @dataclass(frozen=True, init=False, repr=False)
 class ForceTable(ContactLaw):
-    """A measured force; between its points a monotone piecewise cubic.
+    """A measured force curve, interpolated by monotone piecewise cubics.
 
-    The curve (PCHIP: Fritsch & Butland, 1984) has a continuous slope, meets every point, and rises
-    or falls between two of them as they do: a stretch of zeros stays zero. Beyond the table it goes
-    on straight, and a motion that goes there ends as ``out_of_fit_range``. The table's numbers are
-    the law: two of the same numbers are the same.
+    The curve (PCHIP: Fritsch & Butland, 1984) has a continuous slope, passes through every point
+    and is monotone between neighbouring points: a range of zeros stays zero. Beyond the table it is
+    extrapolated linearly, and a motion there gets the status ``out_of_fit_range``.
 
     Parameters
     ----------
     x : array_like, shape (n,)
-        Displacements [m], rising, from zero or below to zero or above; 2 to 10,000 of them.
+        Displacements [m], ascending; their range contains 0. 2 to 10,000 values.
     F : array_like, shape (n,)
-        Restoring forces on the mass there [N].
+        Restoring forces on the mass at `x` [N].
     gap : Gap, optional
-        Walls, at which contacts are counted; by default the ends of the interval around zero in
-        which the forces are zero, and no gap where there is none.
+        Walls at which contacts are counted; by default the ends of the interval around x = 0 in
+        which the forces are zero; without such an interval no gap.
     noise : float
         Largest force [N] that is measurement noise, ``>= 0``: in the interval around zero in which
         no force is larger, all forces are set to zero. The walls then lie ``noise / K_c`` further
@@ -44,11 +43,11 @@ class ForceTable(ContactLaw):
     Raises
     ------
     ModelError
-        If the table is none of these.
+        If the table is invalid.
 
     Notes
     -----
-    `K_c` and `K_ratio` are those of the chords from the walls to the ends of the table.
+    `K_c` and `K_ratio` are the slopes of the chords from the walls to the ends of the table.
 
     Examples
     --------
@@ -82,7 +81,7 @@ class ForceTable(ContactLaw):
         return f"<gapsweep.ForceTable: {len(self.x)} points, {low:g}..{high:g} m>"
 
     def between(self, gap: Gap) -> "ForceTable":
-        """The same table, contacts counted at other walls."""
+        """Return the same table with other walls at which contacts are counted."""
         return ForceTable(self.x, self.F, gap)
 
     @property
@@ -91,7 +90,7 @@ class ForceTable(ContactLaw):
 
     @property
     def is_odd(self) -> bool:
-        """Whether the force of either side is the other's, with the other sign."""
+        """Whether ``F(-x) = -F(x)``."""
         mirrored = tuple(-x for x in reversed(self.x)), tuple(-f for f in reversed(self.F))
         return mirrored == (self.x, self.F)
 
@@ -101,10 +100,10 @@ class ForceTable(ContactLaw):
 
     @cached_property
     def pieces(self) -> Array:
-        """Where each piece begins [m], and its coefficients there, highest power first.
+        """Left ends of the pieces [m], and their coefficients, highest power first.
 
-        Shape (n + 1, 5): the straight line below the table, the pieces, that above it. A
-        displacement belongs to the piece whose number is that of the table's points not above it.
+        Shape (n + 1, 5): the line below the table, the pieces, the line above it. The number of a
+        displacement's piece is the number of table points that are not above it.
         """
         from scipy.interpolate import PchipInterpolator  # slow to import, and few laws are tables
 
@@ -118,7 +117,7 @@ class ForceTable(ContactLaw):
 
     @property
     def turns(self) -> tuple[float, ...]:
-        """Points between which it rises to one side and not to the other: plateaus' ends too."""
+        """Displacements [m] where the sign of the slope changes, ends of plateaus included."""
         rises = np.sign(np.diff(self.F))
         return tuple(self._places[1:-1][rises[1:] != rises[:-1]].tolist())
 

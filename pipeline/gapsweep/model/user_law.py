@@ -21,14 +21,14 @@ SLOPE_STEP, SLOPE_LENGTH = 6e-6, 1e-9
 
 @dataclass(frozen=True)
 class UserLaw(ContactLaw):
-    """A user's own contact law.
+    """A user law: a function of the displacement.
 
     Parameters
     ----------
     function : callable
-        Scalar force [N] as a function of the displacement [m]. `K_c`, `K_ratio` and `gap` only
-        label it and place the walls at which contacts are counted: none where the stiffness is
-        zero.
+        Restoring force [N] as a function of the displacement [m], both scalars. `K_c`, `K_ratio`
+        and `gap` do not enter the force; they define the walls at which contacts are counted. A
+        wall of zero stiffness counts no contacts.
 
     Examples
     --------
@@ -60,7 +60,7 @@ class UserLaw(ContactLaw):
 
     @property
     def name(self) -> str:
-        """Where the function lives, as ``"module:function"``."""
+        """Module and name of the function, as ``"module:function"``."""
         module = plain(str(self.function.__module__))
         return f"{module}:{getattr(self.function, '__qualname__', '?')}"
 

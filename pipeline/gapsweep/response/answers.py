@@ -42,52 +42,52 @@ _LINEAR = 1e-3  # of a spring's stiffness, below which what a cubic one adds is 
 # Why points of some states are unresolved, then why others are.
 _REASONS = {
     State.NO_RETURN: (
-        "never comes back to its section, the maxima of the first coordinate: it creeps, or "
-        "another coordinate should come first"
+        "the motion does not return to its section, the maxima of the first coordinate: it creeps, "
+        "or another coordinate must be the first"
     ),
     State.HIDDEN: (
-        "a contact or a cubic spring moves by less than 1e-5 of what all moves, by kinetic energy: "
-        "too little to be told from errors of the rest; simulate its part alone"
+        "a contact or a cubic spring has less than 1e-5 of the kinetic energy, which is within "
+        "solver error; simulate this part of the system separately"
     ),
     State.UNSTABLE_REST: (
-        "it rests on an unstable equilibrium (exponent {exponent}): start it elsewhere"
+        "the initial state is an unstable equilibrium (exponent {exponent}); choose another"
     ),
     State.LOCKED: (
-        "it repeats, but after more than max_period_multiple = {largest} periods (raise it, to 256 "
-        "at most), or not on a stable orbit"
+        "the motion repeats after more than max_period_multiple = {largest} periods (raise it, to "
+        "256 at most), or not on a stable orbit"
     ),
     State.GROWING: (
-        "the motion was still going farther at the end, on its way or because nothing holds it: "
-        "give it more {time}"
+        "the displacement grew until the end: the motion is a transient or unbounded; allow more "
+        "{time}"
     ),
 }
 _UNDAMPED = (
-    "without damping a motion does not settle, and this one does not repeat within "
-    "max_period_multiple = {largest} periods; where omega_n = 0, c is the damping, not zeta"
+    "a motion without damping does not settle, and this motion does not repeat within "
+    "max_period_multiple = {largest} periods; with omega_n = 0 set c, not zeta"
 )
 _UNMEASURED = (
     "no stable orbit of up to max_period_multiple = {largest} periods was found, and no Lyapunov "
-    "exponent was measured: give it more {time}"
+    "exponent was measured; allow more {time}"
 )
 _BLURRED = (
-    "it repeats every {n} periods within the solver's noise, but shooting finds no stable orbit "
-    "there: lower rtol and atol"
+    "the motion repeats every {n} periods within the solver's noise, but shooting finds no stable "
+    "orbit; lower rtol and atol"
 )
 _NEUTRAL = (
-    "it repeats every {n} periods, but nothing except contacts holds the mass: there is such an "
-    "orbit at every place in the gap"
+    "the motion repeats every {n} periods, but the mass has no spring: every position in the gap "
+    "has such an orbit"
 )
 _SHRINKS = (
     "the Lyapunov exponent, {exponent}, is negative, but no stable orbit of up to "
-    "max_period_multiple = {largest} periods was found: raise it (256 at most), or give it more "
+    "max_period_multiple = {largest} periods was found; raise it (256 at most), or allow more "
     "{time}"
 )
 _STAYS = (
-    "the Lyapunov exponent, {exponent}, is positive, but the motion repeats to a thousandth: it "
-    "leaves an unstable orbit slowly, or its chaos is weak; give it more {time}, or record more of "
-    "it (n_periods)"
+    "the Lyapunov exponent, {exponent}, is positive, but the motion repeats to 0.1 %: it "
+    "leaves an unstable orbit slowly, or its chaos is weak; allow more {time}, or record more "
+    "periods (n_periods)"
 )
-_UNCERTAIN = "the sign of the Lyapunov exponent, {exponent}, is not certain: give it more {time}"
+_UNCERTAIN = "the sign of the Lyapunov exponent, {exponent}, is not certain; allow more {time}"
 _TIME = "time (max_decay_times, max_periods, t_max)"
 
 

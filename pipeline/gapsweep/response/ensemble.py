@@ -117,8 +117,8 @@ class Ensemble:
         """
         if not omega.all():
             raise ModelError(
-                "oscillator: neither springs nor damping nor lags give this System a time of its "
-                "own; `simulate` it"
+                "oscillator: this System has no springs, damping or lags, hence no time scale; "
+                "use gapsweep.simulate"
             )
         self.omega, rate = omega, 2.0 * math.pi * omega
         self.unit = np.empty((self.models.systems[0].n_states, len(omega)))

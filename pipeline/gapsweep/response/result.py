@@ -34,7 +34,7 @@ from gapsweep.variables import (
 
 
 class ResponseClass(IntEnum):
-    """What kind of motion the steady response is; the order is part of the schema.
+    """Class of a steady response; datasets store its number.
 
     Examples
     --------
@@ -69,7 +69,7 @@ COLUMNS: dict[str, Variable] = {
     "status": Variable("i1", "1", "outcome of the sweep point", Status.NOT_REQUESTED, STATUS_FLAGS),
     "response_class": Variable("i1", "1", "class of the steady response", -1, CLASS_FLAGS),
     "period_multiple": Variable("i4", "1", "forcing periods in one response period, 0: none", 0),
-    "n_extrema": Variable("i4", "1", "true number of steady extrema", 0, dims=_Q),
+    "n_extrema": Variable("i4", "1", "number of steady extrema, stored or not", 0, dims=_Q),
     "x_max": Variable("f8", "m", "peak displacement of the steady response", dims=_Q),
     "x_min": Variable("f8", "m", "trough displacement of the steady response", dims=_Q),
     "amplitude": Variable("f8", "m", "half the range of the steady response", dims=_Q),
@@ -79,12 +79,14 @@ COLUMNS: dict[str, Variable] = {
     "lyapunov": Variable("f8", "s-1", "largest Lyapunov exponent"),
     "lyapunov_error": Variable("f8", "s-1", "standard error of the largest Lyapunov exponent"),
     **COUNTS,
-    "t_settled": Variable("f8", "s", "simulated time until the response was accepted"),
-    "t_simulated": Variable("f8", "s", "simulated time of the motion: settling and recording"),
-    "noise": Variable("f8", "m", "expected noise of the section; distance to an equilibrium"),
+    "t_settled": Variable("f8", "s", "simulated time until the response was steady"),
+    "t_simulated": Variable("f8", "s", "simulated time, transient and recording window"),
+    "noise": Variable(
+        "f8", "m", "expected numerical noise of the section; for equilibria, distance to it"
+    ),
     "x_end": Variable("f8", "m", "displacement at the last section point", dims=_Q),
     "v_end": Variable("f8", "m s-1", "velocity at the last section point", dims=_Q),
-    "cpu_time": Variable("f8", "s", "processor time of motion, shots and tangents, in the worker"),
+    "cpu_time": Variable("f8", "s", "CPU time of motion, shooting and tangents, in the worker"),
     "contact_x_max": Variable("f8", "m", "peak relative displacement at the contact", dims=_B),
     "contact_x_min": Variable("f8", "m", "trough relative displacement at the contact", dims=_B),
     "period": Variable("f8", "s", "period of an unforced response"),
@@ -172,31 +174,30 @@ def sizes_of(structure: AnyStructure, steady: "Steady") -> dict[str, int]:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Steady:
-    """When a response counts as steady, and how much of it is recorded.
+    """Convergence criteria of a steady response, and its recording window.
 
     Parameters
     ----------
     settle_tol : float
-        Share [-] of a disturbance that may be left when a motion without a period is taken
-        for settled, in (0, 0.1].
+        Remaining share of a disturbance at which an aperiodic motion counts as settled [-], in
+        (0, 0.1].
     max_decay_times, max_periods : float, int
-        Decay times, ``1/(ζ ω_n + c/2m)``, and forcing periods, the fewer of which a motion is
-        watched for a period, but never shorter than it needs to settle; then its
-        exponent is computed.
-        Transient chaos may last many decay times. Both ``> 0``.
+        Longest search for a period, in decay times ``1/(ζ ω_n + c/2m)`` and forcing periods,
+        ``> 0``; the shorter limit counts, but at least the settling time. The Lyapunov exponent of
+        a motion without a period is computed afterwards. Transient chaos may last many decay times.
     t_max : float, optional
-        Bound [s] of the time that it is watched before its last window of `n_periods`, also where
-        it then has not settled, ``> 0``. What has settled without a period by then may be watched
-        as long again at a time for its exponent, and for a torus.
+        Longest time [s] before the last recording window of `n_periods`, ``> 0``, for motions that
+        have not settled, too. Settled aperiodic motions may be integrated further, for as long per
+        attempt, for the Lyapunov exponent and the detection of a torus.
     n_periods : int
-        Forcing periods in a full recording window, at least twice `max_period_multiple`.
+        Forcing periods of the recording window, at least twice `max_period_multiple`.
     max_period_multiple : int
-        Largest period multiple looked for, 1 to 256.
+        Largest period multiple of the search, 1 to 256.
     lyapunov_error : float, optional
-        Standard error [1/s] to which the Lyapunov exponent of an aperiodic motion is measured, over
-        at most `max_periods`, ``> 0``; without it until the sign is certain.
+        Standard error [1/s] of the Lyapunov exponent of aperiodic motions, ``> 0``, measured over
+        at most `max_periods`; None: until the sign is certain.
     max_extrema : int
-        Extrema kept per point, 1 to 65536.
+        Extrema stored per point, 1 to 65536.
 
     Examples
     --------
@@ -238,74 +239,73 @@ class Steady:
 
 @dataclass(frozen=True, slots=True, kw_only=True, repr=False)
 class Response:
-    """Steady response of one sweep point, or of an array of them.
+    """Steady response, or an array of responses.
 
-    It has an attribute for every dataset variable: a plain value, or an array of values. Of a
-    `System` with several coordinates, values of displacements are arrays whose last axis is that
-    of its coordinates; with several contacts, forces and shares of time have an axis of contacts.
+    Attributes are the variables of ``responses.nc``: plain values, or arrays of several
+    responses. Displacements of a `System` with several coordinates have the coordinates as their
+    last axis; forces and shares of time have the contacts if there are several.
 
     Attributes
     ----------
     status : Status
     response_class : ResponseClass
     period_multiple : int
-        n of a period-n response, 0 if none was found; where nothing forces it, how many maxima its
-        first coordinate has in a period.
+        n of a period-n response, 0 if aperiodic; for an unforced system, number of maxima of the
+        first coordinate in a period.
     extrema : tuple of float
         Steady zero-velocity displacements [m] in order of time: over n periods if periodic,
-        else over the last window; at most `max_extrema`. Of a system those of its first coordinate,
-        then of the second, and so on, as `n_extrema` says.
+        else over the recording window; at most `max_extrema`. Coordinates of a system follow each
+        other, with `n_extrema` values each.
     extremum_kind : tuple of int
         `ExtremumKind` of each.
     n_extrema : int
-        Their true count.
+        Number of extrema, also beyond `max_extrema`.
     x_max, x_min, amplitude : float
         Peak, trough and half their difference [m]; NaN if the point failed.
     force_max : float
-        Largest magnitude of the contact force [N] between peak and trough; NaN of a contact whose
-        stiffness changes with time.
+        Largest magnitude of the contact force [N] between peak and trough; NaN for a contact of
+        periodic stiffness.
     contact_share : float
-        Share of the time [-] spent beyond the walls, ``x < -j_1`` or ``x > j_2``: of a whole
-        period if periodic, else of the last window.
+        Share of the time [-] beyond the walls, ``x < -j_1`` or ``x > j_2``, in a response period,
+        or in the recording window if aperiodic.
     contact_x_max, contact_x_min : float
         Peak and trough of the relative displacement ``b · q`` [m] at each contact of a system; NaN
-        where one contact follows one coordinate.
+        if the only contact is at the only coordinate.
     multipliers : tuple of float
         Real and imaginary parts of the Floquet multipliers over n periods, largest modulus first;
-        empty if not periodic. Where nothing forces the response, without that along the motion,
-        which is one.
+        empty if aperiodic. The multiplier 1 along the orbit of an unforced system is left out.
     multiplier_abs : float
-        Largest modulus [-]; NaN if not periodic.
+        Largest modulus [-]; NaN if aperiodic.
     lyapunov, lyapunov_error : float
-        Largest Lyapunov exponent [1/s] and its standard error: zero, as it follows from the
-        multipliers, if periodic, unless the solver rattles the motion about its orbit. NaN where
-        it could not be told.
+        Largest Lyapunov exponent [1/s] and its standard error. The exponent of a periodic response
+        follows from the multipliers, with error zero unless solver error blurs the orbit. NaN if
+        unknown.
     section : tuple of float
-        Section points ``x, v, x, v, ...`` [m], [m/s], of a system ``q, v, z, q, v, z, ...``: the n
-        of a periodic response, else the last `max_period_multiple` of the window.
+        Section points ``x, v, x, v, ...`` [m], [m/s], for a system ``q, v, z, q, v, z, ...``: n
+        points if periodic, else the last `max_period_multiple` of the recording window.
     n_contacts, n_steps, n_rejected, nfev : int
-        Wall crossings, accepted and rejected steps and right-hand sides of the motion: settling and
-        recording; without shots, tangents and the search for events inside a step.
+        Wall crossings, accepted and rejected steps and right-hand-side evaluations of transient and
+        recording window, without shooting, tangents and event location.
     t_settled : float
-        Simulated time [s] after which the response was accepted.
+        Simulated time [s] until the response was steady.
     t_simulated : float
-        Simulated time of the motion [s], over which the counts are taken.
+        Simulated time [s] of transient and recording window, for which the counts are.
     noise : float
-        Predicted scatter [m] of section points one response period (one forcing period if there
-        is none) apart, from the solver's tolerances alone; of a rest, how far off it is.
+        Expected numerical noise of the section [m], from the solver's tolerances: scatter of points
+        a response period apart (aperiodic: a forcing period). For equilibria, distance to it.
     period : float
-        Period [s] of a periodic response that nothing forces; NaN of others.
+        Period [s] of a periodic response of an unforced system, else NaN.
     x_end, v_end : float
-        Last section point [m], [m/s]: where a sweep's next point starts.
+        Last section point [m], [m/s]: initial state of a sweep's next point.
     z_end : tuple of float
-        First-order states there, of a system that has some.
+        First-order states at the last section point.
     cpu_time : float
-        Processor time of the integration [s], shots and tangents included.
+        CPU time of the integration [s], including shooting and tangents.
     message : str
-        Why the point failed, or is unresolved and what may help; empty otherwise.
+        Reason of a failure or an unresolved response, and a remedy; else empty.
     inputs : mapping of str to object
         Arguments of the call by name, defaults included; frequencies and initial states have the
-        shape of the response. ``gs.respond(**found.inputs)`` computes it again.
+        common shape. ``gs.respond(**found.inputs)`` repeats the call.
 
     Examples
     --------
@@ -355,10 +355,10 @@ class Response:
     inputs: Mapping[str, Any] = field(default_factory=dict, compare=False)
 
     def to_dataset(self) -> Any:
-        """The responses as an `xarray.Dataset`, with the variables of ``responses.nc``.
+        """Return the responses as an `xarray.Dataset` with the variables of ``responses.nc``.
 
-        Its dimensions are `omega` and `initial_condition` where every frequency is computed from
-        every initial state, otherwise `point`.
+        Dimensions are `omega` and `initial_condition` if every frequency has every initial state,
+        otherwise `point`.
         """
         shape, steady = np.shape(self.status), self.inputs["steady"]
         models, n = objects(self.inputs["oscillator"]), math.prod(shape)
@@ -381,10 +381,10 @@ class Response:
         return dataset(self.inputs, shape, RESPONSE | _MESSAGE, arrays)
 
     def to_dataframe(self) -> Any:
-        """The responses as a `pandas.DataFrame`, a row each, without extrema and sections.
+        """Return the responses as a `pandas.DataFrame`, a row each, without extrema and sections.
 
-        Columns are the variables of `to_dataset`; values of several coordinates or contacts have
-        a column each, as ``x_max[q_1]``. Status and class are words.
+        Columns are the variables of `to_dataset`, one column per coordinate or contact, as
+        ``x_max[q_1]``. Status and class are words.
         """
         return to_dataframe(self.to_dataset())
 

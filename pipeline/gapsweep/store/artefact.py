@@ -41,8 +41,7 @@ def replacing(path: Path, is_ours: Callable[[Path], bool] | None = None) -> Iter
     """
     if is_ours is not None and path.exists() and not is_ours(path):
         raise StoreError(
-            f"{path}: not written by gapsweep, so it is left alone; move it away or choose "
-            "another folder with --out"
+            f"{path}: not written by gapsweep; move the file, or choose another folder with --out"
         )
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -165,8 +164,8 @@ def reading(folder: Path) -> Iterator[None]:
         raise
     except Exception as error:
         raise StoreError(
-            f"{folder}: its files hold something else than this gapsweep writes "
-            f"({described(error)}): 'gapsweep run' makes them again"
+            f"{folder}: files are not in the format of this version "
+            f"({described(error)}); 'gapsweep run' rewrites them"
         ) from error
 
 
@@ -216,7 +215,7 @@ def alone_in(folder: Path) -> Iterator[None]:
             try:
                 fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
             except BlockingIOError:
-                warnings.warn(f"{folder}: waiting for the run that writes there", stacklevel=4)
+                warnings.warn(f"{folder}: waiting for another run in this folder", stacklevel=4)
                 fcntl.flock(descriptor, fcntl.LOCK_EX)
         yield
     finally:

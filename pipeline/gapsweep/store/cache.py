@@ -78,8 +78,8 @@ class Cache:
         self.path = Path(path)
         if self.path.exists() and not self.path.is_dir():
             raise StoreError(
-                f"{self.path}: is no folder; caches of earlier versions were files: name a folder "
-                "with --cache"
+                f"{self.path}: must be a folder, is a file (of an earlier version?); "
+                "choose a folder with --cache"
             )
         with _store_errors(self.path):
             if not read_only:
@@ -188,7 +188,7 @@ class Cache:
                 self.rewrite(small | paths & self.damaged)
         except OSError as error:
             if all(path.exists() for path in paths):  # or else another process merges them
-                warnings.warn(f"{self.path}: small files remain: {error}", stacklevel=1)
+                warnings.warn(f"{self.path}: small files were not merged: {error}", stacklevel=1)
 
     def rewrite(self, paths: Collection[Path], removed: Collection[bytes] = ()) -> None:
         """Put the sound frames of segments into a new one, and then remove these segments.
@@ -251,8 +251,8 @@ class Cache:
         if path not in self.damaged:
             self.damaged.add(path)
             warnings.warn(
-                f"{path}: damaged, or of another version: the next run computes again what is lost "
-                "in it; 'gapsweep cache gc --apply' removes the rest",
+                f"{path}: damaged, or of another version; the next run recomputes its points, "
+                "and 'gapsweep cache gc --apply' removes the damage",
                 stacklevel=1,  # once for all who read
             )
 
@@ -280,7 +280,7 @@ class Cache:
             return None if slab is None else (slab, stored(slab))
         except ValueError as error:
             raise StoreError(
-                f"{self._frames[number].path}: written by something else than a run ({error}): "
+                f"{self._frames[number].path}: not written by a run ({error}); "
                 "'gapsweep cache gc --apply' removes it"
             ) from None
 
@@ -303,8 +303,8 @@ def _store_errors(path: Path) -> Iterator[None]:
         yield
     except OSError as error:
         raise StoreError(
-            f"{error.filename or path}: {error.strerror or error}: make room or repair it and run "
-            "again, or name another folder with --cache; everything stored so far is kept"
+            f"{error.filename or path}: {error.strerror or error}; free disk space and run "
+            "again, or choose another folder with --cache; stored points are kept"
         ) from None
 
 

@@ -168,7 +168,7 @@ def _errors(path: Path) -> Iterator[None]:
     except (OSError, RuntimeError) as error:
         reason = getattr(error, "strerror", None) or error
         raise StoreError(
-            f"{path}: cannot be written: {reason}; make room if the disk is full, and run again"
+            f"{path}: cannot be written: {reason}; free disk space and run again"
         ) from None
 
 
@@ -233,13 +233,13 @@ def read(path: str | Path, *, lazy: bool = False) -> "xr.Dataset":
 
     path = Path(path)
     if path.is_dir():
-        raise StoreError(f"{path}: is a folder; name a file in it, as {path / 'responses.nc'}")
+        raise StoreError(f"{path}: is a folder; name a file, as {path / 'responses.nc'}")
     try:
         intact = is_intact(path)
         if intact is False:
             raise StoreError(
-                f"{path}: damaged or changed since it was written (SHA-256 differs from "
-                "SHA256SUMS beside it); 'gapsweep run' writes it again from the cache"
+                f"{path}: damaged or changed since it was written (its SHA-256 differs from "
+                "SHA256SUMS); 'gapsweep run' rewrites it from the cache"
             )
         opened = (xr.open_dataset if lazy else xr.load_dataset)(path, engine="netcdf4")
         for coordinate in opened.coords.values():
@@ -247,13 +247,13 @@ def read(path: str | Path, *, lazy: bool = False) -> "xr.Dataset":
     except StoreError:
         raise
     except FileNotFoundError:
-        raise StoreError(f"{path}: no such file; 'gapsweep run' makes it") from None
+        raise StoreError(f"{path}: no such file; 'gapsweep run' writes it") from None
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or error
         raise StoreError(f"{path}: cannot be read as NetCDF: {reason}") from None
     if intact is None:
         warnings.warn(
-            f"{path}: no SHA-256 beside it, damage would go unnoticed; copy SHA256SUMS along",
+            f"{path}: not checked for damage; copy the file SHA256SUMS to the same folder",
             stacklevel=2,
         )
     for variable in opened.variables.values():  # of texts that may be cut, and then saved again

@@ -119,7 +119,7 @@ def stored(slab: Slab) -> Stored:
         # No more than so many points can have.
         data = unpacking.decompress(slab.columns, _MOST_BYTES * n)
         if not unpacking.eof or unpacking.unused_data:
-            raise ValueError("its columns are of other lengths")
+            raise ValueError("its columns differ in length")
 
         def column(dtype: str, size: int) -> NDArray[Any]:
             nonlocal at
@@ -137,14 +137,14 @@ def stored(slab: Slab) -> Stored:
         }
         counts = {name: column("i4", n).astype(np.int64) for name in LISTS}
         if min(count.min() for count in counts.values()) < 0:
-            raise ValueError("a list of negative length")
+            raise ValueError("a list has a negative length")
         lists = {
             name: (column(LISTS[name], int(counts[name].sum())), counts[name]) for name in LISTS
         }
         status = columns["status"]
         is_known = bool(np.all((status >= 0) & (status <= max(Status))))
         if at != len(data) or status.tobytes() != slab.status or not is_known:
-            raise ValueError("its columns are of other lengths")
+            raise ValueError("its columns differ in length")
         messages = {int(row): str(text) for row, text in json.loads(slab.messages).items()}
         return Stored(previous, numbers, Responses(columns, lists, messages))
     except (zlib.error, KeyError, TypeError, AttributeError, RecursionError) as error:

@@ -24,7 +24,7 @@ RUNNING, FINISHED, INTERRUPTED, FAILED, DIED = (
     "failed",
     "died",
 )
-NO_FOLDER = "is a file; name the folder of a run, as data/runs/quick"
+NO_FOLDER = "must be the folder of a run, as data/runs/quick, not a file"
 # Longer than any pause between two tasks is worth a doubt, if the process cannot be seen.
 _SILENT_SECONDS = 120.0
 
@@ -89,15 +89,15 @@ class RunState:
             found = cls(**values)
             is_dead = found.state == RUNNING and not found.is_alive
         except FileNotFoundError:
-            raise StoreError(f"{path}: no such file; 'gapsweep run' makes it") from None
+            raise StoreError(f"{path}: no such file; 'gapsweep run' writes it") from None
         except NotADirectoryError:
             raise StoreError(f"{folder}: {NO_FOLDER}") from None
         except OSError as error:
             raise StoreError(f"{path}: cannot be read: {error.strerror}") from None
         except (ValueError, TypeError):
-            raise StoreError(f"{path}: is no state of a run; run the study again") from None
+            raise StoreError(f"{path}: not the state of a run; run the study again") from None
         if is_dead:
-            return replace(found, state=DIED, message="its process is gone; run again to resume")
+            return replace(found, state=DIED, message="its process ended; run again to resume")
         return found
 
     def is_hidden_in(self, folder: Path) -> bool:

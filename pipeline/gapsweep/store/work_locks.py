@@ -30,7 +30,7 @@ class WorkLocks:
     def __init__(self, cache: Path, points: bytes | memoryview) -> None:
         file = cache / "claims"
         if file.is_symlink():
-            raise StoreError(f"{file}: a symbolic link, which could lead anywhere: remove it")
+            raise StoreError(f"{file}: must be a file, is a symbolic link; remove it")
         self._file = file.open("ab")
         self._place = int.from_bytes(hashlib.sha256(points).digest()[:4], "big") * _ROOM
 

@@ -48,13 +48,13 @@ Value = TypeVar("Value", bound=float)
 
 
 class TomlTable(BaseModel):
-    """A table of a study file: no unknown key, no conversion, nothing infinite."""
+    """A table of a study file: unknown keys, conversions and infinite numbers are errors."""
 
     model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False, frozen=True)
 
 
 class OscillatorTable(TomlTable):
-    """The oscillator's numbers, each of which may be swept."""
+    """Parameters of the oscillator, in the units of `Oscillator`; each may be swept."""
 
     zeta: NonNegative = 0.03
     omega_n: NonNegative = 5.0
@@ -88,7 +88,7 @@ class _RangeTable(TomlTable, Generic[Value]):
         if self.span < 0.0:
             raise ValueError(f"stop {self.stop:g} must be >= start {self.start:g}")
         if not self.span <= _LARGEST:
-            raise ValueError(f"stop {self.stop:g} must be within {_LARGEST:g} of start")
+            raise ValueError(f"stop {self.stop:g} - start {self.start:g} must be <= {_LARGEST:g}")
         return self
 
 
@@ -176,13 +176,17 @@ class _Box(TomlTable):
     @model_validator(mode="after")
     def _ascending(self) -> "_Box":
         if len(self.x) != len(self.v):
-            raise ValueError(f"x has {len(self.x)} ranges and v {len(self.v)}: must be as many")
+            raise ValueError(f"x has {len(self.x)} ranges, v has {len(self.v)}: must be equal")
         for name, ranges in (("x", self.x), ("v", self.v)):
             for low, high in ranges:
                 if not low <= high:
-                    raise ValueError(f"{name} = [{low:g}, {high:g}] must ascend")
+                    raise ValueError(
+                        f"{name} = [{low:g}, {high:g}]: must be ascending, as [-1e-3, 1e-3]"
+                    )
                 if not max(-low, high) <= _LARGEST:
-                    raise ValueError(f"{name} = [{low:g}, {high:g}] must be within {_LARGEST:g}")
+                    raise ValueError(
+                        f"{name} = [{low:g}, {high:g}]: must be within -{_LARGEST:g}..{_LARGEST:g}"
+                    )
         return self
 
 
@@ -218,7 +222,9 @@ class GridStarts(_Box):
     @model_validator(mode="after")
     def _plane(self) -> "GridStarts":
         if len(self.x) != 1:
-            raise ValueError("a grid is of one coordinate; give sobol in its place")
+            raise ValueError(
+                "grid: must have one range of x and of v; use sobol for several coordinates"
+            )
         return self
 
     @property

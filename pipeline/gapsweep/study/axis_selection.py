@@ -56,7 +56,7 @@ def positions(
             raise ValueError(f"{name} = {said}: not in {of}, which has {listed(axis)}")
         found += at
     if not found:
-        raise ValueError(f"{name} = []: nothing selected")
+        raise ValueError(f"{name} = []: empty; name at least one value")
     return np.unique(np.array(found, dtype=np.int64))
 
 
@@ -74,20 +74,22 @@ def is_numeric(axis: ArrayLike) -> bool:
 
 def _within(name: str, axis: NDArray[Any], wanted: slice, of: str) -> NDArray[np.int64]:
     if wanted.step is not None:
-        raise ValueError(f"{name} = {wanted}: a slice has no step here")
+        raise ValueError(f"{name} = {wanted}: must be a slice without a step")
     if wanted == slice(None):
         return np.arange(axis.size)
     if not is_numeric(axis):
-        raise ValueError(f"{name} = {wanted}: give labels, not a slice")
+        raise ValueError(f"{name} = {wanted}: must be a label or a list of labels")
     try:
         low = -np.inf if wanted.start is None else canonical(wanted.start)
         high = np.inf if wanted.stop is None else canonical(wanted.stop)
     except (TypeError, ValueError, OverflowError):
-        raise ValueError(f"{name} = {wanted}: its ends must be numbers") from None
+        raise ValueError(f"{name} = {wanted}: the ends must be numbers") from None
     values = np.array([canonical(value) for value in axis.tolist()])
     found = np.flatnonzero((values >= low) & (values <= high))
     if not found.size:
-        raise ValueError(f"{name} = {low:g} to {high:g}: nothing there; {of} has {listed(axis)}")
+        raise ValueError(
+            f"{name} = {low:g} to {high:g}: no values in this range; {of} has {listed(axis)}"
+        )
     return found
 
 

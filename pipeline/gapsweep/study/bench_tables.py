@@ -85,9 +85,11 @@ class MethodTable(TomlTable):
     @model_validator(mode="after")
     def _pairs(self) -> "MethodTable":
         if self.atol is not None and len(self.atol) != len(self.rtol):
-            raise ValueError(f"atol has {len(self.atol)} values, rtol {len(self.rtol)}")
+            raise ValueError(
+                f"atol has {len(self.atol)} values, rtol has {len(self.rtol)}: must be equal"
+            )
         if sorted(set(self.rtol), reverse=True) != self.rtol:
-            raise ValueError("rtol must descend: the loosest tolerance first, each only once")
+            raise ValueError("rtol must be descending, as [1e-3, 1e-6, 1e-9]")
         return self
 
     @property
@@ -111,7 +113,7 @@ class BenchTable(TomlTable):
         names = [scene.name for scene in self.scene], [method.label for method in self.method]
         twice = [name for some in names for name in dict.fromkeys(some) if some.count(name) > 1]
         if twice:
-            raise ValueError(f"{', '.join(twice)}: given more than once")
+            raise ValueError(f"{', '.join(twice)}: must occur once only")
         unknown = {label for scene in self.scene for label in scene.without} - set(names[1])
         if unknown:
             raise ValueError(f"without {', '.join(sorted(unknown))}: no such method")

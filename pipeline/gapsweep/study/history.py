@@ -23,8 +23,8 @@ def undecided(
         for name in (*model, "K_ratio"):
             axis = axes.get(name, ())
             if len(axis) > 1 and name not in _own(table):
-                remedy = f"say which, as {name} = {axis[0]:g}"
-                yield f"history[{number}].{name}: the study sweeps it; {remedy}"
+                remedy = f"choose one value, as {name} = {axis[0]:g}"
+                yield f"history[{number}].{name}: swept by the study; {remedy}"
 
 
 def _own(history: HistoryTable) -> dict[str, float]:

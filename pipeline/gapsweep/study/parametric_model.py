@@ -88,7 +88,7 @@ class ParametricModel:
         if table.function is None and unlike:
             raise StudyError(
                 [
-                    f"{self.source}: parameters: {name!r}: must be in [parameters], and be the "
+                    f"{self.source}: parameters: {name!r}: must be in [parameters], and the "
                     "scale of a load, a cubic spring or a modulation in [system]"
                     for name in sorted(unlike)
                 ]
@@ -210,8 +210,8 @@ class ParametricModel:
                 at = f" at {said(some)}" if some else ""
                 raise StudyError(
                     [
-                        f"{self.source}: system{at}: two calls make different systems: it may "
-                        "depend on its arguments alone"
+                        f"{self.source}: system{at}: two calls return different systems; the "
+                        "function must depend on its arguments only"
                     ]
                 )
             self._known[key] = made
@@ -220,7 +220,7 @@ class ParametricModel:
             raise StudyError(
                 [
                     f"{self.source}: system at {said(some)}: has other coordinates, contacts "
-                    "or loads than at the values in [parameters]: write a study of its own"
+                    "or loads than at the values in [parameters]; write a separate study"
                 ]
             )
         return made
@@ -243,7 +243,7 @@ class ParametricModel:
         """
         spec, names = self.spec, self.contacts
         wrong = [
-            f"contact: {name!r} is none of the system: {', '.join(names) or 'it has none'}"
+            f"contact: {name!r}: must be a contact of the system: {', '.join(names) or 'none'}"
             for name in spec.contact
             if name not in names
         ]
@@ -264,23 +264,25 @@ class ParametricModel:
                 of_contact = "" if self.is_oscillator else f", which contact {takes[0]!r} needs"
                 found.append(f"{name}: missing; write {EXAMPLES[name]}{of_contact}")
             if is_given and not takes:
-                found.append(f"{name}: no contact takes it")
+                found.append(f"{name}: unused, [contact] sets it for all contacts; leave it out")
         if (block.omega is not None) != self.default.is_forced:
             words = f"missing; write {EXAMPLES['omega']}"
-            surplus = "nothing forces the system: leave it out, or give forcing in [system]"
+            surplus = "the system is not forced; leave omega out, or add forcing to [system]"
             found.append(f"omega: {surplus if block.omega else words}")
         starts = [] if block.initial_condition is None else forms(block.initial_condition)
         if not self.default.is_forced and any(form in SWEEPS for form in starts):
-            found.append("initial_condition: sweeps follow the frequency; the system has none")
+            found.append("initial_condition: sweeps need omega, and this system is not forced")
         axes = {"representation": block.representation, "K_ratio": block.K_ratio}
         for name, axis in axes.items():
             takes = [c for c in self.contacts if self._own(c, name) is None]
             if axis is not None and count(axis) > 1 and not takes:
-                found.append(f"{name}: no contact takes it: give one value")
+                found.append(f"{name}: unused, [contact] sets it for all contacts; keep one value")
         if self.is_oscillator:
             return found + [x for each in block.parameter.items() for x in _out_of_range(*each)]
         if any(law_of(label) == AUTO for label in block.representation):
-            found.append("representation: 'auto' chooses for oscillators; name the representation")
+            found.append(
+                "representation: 'auto' is for oscillators only; write one, as 'piecewise'"
+            )
         return found
 
     def _own(self, contact: str, name: str) -> Any:

@@ -22,8 +22,8 @@ _WORDS = {
     "bool_type": "must be true or false",
     "int_type": "must be a whole number",
     "int_from_float": "must be a whole number",
-    "union_tag_invalid": "must be { sobol = ... }, 'sweep_up' or 'sweep_down'; pairs [x, v] stand "
-    "in a list of their own, in another [[sweep]]; rest is [0, 0]",
+    "union_tag_invalid": "must be { sobol = ... }, 'sweep_up' or 'sweep_down'; write pairs [x, v] "
+    "in another [[sweep]], as initial_condition = [[0, 0], [1e-3, 0]]",
     "string_pattern_mismatch": "must be letters, digits, '.', '_' and '-', without spaces; 64 at "
     "most, a letter or digit first",
 }
@@ -104,12 +104,12 @@ def _problem(source: str, error: Any, spec: type[BaseModel], names: Collection[s
 
 
 def _message(error: Any, spec: type[BaseModel], names: Collection[str]) -> str:
-    """What is wrong with a value, and what would do."""
+    """What is wrong with a value, and what is allowed."""
     kind, loc, value = error["type"], error["loc"], error["input"]
     if kind in _SHAPES and (field := _form_at(loc)):
         return _FORMS[field]
     if kind == "list_type" and isinstance(value, dict) and _tables(loc, spec):
-        return f"write [[{_path(loc)}]], in double brackets"
+        return f"must be a list of tables; write [[{_path(loc)}]]"
     if kind in _SHAPES and loc[:1] == ("system",) and (parts := {*loc} & {*_OF_SYSTEMS}):
         return _OF_SYSTEMS[str(parts.pop())]
     if kind in ("too_short", "too_long"):
@@ -139,9 +139,9 @@ def _in_units(loc: Loc) -> str:
 def _instead(loc: Loc, value: Any) -> str:
     """How to write what must have been meant by what is no number."""
     if loc[0] == "oscillator" and isinstance(value, list | dict):
-        return "; what is swept stands in [[sweep]]"
+        return "; write swept values in [[sweep]]"
     if isinstance(value, str) and ":" in value:
-        return "; a range is { start = ..., stop = ..., step = ... }"
+        return "; write a range as { start = 1.0, stop = 30.0, step = 0.5 }"
     return ""
 
 
@@ -161,8 +161,8 @@ def _likely(loc: Loc, spec: type[BaseModel], parameters: Collection[str]) -> str
     alike = difflib.get_close_matches(str(loc[-1]), known, n=1)
     if alike:
         return f"; did you mean {alike[0]}?"
-    more = "; a parameter of a [system] is named in [parameters] first" * is_swept
-    return f"; there are {', '.join(known)}{more}"
+    more = "; parameters of a [system] must be in [parameters]" * is_swept
+    return f"; known keys: {', '.join(known)}{more}"
 
 
 def _tables(loc: Loc, spec: type[BaseModel]) -> list[type[BaseModel]]:

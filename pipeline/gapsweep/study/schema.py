@@ -24,13 +24,13 @@ COORDINATES: dict[str, tuple[str, Variable]] = {
     "j_2": ("gap", Variable("f8", "m", "distance of the upper wall from the origin")),
     "omega": ("omega", INPUTS["omega"]),
     "zeta": ("zeta", Variable("f8", "1", "damping ratio")),
-    "omega_n": ("omega_n", Variable("f8", "Hz", "natural frequency of the linear spring alone")),
+    "omega_n": ("omega_n", Variable("f8", "Hz", "natural frequency without contact")),
     "mass": ("mass", Variable("f8", "kg", "mass")),
     "alpha": ("alpha", Variable("f8", "N m-3", "cubic stiffness")),
     "forcing": ("forcing", Variable("f8", "N", "forcing amplitude")),
     "mean_load": ("mean_load", Variable("f8", "N", "constant load")),
     "c": ("c", Variable("f8", "N s m-1", "viscous damping added to that of zeta")),
-    "K_ratio": ("K_ratio", Variable("f8", "1", "stiffness of the lower wall over the upper")),
+    "K_ratio": ("K_ratio", Variable("f8", "1", "stiffness ratio, lower wall over upper wall")),
     "initial_condition": (START, INPUTS[START]),
     "x_0": (START, INPUTS["x_0"]),
     "v_0": (START, INPUTS["v_0"]),
@@ -116,7 +116,7 @@ VARIABLES: dict[str, Variable] = {
         for name, variable in RESPONSE.items()
         if not name.endswith("_end") and MULTIPLIER not in variable.dims
     },
-    "attractor": Variable("i4", "1", "number of the attractor in its scene, -1: none", -1),
+    "attractor": Variable("i4", "1", "number of the attractor of the case, -1: none", -1),
     "host": Variable("i2", "1", "machine on which cpu_time was measured", -1),
 }
 
@@ -131,9 +131,11 @@ ATTRACTOR_VARIABLES: dict[str, Variable] = {
             *("contact_x_max", "contact_x_min"),
         )
     },
-    "basin_share": Variable("f8", "1", "share of the starts that end on the attractor"),
+    "basin_share": Variable(
+        "f8", "1", "share of the initial conditions that lead to the attractor"
+    ),
     "basin_share_error": Variable("f8", "1", "standard error of the share"),
-    "mirror_of": Variable("i4", "1", "number of its mirror image, -1: none", -1),
+    "mirror_of": Variable("i4", "1", "number of the mirror-image attractor, -1: none", -1),
 }
 N_ATTRACTORS = Variable("i4", "1", "number of attractors found", 0)
 

@@ -85,7 +85,7 @@ class SweepTable(TomlTable):
     def _walls(self) -> "SweepTable":
         given = [name for name in ("gap", "j_1", "j_2") if getattr(self, name) is not None]
         if given not in ([], ["gap"], ["j_1", "j_2"]):
-            raise ValueError("give gap, or both j_1 and j_2 in its place")
+            raise ValueError("give gap, or j_1 and j_2")
         return self
 
     @property
@@ -200,13 +200,13 @@ class BranchesTable(TomlTable):
         """What is wrong with the parameter, for the axes of a study."""
         names = [name for name in axes if name not in _NO_PARAMETERS and len(axes[name]) > 1]
         if self.along not in names:
-            swept = ", ".join(names) or "none; give one several values in [[sweep]]"
-            yield f"branches.along = {self.along!r}: must be a swept number of the study: {swept}"
+            swept = ", ".join(names) or "none; write several values in [[sweep]]"
+            yield f"branches.along = {self.along!r}: must be a swept parameter: {swept}"
         name = "gap" if self.along in ("j_1", "j_2") else self.along
         if any(getattr(contact, name, None) is not None for contact in contacts.values()):
-            yield f"branches.along = {self.along!r}: [contact] sets it for one contact alone"
+            yield f"branches.along = {self.along!r}: must be set in [[sweep]], not in [contact]"
         if not any(map(is_followed, axes["representation"])):
-            yield "branches: no representation of the study is followed: add 'piecewise'"
+            yield "branches: no representation of the study can be continued; add 'piecewise'"
 
 
 def is_followed(label: str) -> bool:
@@ -256,9 +256,11 @@ class StudySpec(TomlTable):
         if given.get("system") is not None:
             if not isinstance(names, dict) or not all(isinstance(name, str) for name in names):
                 return given | {"sweep": []}  # what is wrong with them is said instead
-            wrong = [f"{name}: not with [system]" for name in _OF_OSCILLATORS if given.get(name)]
+            wrong = [
+                f"{name}: not allowed with [system]" for name in _OF_OSCILLATORS if given.get(name)
+            ]
             wrong += [
-                f"parameters: {name!r} is reserved in studies: choose another name"
+                f"parameters: {name!r} is a reserved name; choose another name"
                 for name in names
                 if name in TAKEN
             ]
@@ -295,7 +297,7 @@ class StudySpec(TomlTable):
     def _of_one_thing(self) -> "StudySpec":
         given = [name for name in ("parameters", "contact") if getattr(self, name)]
         if self.system is None and given:
-            raise ValueError(f"{given[0]}: belongs to a [system], and there is none")
+            raise ValueError(f"{given[0]}: needs [system]")
         return self
 
     @model_validator(mode="after")
@@ -306,15 +308,15 @@ class StudySpec(TomlTable):
         labels += [method.label for method in self.bench.method] if self.bench else []
         used = {x.partition("@")[2] for x in labels if "@" in x}
         wrong = [
-            f"protocol {name!r} is used by a label but there is no [protocol.{name}]"
+            f"protocol {name!r} is used by a label, but [protocol.{name}] is missing"
             for name in sorted(used - set(self.protocol))
         ]
         if any(label.startswith(f"{AUTO}@") for label in labels):
-            wrong.append("'auto' chooses its solver settings itself: it takes no protocol")
+            wrong.append("'auto' chooses solver settings; leave out the protocol")
         if any(AUTO in table.representation for table in self.history):
-            wrong.append("'auto' has no time histories: name the representation")
+            wrong.append("history: 'auto' is not allowed; write a representation, as 'piecewise'")
         if self.bench and any(method.label == AUTO for method in self.bench.method):
-            wrong.append("bench: 'auto' is no method: name the representation")
+            wrong.append("bench: 'auto' is not allowed; write a representation, as 'piecewise'")
         if len({(block.gap is None, block.j_1 is None) for block in self.sweep}) > 1:
             wrong.append("sweep: give gap in every block, or j_1 and j_2 in every block")
         for name in ("K_c", "omega"):
@@ -325,7 +327,7 @@ class StudySpec(TomlTable):
             said = n_points if n_points < 10**15 else "more than 10^15"
             wrong.append(f"{said} sweep points: must be <= {MAX_POINTS}; coarsen a grid")
         wrong += [
-            f"bench.scene {scene.name!r}: {problem}"
+            f"bench.scene[{scene.name!r}]: {problem}"
             for scene in scenes
             for problem in scene.contradictions(self.oscillator)
         ]
@@ -372,7 +374,7 @@ def read(path: str | PathLike[str]) -> StudySpec:
     try:
         text = Path(path).read_text(encoding="utf-8-sig")  # as some editors save it
     except OSError as error:
-        remedy = "name a study file, as that which 'gapsweep init' writes"
+        remedy = "write an example study with 'gapsweep init'"
         raise StudyError([f"{path}: cannot be read: {error.strerror}; {remedy}"]) from None
     except UnicodeDecodeError:
         raise StudyError([f"{path}: not valid TOML: must be UTF-8 text"]) from None
@@ -390,7 +392,7 @@ def parse(text: str, source: str = "study") -> StudySpec:
     try:
         tables = tomllib.loads(text)
     except RecursionError:
-        said = "brackets nested too deeply to be read; no study needs more than ten: close them"
+        said = "brackets are nested too deeply; close them"
         raise StudyError([f"{source}: not valid TOML: {said}"]) from None
     except ValueError as error:  # numbers too long, too
         raise StudyError(

@@ -45,7 +45,7 @@ from gapsweep.user_code.snapshot import Snapshot
 
 @dataclass(frozen=True)
 class Study:
-    """Everything a run needs to know; immutable.
+    """A parameter study: models, swept values and settings; immutable.
 
     Attributes
     ----------
@@ -53,7 +53,7 @@ class Study:
     spec : StudySpec
         The checked study file.
     source : str
-        Where it came from, for messages.
+        Path of the study file, for messages.
 
     Examples
     --------
@@ -117,23 +117,23 @@ class Study:
         Raises
         ------
         StudyError
-            If the file is missing or anything in it is wrong, one line per problem.
+            If the file is missing or invalid; the message has one line per problem.
         """
         return cls(read(path), str(path))._checked()
 
     @classmethod
     def from_dict(cls, tables: dict[str, Any], source: str = "study") -> "Study":
-        """Check a study given as the tables of its TOML file."""
+        """Return the study of a dict with the tables of a study file; checked as by `load`."""
         return cls(check(tables, source), source)._checked()
 
     @classmethod
     def of(cls, study: "Study | str | PathLike[str]") -> "Study":
-        """The study of a run, or of a file as `load` reads it; the user's code is read again."""
+        """Return the study of a file, or a study with its user modules reread."""
         if isinstance(study, str | PathLike):
             return cls.load(study)
         if not isinstance(study, Study):
             raise StudyError(
-                [f"study = {study!r:.80}: must be a gapsweep.Study, or the path of a study file"]
+                [f"study = {study!r:.80}: must be a gapsweep.Study or the path of a study file"]
             )
         return replace(study) if study.names_code else study
 
@@ -155,7 +155,7 @@ class Study:
         if cells > MAX_POINTS:
             raise StudyError(
                 [
-                    f"{self.source}: the blocks together span {cells} dataset cells, must be "
+                    f"{self.source}: all blocks together have {cells} dataset cells, must be "
                     f"<= {MAX_POINTS}; split them into several studies"
                 ]
             )
@@ -185,7 +185,7 @@ class Study:
 
     @property
     def attributes(self) -> dict[str, str]:
-        """What every dataset of the study says of it; names as in the conventions CF and ACDD."""
+        """Global attributes of every dataset of the study, named by the CF and ACDD conventions."""
         table = self.spec.study
         said = {"creator_name": table.creator, "license": table.license}
         given = {name: text for name, text in said.items() if text}
@@ -204,12 +204,12 @@ class Study:
 
     @cached_property
     def claims_module(self) -> Path | None:
-        """The Python file that states the claims, beside the study file."""
+        """Path of the Python file of [claims], in the folder of the study file."""
         return self._beside(self.spec.claims)
 
     @cached_property
     def report_module(self) -> Path | None:
-        """The Python file that makes sections of the report, beside the study file."""
+        """Path of the Python file of [report], in the folder of the study file."""
         return self._beside(self.spec.report)
 
     def _beside(self, table: ModuleTable | None) -> Path | None:
@@ -217,18 +217,18 @@ class Study:
 
     @cached_property
     def model(self) -> ParametricModel:
-        """What moves, as a function of its parameters."""
+        """The model as a function of its parameters."""
         return ParametricModel(self.spec, self.source, self.folders)
 
     @property
     def oscillator(self) -> Oscillator:
-        """The oscillator at the default values of its parameters; only studies of one have it."""
+        """The oscillator at the default values of its parameters; not of a [system]."""
         assert isinstance(self.model.default, Oscillator)
         return self.model.default
 
     @property
     def structure(self) -> AnyStructure:
-        """What the models of all points have in common."""
+        """Numbers of coordinates, contacts and loads, the same for all points."""
         return self.model.structure
 
     @cached_property
@@ -247,7 +247,7 @@ class Study:
 
     @cached_property
     def folders(self) -> tuple[Path, ...]:
-        """Folders searched for the user's code after Python's path: the study's, the current."""
+        """Folders searched for user modules after Python's path: the study's and the current."""
         return tuple(dict.fromkeys((Path(self.source).absolute().parent, Path.cwd())))
 
     @cached_property
@@ -256,7 +256,7 @@ class Study:
         return {}
 
     def own_law(self, label: str) -> OwnLaw | None:
-        """The user's own law of a label, read once; None for laws of gapsweep.
+        """The user law of a label, read once; None for laws of gapsweep.
 
         Raises
         ------
@@ -271,7 +271,7 @@ class Study:
         return self._known_laws[name]
 
     def law(self, label: str, K_c: float, gap: Gap, K_ratio: float = 1.0) -> ContactLaw:
-        """The contact law of a label, the user's own too.
+        """The contact law of a label; the label may name a user law.
 
         Raises
         ------
@@ -285,7 +285,7 @@ class Study:
 
     @property
     def own_laws(self) -> tuple[str, ...]:
-        """The code that the study names: laws of the user's own, as ``module:name``."""
+        """Labels of the user laws of the study, as ``module:name``."""
         tables: list[SweepTable | HistoryTable] = [*self.spec.sweep, *self.spec.history]
         labels = [label for table in tables for label in table.representation]
         labels += [method.label for method in self.spec.bench.method] if self.spec.bench else []
@@ -293,13 +293,13 @@ class Study:
 
     @property
     def names_code(self) -> bool:
-        """Whether it names code: laws, the function of a system, modules next to the study."""
+        """Whether the study has user code: laws, the function of a system, modules."""
         made = self.spec.system.function if self.spec.system else None
         modules = self.spec.claims, self.spec.report
         return bool(self.own_laws) or ":" in (made or "") or any(modules)
 
     def with_engine(self, engine: str) -> "Study":
-        """The same study on another engine."""
+        """Return the study with another engine."""
         solver = self.spec.solver.model_copy(update={"engine": engine})
         return Study(self.spec.model_copy(update={"solver": solver}), self.source)
 
@@ -342,33 +342,34 @@ class Study:
 
     @cached_property
     def grid(self) -> Grid:
-        """The labelled grid: the union of all blocks."""
+        """The grid of sweep points: the union of all blocks."""
         requested = requested_of(self._blocks, self._axes)
         return Grid(self._axes, requested, self.structure, self.model.parts)
 
     def select(self, /, **wanted: Any) -> Selection:
-        """Select among the study's own coordinates.
+        """Return the points with the selected values.
 
         Parameters
         ----------
         **wanted
-            Values of dimensions: a value, a list or, for numbers, a slice that includes both
-            ends. Labels, as ``"tanh-1e4"`` and ``"0.4/0.4"``, for `representation` and `gap`; a
-            gap also as in a study file, ``(4e-4, 4e-4)`` or a list of such pairs. Numbers of starts
-            for `initial_condition`. Numbers are compared after rounding to 12 significant digits.
+            Values by dimension: a value, a list or, for numbers, a slice that includes both
+            ends. `representation` and `gap` have labels, as ``"tanh-1e4"`` and ``"0.4/0.4"``; a
+            gap may also be a pair [m], as ``(4e-4, 4e-4)``, or a list of pairs.
+            `initial_condition` has numbers from 0. Numbers are compared after rounding to 12
+            significant digits.
 
         Raises
         ------
         StudyError
-            If a name is no dimension, a value is not among the study's own, or no block asks for
-            what is selected.
+            If a name is not a dimension, the study does not have a value, or no block has a point
+            with the selected values.
         """
         with suppress(KeyError, TypeError, ValueError):  # labels already
             pairs = np.array(wanted["gap"], dtype=float).reshape(-1, 2).tolist()
             wanted["gap"] = [self.grid.label(Gap(*pair)) for pair in pairs]
         axes = {name: self.grid.labels(name) for name in self.grid.axes}
         problems = [
-            f"{self.source}: {name}: no dimension of the study; choose from {', '.join(axes)}"
+            f"{self.source}: {name}: not a dimension of the study; choose from {', '.join(axes)}"
             for name in wanted.keys() - axes.keys()
         ]
         found = []
@@ -382,7 +383,7 @@ class Study:
             raise StudyError(problems)
         if not self.grid.requested[np.ix_(*found)].any():
             said = ", ".join(f"{name} = {value!r}" for name, value in wanted.items())
-            raise StudyError([f"{self.source}: {said}: no block has a point there"])
+            raise StudyError([f"{self.source}: {said}: no block has a point with these values"])
         return tuple(found)
 
     def _starts_in_words(self) -> str:
@@ -394,7 +395,7 @@ class Study:
         return listed([f"{number} is {state}" for number, state in enumerate(states)])
 
     def points(self, cells: NDArray[np.int64]) -> list[tuple[NDArray[np.intp], Points]]:
-        """The sweep points in some cells of the grid, in tables of one kind each.
+        """Return the sweep points of cells of the grid, in one table per kind.
 
         Parameters
         ----------
@@ -404,7 +405,7 @@ class Study:
         Returns
         -------
         list of (ndarray of int, Points)
-            Numbers of the cells, ascending, and the points in them; for ``auto``, those that it
+            Numbers of the cells, ascending, and their points; for ``auto``, the points that it
             chooses.
         """
         tables = []
@@ -457,14 +458,14 @@ class Study:
         return found
 
     def advice(self, cells: NDArray[np.int64], error: float | None = None) -> list[Advice]:
-        """The least model that is adequate in each of some cells, whatever representation.
+        """Return the simplest adequate model of each cell, independent of its representation.
 
         Parameters
         ----------
         cells : ndarray of int, shape (n,)
             Flat positions.
         error : float, optional
-            What it has to meet; that of ``[auto]`` if None.
+            Allowed relative error of the steady amplitude; None: that of ``[auto]``.
         """
         found = np.empty(len(cells), object)
         error = self.spec.auto.error if error is None else error
@@ -473,15 +474,15 @@ class Study:
         return list(found)
 
     def solver(self, label: str) -> Solver:
-        """Solver settings of a representation, its protocol's where the label has one.
+        """Return the solver settings of a representation, with its protocol if the label has one.
 
-        Of ``auto`` the loosest that it may choose for a point.
+        For ``auto`` they are the loosest settings that it may choose for a point.
         """
         solver = self._protocols[label.partition("@")[2]][0]
         return solver.with_rtol(self.spec.auto.error) if label == AUTO else solver
 
     def start_jitter(self, label: str) -> float:
-        """What a representation's protocol adds to fixed initial displacements [m]."""
+        """Shift of fixed initial displacements by a representation's protocol [m]."""
         return self._protocols[label.partition("@")[2]][1]
 
 

@@ -86,9 +86,9 @@ class SystemTable(TomlTable):
     def _one_of_both(self) -> "SystemTable":
         others = self.model_dump(exclude={"function"}, exclude_none=True)
         if self.function is not None and any(others.values()):
-            raise ValueError("give function, or mass, stiffness and so on, not both")
+            raise ValueError("give function, or matrices (mass, stiffness), not both")
         if self.function is None and (self.mass is None or self.stiffness is None):
-            raise ValueError("give mass and stiffness, or function")
+            raise ValueError('missing; write mass and stiffness, or function = "module:name"')
         if self.function is not None and not (
             self.function in READY_MADE or FUNCTION.fullmatch(self.function)
         ):
@@ -112,8 +112,8 @@ class ContactTable(TomlTable):
         label = self.representation or ""
         if ":" in label or "@" in label or label == "auto":
             raise ValueError(
-                f"representation = {label!r}: must be a law of gapsweep's, without a protocol; "
-                "what holds for all contacts stands in the sweep"
+                f"representation = {label!r}: must be a law of gapsweep without a protocol; "
+                "write the representation of all contacts in [[sweep]]"
             )
         return self
 
@@ -209,7 +209,7 @@ def _made(name: str, function: Any, parameters: Mapping[str, float]) -> System:
         raise
     except BaseException as error:  # the user's code may raise anything, SystemExit too
         what = str(error) if isinstance(error, ModelError) else described(error)
-        message = f"{name}: {what}; its arguments are those in [parameters]"
+        message = f"{name}: {what}; the function needs the arguments of [parameters]"
         if error.__traceback__ is not None and error.__traceback__.tb_next:  # it has been called
             message = blame(None, error, f"{name}: {what}")
         raise ModelError(message) from None

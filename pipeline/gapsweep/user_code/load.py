@@ -51,8 +51,8 @@ def load(snapshot: Snapshot) -> ModuleType:
             for module, wanted in snapshot.versions.items():
                 if wanted != ABSENT and (here := version_of(module)) != wanted:
                     raise ClusterError(
-                        f"{snapshot.main}: imports {module} {wanted}, a process has "
-                        f"{here or 'none'}: install the same version for client and workers"
+                        f"{snapshot.main}: imports {module} {wanted}, but a process has "
+                        f"{here or 'none'}; install the same version for client and workers"
                     )
             with chdir("."):  # wherever the code goes, this process stays
                 package.module(snapshot.main)
@@ -226,7 +226,7 @@ def blame(path: Path | None, error: BaseException, message: str, function: Any =
     where = "" if path is None else f"{path}: "
     if isinstance(error, FileNotFoundError) and str(_folder()) in str(error.filename):
         name = Path(error.filename).name
-        message = f'{name}: no data file of the module: write __data__ = ["{name}"] into it'
+        message = f'{name}: not a declared data file; add __data__ = ["{name}"] to the module'
     code = getattr(inspect.unwrap(function), "__code__", None) if callable(function) else None
     ran = [(frame.f_code, line) for frame, line in traceback.walk_tb(error.__traceback__)]
     for each, line in ([(code, code.co_firstlineno)] if code else []) + ran:

@@ -118,7 +118,7 @@ class Snapshot:
             where = ", ".join(dict.fromkeys(map(str, search.folders)))
             if search.own in sys.stdlib_module_names:
                 raise ModelError(
-                    f"No module named {name!r} of yours: Python's library has one: rename the file"
+                    f"No user module named {name!r}: the standard library has it; rename the file"
                 )
             if name.endswith(".py"):
                 raise ModelError(f"write {name[:-3]}, the name of the module, without .py")
@@ -214,7 +214,7 @@ class _ImportScan:
     def add(self, name: str, path: Path, *, is_package: bool) -> None:
         """Add a file and all that it imports."""
         if path.suffix != ".py":
-            raise ModelError(f"{path}: must be a .py file, or of an installed package")
+            raise ModelError(f"{path}: must be a .py file or belong to an installed package")
         if is_package:
             self._inside[name] = [path.parent]
         try:
@@ -224,7 +224,9 @@ class _ImportScan:
         except OSError as error:
             raise ModelError(f"{error.filename}: cannot be read: {error.strerror}") from None
         except (RecursionError, MemoryError):
-            raise ModelError(f"{path}: too deeply nested to be read as Python") from None
+            raise ModelError(
+                f"{path}: nested too deeply for Python's parser; simplify the file"
+            ) from None
         except SyntaxError as error:
             line = f":{error.lineno}" if error.lineno else ""
             raise ModelError(f"{path}{line}: SyntaxError: {error.msg}") from None
@@ -261,7 +263,7 @@ def _imports(name: str, module: Module) -> Iterator[str]:
             yield from names
         elif isinstance(node, ast.Call) and ast.unparse(node.func).endswith("import_module"):
             raise ValueError(
-                f"line {node.lineno}: import_module: write an import statement instead"
+                f"line {node.lineno}: import_module: not supported; write an import statement"
             )
 
 
@@ -283,7 +285,7 @@ def _data(path: Path, source: bytes) -> dict[str, bytes]:
         for name in names:
             if ".." in PurePosixPath(name).parts or PurePosixPath(name).is_absolute():
                 raise ValueError(
-                    f"line {node.lineno}: __data__: must be a list of names of files in the "
+                    f"line {node.lineno}: __data__: must be a list of file names in the "
                     'folder of the module, as __data__ = ["k.csv"]'
                 )
             found[name] = (path.parent / name).read_bytes()

@@ -23,7 +23,7 @@ VARIABLES = {
     "match_kind": Variable("i1", "1", "kind of special point", flags=SPECIAL_FLAGS),
     "match_period_multiple": Variable("i4", "1", "forcing periods in one period of the orbit"),
     "match_exact": Variable("f8", "", "parameter on the branch of the exact law, NaN: extra"),
-    "match_law": Variable("f8", "", "parameter on that of the approximation, NaN: missing"),
+    "match_law": Variable("f8", "", "parameter on the branch of the approximation, NaN: missing"),
     "match_difference": Variable("f8", "", "approximation minus exact law"),
 }
 

@@ -87,7 +87,7 @@ def _count(number: str, dims: tuple[str, ...], name: str, formula: str) -> Metri
 
 METRICS: dict[str, Metric] = {
     "amplitude_error": _error(
-        "A4", POINT_DIMS, "1", "amplitude error, start by start",
+        "A4", POINT_DIMS, "1", "amplitude error at equal initial conditions",
         f"|A - A_exact| / max(A_exact, G/2); A: half the range; {_G}",
     ),
     "amplitude_error_paired": _error(
@@ -112,11 +112,11 @@ METRICS: dict[str, Metric] = {
     ),
     "n_attractors": _count(
         "A10", FREQUENCY, "attractors found",
-        "attractors reached from the starts that both representations were asked for; mirror "
-        "images are one if the gap is symmetric",
+        "attractors reached from the initial conditions computed with both representations; mirror "
+        "images count once if the gap is symmetric",
     ),
     "n_attractors_exact": _count(
-        "A10", FREQUENCY, "attractors found with the exact law", "as n_attractors, same starts"
+        "A10", FREQUENCY, "attractors found with the exact law", "as n_attractors"
     ),
     "n_attractors_matched": _count(
         "A10", FREQUENCY, "attractors that match an exact one",
@@ -151,7 +151,7 @@ METRICS: dict[str, Metric] = {
     "basin_distance": Metric(
         "A11", FREQUENCY, "1", "total variation of the basin shares",
         "1/2 sum |phi - phi_exact| over matched attractors, unmatched ones and no attractor; phi: "
-        "share of the N fixed starts that both were asked for; NaN if N < 2",
+        "share of the N fixed initial conditions computed with both; NaN if N < 2",
         _MEAN, "max", dtype="f4",
     ),
     "basin_distance_error": Metric(
@@ -159,18 +159,18 @@ METRICS: dict[str, Metric] = {
         "1/2 sqrt(sum (phi (1 - phi) + phi_exact (1 - phi_exact)) / N)", dtype="f4",
     ),
     "same_attractor": _share(
-        "A12", POINT_DIMS, "start ends on the matching attractor",
+        "A12", POINT_DIMS, "initial condition leads to the matching attractor",
         "1 if the two attractors match (see n_attractors_matched); 0 if not or if only one of the "
         "responses is on an attractor; NaN if none is",
     ),
     "cpu_time_per_period_ratio": _pooled(
-        "A14", "1", "processor time per forcing period, relative to the exact law",
+        "A14", "1", "CPU time per forcing period, relative to the exact law",
         "sum of cpu_time / sum of omega t_simulated, over that of the exact law at the same points",
     ),
     "n_contacts_per_period": _pooled(
         "A14", "1", "crossings per forcing period", "sum of n_contacts / sum of omega t_simulated"
     ),
-    "n_points": _count("all", POOLED, "sweep points", "asked for"),
+    "n_points": _count("all", POOLED, "sweep points", "in the study"),
     "n_compared": _count("all", POOLED, "sweep points compared", "with both responses"),
     "n_unresolved": _count("all", POOLED, "sweep points unresolved", "of class unresolved"),
     "n_failed": _count("all", POOLED, "sweep points failed", "of class failed"),
@@ -188,7 +188,7 @@ def variables() -> Iterator[tuple[str, Metric]]:
                 POOLED,
                 metric.units,
                 f"{metric.long_name}, {what}",
-                f"{what} over the frequencies and starts of the regime; {metric.definition}",
+                f"{what} over the points of the regime; {metric.definition}",
                 worst=metric.worst,
                 interval=True,
             )

@@ -45,19 +45,25 @@ VARIABLES: Described = {
         CELL,
         Variable("i1", "1", "status of the motion", Status.NOT_REQUESTED, STATUS_FLAGS),
     ),
-    "solver_error": (CELL, Variable("f8", "1", "deviation from the same law's reference")),
-    "total_error": (CELL, Variable("f8", "1", "deviation from the exact law's reference")),
-    "allowed_error": (CELL, Variable("f8", "1", "largest solver error that is not wrong")),
+    "solver_error": (
+        CELL,
+        Variable("f8", "1", "deviation from the reference solution of the same law"),
+    ),
+    "total_error": (
+        CELL,
+        Variable("f8", "1", "deviation from the reference solution of the exact law"),
+    ),
+    "allowed_error": (CELL, Variable("f8", "1", "solver error above which a run counts as wrong")),
     "bounded_error": (
         CELL,
-        Variable("f8", "1", "total_error, or the largest it can be where it is not measurable"),
+        Variable("f8", "1", "total_error, or an upper bound if it is not measurable"),
     ),
     "at_reference_floor": (
         CELL,
         Variable("i1", "1", "whether total_error is too small to be measured", 0),
     ),
     "event_time_error": (CELL, Variable("f8", "s", "largest deviation of a contact time")),
-    "nfev": (CELL, Variable("i8", "1", "right-hand sides evaluated", 0)),
+    "nfev": (CELL, Variable("i8", "1", "right-hand-side evaluations", 0)),
     "n_steps": (CELL, Variable("i8", "1", "accepted steps", 0)),
     "n_rejected": (CELL, Variable("i8", "1", "rejected steps", 0)),
     "n_contacts": (CELL, Variable("i8", "1", "wall crossings, in and out", 0)),
@@ -77,14 +83,16 @@ VARIABLES: Described = {
     "n_wells": (PAIR, Variable("i4", "1", "stable equilibria of the law", 0)),
     "in_gap_frequency": (
         PAIR,
-        Variable("f8", "Hz", "frequency of small motions amid the gap, NaN if unstable"),
+        Variable(
+            "f8", "Hz", "frequency of small motions about the middle of the gap, NaN if unstable"
+        ),
     ),
     "n_wells_exact": (SCENE, Variable("i4", "1", "stable equilibria of the exact law", 0)),
     "stiffness_ratio": (
         SCENE,
         Variable("f8", "1", "stiffness in contact over that in the gap"),
     ),
-    "n_periods": (SCENE, Variable("i4", "1", "forcing periods that are compared", 0)),
+    "n_periods": (SCENE, Variable("i4", "1", "compared forcing periods", 0)),
 }
 
 

@@ -179,6 +179,6 @@ def tolerances(methods: Sequence[Method]) -> dict[str, Any]:
         for m, method in enumerate(methods):
             values[m, : len(method.rungs)] = [getattr(solver, name) for solver in method.rungs]
         kind = "relative" if name == "rtol" else "absolute"
-        attributes = Variable("f8", units, f"{kind} tolerance asked for").attributes
+        attributes = Variable("f8", units, f"{kind} tolerance").attributes
         found[name] = (("method", "tolerance"), values, attributes)
     return found

@@ -48,5 +48,5 @@ def stability(
     counted = {"n_silent_wrong": int(np.sum(silent)), "tight_rtol": TIGHT_RTOL, "wrong": WRONG}
     atlas = cell_dataset(VARIABLES, arrays, found, ladder, study.attributes | counted)
     stated = [scenario.expected for scenario in found]
-    attributes = {"units": "1", "long_name": "known right answer"}
+    attributes = {"units": "1", "long_name": "kind of the known solution"}
     return atlas.assign_coords(expected=("scene", stated, attributes))

@@ -65,22 +65,26 @@ MEASURED = {
     "trajectory_error": CELL_VARIABLES["solver_error"],
     "amplitude_error": (
         CELL,
-        Variable("f8", "1", "relative deviation of the steady amplitude from the same law's"),
+        Variable(
+            "f8",
+            "1",
+            "relative deviation of the steady amplitude from the reference of the same law",
+        ),
     ),
-    "cpu_time": (CELL, Variable("f8", "1", "processor time per simulated second, median")),
-    "cpu_time_q25": (CELL, Variable("f8", "1", "processor time, lower quartile")),
-    "cpu_time_q75": (CELL, Variable("f8", "1", "processor time, upper quartile")),
+    "cpu_time": (CELL, Variable("f8", "1", "CPU time per simulated second, median")),
+    "cpu_time_q25": (CELL, Variable("f8", "1", "CPU time, lower quartile")),
+    "cpu_time_q75": (CELL, Variable("f8", "1", "CPU time, upper quartile")),
     "on_front": (
         CELL,
-        Variable("i1", "1", "whether no cell is both cheaper and closer to the exact law", 0),
+        Variable("i1", "1", "whether no other cell has both lower cost and lower total error", 0),
     ),
     "first_call_time": (
         ("method",),
-        Variable("f8", "s", "processor time of the slowest first call: it compiles or loads code"),
+        Variable("f8", "s", "CPU time of the slowest first call, which compiles or loads code"),
     ),
-    "n_lanes": (("method",), Variable("i4", "1", "points that a timed call advances", 1)),
+    "n_lanes": (("method",), Variable("i4", "1", "points per timed call", 1)),
 }
-ERROR_SCALE = "gap width; forcing's angular frequency times it for velocities"
+ERROR_SCALE = "gap width; for velocities, times the angular forcing frequency"
 
 
 def work_precision(
@@ -113,9 +117,9 @@ def work_precision(
     with Isolated(timeout) as isolated:
         bench = Measurements(found, ladder, study.spec.bench.lanes, study.steady, isolated)
         # Costs first: their first calls are the first ones of the process.
-        tell(f"work-precision: costs of {len(found)} scenarios, {len(ladder)} methods")
+        tell(f"work-precision: measuring costs of {len(found)} scenarios, {len(ladder)} methods")
         bench.measure_costs(repeats)
-        tell("work-precision: steady responses")
+        tell("work-precision: computing steady responses")
         bench.measure_responses()
     compared = [followed(bench.without_lost(s)) for s in range(len(found))]
     arrays = cell_table(compared, ladder, timeout, say) | bench.arrays

@@ -32,7 +32,7 @@ _ATTRIBUTES = {
     "period_multiple": ("1", "forcing periods in one period of the attractor, 0: none"),
     "multiplier_abs": ("1", "largest modulus of the Floquet multipliers"),
     "lyapunov": ("s-1", "largest Lyapunov exponent"),
-    "basin_share": ("1", "share of the starts that end on the attractor"),
+    "basin_share": ("1", "share of the initial conditions that lead to the attractor"),
     "basin_share_error": ("1", "standard error of the share"),
 }
 
@@ -50,34 +50,34 @@ def basins(
     steady: Steady | None = None,
     client: Any = None,
 ) -> xr.Dataset:
-    """Attractors over a grid of initial states.
+    """Return the attractors over a grid of initial states.
 
     Parameters
     ----------
     oscillator : Oscillator
     law : ContactLaw
     omega : float
-        Forcing frequency [Hz], ``> 0``. Without one, a System is told what to ask instead.
+        Forcing frequency [Hz], ``> 0``.
     x, v : array_like, shape (n_x,), (n_v,)
         Initial displacements [m] and velocities [m/s], at forcing phase zero.
     engine, rtol, atol, steady
         As in `gapsweep.respond`.
     client : distributed.Client, optional
-        A Dask cluster that computes; None: this process. Not for laws of your own, whose code
-        workers cannot be held to here: sweep a grid of starts in a study.
+        Dask cluster to use; None computes in this process. Not for user laws, since workers may
+        have other code; use a study with a grid of initial conditions instead.
 
     Returns
     -------
     Dataset
-        ``attractor(v_0, x_0)``, the number of the attractor each start ends on (-1: none),
-        and over ``attractor_number`` what each attractor is.
+        ``attractor(v_0, x_0)``, the number of the attractor of each initial condition (-1: none),
+        and properties of the attractors over ``attractor_number``.
 
     Raises
     ------
     ModelError
         If an argument is out of range.
     ClusterError
-        If the workers run other code.
+        If the workers have another version of the code.
 
     Examples
     --------
@@ -91,8 +91,8 @@ def basins(
     check_steady(steady)
     if not isinstance(oscillator, Oscillator):
         raise ModelError(
-            "oscillator: basins lie over x and v of a gapsweep.Oscillator; of a System ask "
-            "gapsweep.respond for an array of starts"
+            "oscillator: must be a gapsweep.Oscillator; for a System pass arrays of initial "
+            "states to gapsweep.respond"
         )
     if omega is None:
         raise ModelError("omega: missing; give the forcing frequency [Hz], as 9.0")
@@ -100,12 +100,13 @@ def basins(
         check_workers(client)
         if isinstance(law, UserLaw):
             raise ModelError(
-                "client: not for laws of your own; leave it out, or put the law into a file that a "
-                "study names"
+                "client: not allowed with user laws; leave it out, or name the law in a study file"
             )
     starts_x, starts_v = (_axis(name, values) for name, values in (("x", x), ("v", v)))
     if starts_x.size * starts_v.size > _MAX_STARTS:
-        raise ModelError(f"{starts_x.size} x {starts_v.size} starts: must be <= {_MAX_STARTS}")
+        raise ModelError(
+            f"{starts_x.size} x {starts_v.size} initial conditions: must be <= {_MAX_STARTS}"
+        )
     scene = Scene(
         oscillator=oscillator,
         law=law,
@@ -172,5 +173,5 @@ def _axis(name: str, values: ArrayLike) -> np.ndarray:
     except (TypeError, ValueError, OverflowError):
         axis = np.empty(0)
     if not axis.size or not np.all(np.isfinite(axis)):
-        raise ModelError(f"{name} = {values!r}: must be finite numbers, at least one")
+        raise ModelError(f"{name} = {values!r}: must be finite numbers and not empty")
     return axis

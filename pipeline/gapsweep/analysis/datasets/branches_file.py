@@ -34,17 +34,20 @@ from gapsweep.variables import SECTION_POINT, STATUS_FLAGS, Variable
 
 FOLDER = "branches"
 OF_STUDY = {
-    "n_lost": (BRANCH, Variable("i4", "1", "orbits and special points not found in the scene")),
+    "n_lost": (
+        BRANCH,
+        Variable("i4", "1", "orbits and special points of the case that were not found"),
+    ),
     "attractor_on_branch": (
         ATTRACTOR,
-        Variable("i4", "1", "branch that the attractor lies on, -1: none"),
+        Variable("i4", "1", "branch of the attractor, -1: none"),
     ),
-    "attractor_number": (ATTRACTOR, Variable("i4", "1", "number of the attractor in its scene")),
+    "attractor_number": (ATTRACTOR, Variable("i4", "1", "number of the attractor of the case")),
     "attractor_status": (
         ATTRACTOR,
-        Variable("i1", "1", "outcome of the scene of the attractor", flags=STATUS_FLAGS),
+        Variable("i1", "1", "outcome of the case of the attractor", flags=STATUS_FLAGS),
     ),
-    "attractor_message": (ATTRACTOR, Variable("str", "1", "why the scene has no branches")),
+    "attractor_message": (ATTRACTOR, Variable("str", "1", "reason why the case has no branches")),
 }
 
 
@@ -76,7 +79,7 @@ def branches(
     timeout: float,
     say: Callable[[str], None],
 ) -> xr.Dataset:
-    """Branches of all scenes of a study.
+    """Branches of all cases of a study.
 
     Parameters
     ----------
@@ -87,9 +90,9 @@ def branches(
     cache : Path
         Folder of the cache.
     connect : callable
-        Starts or joins a cluster; called if scenes are missing.
+        Starts or joins a cluster; called if cases are missing.
     timeout : float
-        Time [s] that a scene with user code may take.
+        CPU time limit of a case with user code [s].
     say : callable
         Called with the progress.
     """
@@ -111,7 +114,7 @@ def branches(
                 part.found = found
                 if found.branches is not None:
                     netcdf.write(found.branches, path, {})
-                say(f"making branches.nc, {n_done} of {len(parts)} scenes")
+                say(f"making branches.nc, {n_done} of {len(parts)} cases")
     return _assembled(study, parts)
 
 

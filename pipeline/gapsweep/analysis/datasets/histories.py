@@ -41,7 +41,7 @@ _SCENE = ("K_c", "gap", "j_1", "j_2", "omega", "x_0", "v_0")
 SCENE = {
     **{name: COORDINATES[name][1] for name in _SCENE},
     "t_end": Variable("f8", "s", "end of the motion"),
-    "n_periods": Variable("i4", "1", "forcing periods kept at either end", 0),
+    "n_periods": Variable("i4", "1", "forcing periods stored at either end", 0),
 }
 VARIABLES = {
     "x": ((*_DIMS, "part", "sample"), Variable("f8", "m", "displacement")),
@@ -63,7 +63,7 @@ AXES = {
     "t": (("history", "part", "sample"), Variable("f8", "s", "time")),
     "frequency": (("history", "frequency_bin"), Variable("f8", "Hz", "frequency of the spectrum")),
 }
-_WINDOW = "Hann over whole forcing periods, scaled so that a sinusoid on a bin shows its amplitude"
+_WINDOW = "Hann over whole forcing periods; a sinusoid at a bin has its amplitude"
 
 
 def histories(study: Study, timeout: float = DEFAULT_TIMEOUT) -> xr.Dataset | None:

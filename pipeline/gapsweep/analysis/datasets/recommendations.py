@@ -24,14 +24,14 @@ APPROXIMATION = "approximation"
 
 # Over every dimension but the representation; over those of scenes, and the smooth law.
 VARIABLES = {
-    "model": Variable("i1", "1", "least model that is adequate", -1, MODEL_FLAGS),
+    "model": Variable("i1", "1", "simplest adequate model", -1, MODEL_FLAGS),
     "rtol": Variable("f8", "1", "relative tolerance of the solver"),
-    "bound": Variable("f8", "m", "what the displacement never exceeds, inf: not certain"),
+    "bound": Variable("f8", "m", "bound of the displacement, inf: unknown"),
 }
 SCREENED = {
-    "force_error": Variable("f8", "1", "largest difference from the exact force / forcing"),
+    "force_error": Variable("f8", "1", "largest force error over the forcing amplitude"),
     "is_adequate": Variable(
-        "i1", "1", "whether the smooth law meets the error", -1, (("no", 0), ("yes", 1))
+        "i1", "1", "whether force_error is below the allowed error", -1, (("no", 0), ("yes", 1))
     ),
 }
 _MOST_STARTS = 3  # that are named one by one
@@ -57,8 +57,8 @@ def advice(study: Study, error: float | None = None) -> xr.Dataset:
     if not study.model.is_oscillator:
         raise StudyError(
             [
-                f"{study.source}: system: advice rests on bounds for an oscillator; run the study "
-                "and let its report say which law is adequate where"
+                f"{study.source}: system: advice is for oscillators only; the report of a run "
+                "shows the adequate laws"
             ]
         )
     grid = study.grid
@@ -179,7 +179,11 @@ def _starts(some: xr.Dataset) -> str:
     if n > _MOST_STARTS:
         first, last = (_start(some.isel({START: i})) for i in (0, -1))
         is_row = np.ptp(some[START].values) == n - 1
-        return f"{n} starts, {first} to {last}" if is_row else f"{n} starts, as {first}, {last}"
+        return (
+            f"{n} initial conditions, {first} to {last}"
+            if is_row
+            else f"{n} initial conditions, as {first}, {last}"
+        )
     return "; ".join(_start(some.isel({START: i})) for i in range(n))
 
 
@@ -213,11 +217,11 @@ def _ranges(some: xr.Dataset) -> list[dict[str, Any]]:
 def _reason(model: Model, bound: float) -> str:
     if model is Model.EXACT:
         return (
-            "a wall may be reached (with a mean load or omega_n = 0 no bound is known): the exact "
-            "law, contacts located, is the cheapest adequate one"
+            "a wall may be reached (with a mean load or omega_n = 0 no bound is known); the exact "
+            "law with located contacts has the lowest cost of the adequate models"
         )
-    stays = f"|x| never exceeds {1e3 * bound:.3g} mm, no wall is reached"
-    return f"{stays}{'; nor is the cubic spring seen' if model is Model.LINEAR else ''}"
+    stays = f"|x| is at most {1e3 * bound:.3g} mm, no wall is reached"
+    return f"{stays}{'; the cubic stiffness is negligible' if model is Model.LINEAR else ''}"
 
 
 def _approximations(here: xr.Dataset) -> str:
@@ -233,7 +237,7 @@ def _approximations(here: xr.Dataset) -> str:
     ]
     good = ", ".join(f"{label} ({value:.2g})" for label, value, yes in rows if yes)
     bad = ", ".join(f"{label} ({value:.2g})" for label, value, yes in rows if not yes)
-    text = f"where contacts cannot be located, by their force alone: {good or 'none'}"
-    text = f"{text}; not {bad}" if bad else text
-    how = "in brackets the largest error of the force over the forcing, which bounds no amplitude"
-    return f"{text}; {how}: a run measures that" if rows else text
+    text = f"smooth laws whose force error is below the allowed error: {good or 'none'}"
+    text = f"{text}; others: {bad}" if bad else text
+    how = "in brackets: maximum force error / forcing (no bound on the response; run the study)"
+    return f"{text}; {how}" if rows else text

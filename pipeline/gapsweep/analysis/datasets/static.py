@@ -49,20 +49,24 @@ CURVES = {
 }
 SCENE_VARIABLES = {
     "rmse": Variable("f8", "N", "RMS force error over the fit range"),
-    "r_squared": Variable("f8", "1", "coefficient of determination of the force over that range"),
-    "fit_rmse": Variable("f8", "N", "RMS force error of a fit on the points it was made on"),
+    "r_squared": Variable(
+        "f8", "1", "coefficient of determination of the force over the fit range"
+    ),
+    "fit_rmse": Variable("f8", "N", "RMS force error of a fit at its data points"),
     "rmse_in_gap": Variable("f8", "N", "RMS force error in the gap"),
     "rmse_outside": Variable("f8", "N", "RMS force error outside the gap"),
     "in_gap_force": Variable("f8", "N", "largest force between the walls"),
     "force_at_zero": Variable("f8", "N", "contact force at x = 0"),
-    "in_gap_frequency": Variable("f8", "Hz", "frequency of small motions amid the gap"),
+    "in_gap_frequency": Variable(
+        "f8", "Hz", "frequency of small motions about the middle of the gap"
+    ),
     "in_gap_frequency_error": Variable("f8", "1", "in_gap_frequency over omega_n, minus 1"),
-    "frequency_at_zero": Variable("f8", "Hz", "frequency by the slope of the law at x = 0"),
+    "frequency_at_zero": Variable("f8", "Hz", "frequency from the slope of the law at x = 0"),
     "frequency_at_zero_error": Variable("f8", "1", "frequency_at_zero over omega_n, minus 1"),
     "n_equilibria": Variable("i4", "1", "number of static equilibria in the fit range", 0),
     "n_wells": Variable("i4", "1", "number of stable static equilibria", 0),
-    "lowest_barrier": Variable("f8", "J", "least energy that leaves a static well"),
-    "refusal": Variable("str", "1", "why the law cannot be used, empty if it can"),
+    "lowest_barrier": Variable("f8", "J", "lowest energy to leave a static well"),
+    "refusal": Variable("str", "1", "reason why the law is invalid, else empty"),
 }
 FORCED_VARIABLES = {
     "in_gap_force_ratio": Variable("f8", "1", "largest force between the walls over the forcing"),
@@ -70,15 +74,15 @@ FORCED_VARIABLES = {
 _STABILITY = (("none", -1), ("unstable", 0), ("stable", 1))
 CONTACT_VARIABLES = {
     "tanh_threshold": Variable(
-        "f8", "m-1", "sharpness above which tanh has no false well, NaN if none is known"
+        "f8", "m-1", "sharpness above which tanh has no false potential well, NaN if unknown"
     ),
 }
 LIST_VARIABLES = {
     "equilibrium_x": Variable("f8", "m", "positions of the static equilibria"),
     "equilibrium_stable": Variable("i1", "1", "stability of the equilibria", -1, _STABILITY),
-    "equilibrium_energy": Variable("f8", "J", "potential energy there, zero at x = 0"),
+    "equilibrium_energy": Variable("f8", "J", "potential energy at the equilibria, zero at x = 0"),
     "equilibrium_frequency": Variable("f8", "Hz", "frequency of small motions in each well"),
-    "equilibrium_barrier": Variable("f8", "J", "energy that leaves each well"),
+    "equilibrium_barrier": Variable("f8", "J", "energy to leave each well"),
 }
 
 
@@ -112,7 +116,7 @@ def static(study: Study, *, with_own_laws: bool = True) -> xr.Dataset:
     @cache
     def of_walls(label: str, *walls: Any) -> Values:
         if ":" in label and not with_own_laws:
-            return {"refusal": "a law of the user's own: not evaluated here"}
+            return {"refusal": "user law: not evaluated"}
         return _unless_refused(label, _of_walls, x, study, label, *walls)
 
     of_all = [

@@ -14,8 +14,8 @@ from gapsweep.analysis.dimensions import Array, of_study, swept
 from gapsweep.status import Status
 
 COSTS = {
-    "cpu_time": ("s", "processor time per point"),
-    "nfev": ("1", "right-hand sides per point"),
+    "cpu_time": ("s", "CPU time per point"),
+    "nfev": ("1", "right-hand-side evaluations per point"),
     "n_steps": ("1", "accepted steps per point"),
     "n_rejected": ("1", "rejected steps per point"),
     "n_contacts": ("1", "wall crossings per point"),

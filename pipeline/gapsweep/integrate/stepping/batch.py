@@ -106,7 +106,7 @@ class Batch:
             If dense output was not asked for, or a time lies outside the recorded part.
         """
         if self.steps is None:
-            raise ValueError("nothing to sample: ask for dense_output=True")
+            raise ValueError("nothing to sample: needs dense_output=True")
         points = np.arange(len(self.t))
         times = np.broadcast_to(t, (len(points), np.shape(t)[-1]))
         first, last = (np.searchsorted(self.steps[:, 0], points + k) for k in (0, 1))
@@ -134,27 +134,27 @@ def run(
     sampled: bool = False,
     contacts: bool = True,
 ) -> Batch:
-    """Integrate prepared systems from their starts.
+    """Integrate prepared systems from their initial states.
 
     Parameters
     ----------
     prepared : SceneTable
     which : ndarray of int, shape (n,)
-        Number of the scene of each point.
+        Row of `prepared` of each point.
     start : ndarray, shape (n, n_states)
         States (q, v, z).
     t_0, t_end : ndarray, shape (n,)
         Start and end [s].
     record_from : ndarray, shape (n,)
-        Time from which extrema, contacts and section points are recorded [s]. A start is not an
-        event: only what happens after `t_0` is recorded.
+        Time from which extrema, contacts and section points are recorded [s]. The initial
+        state is not an event: only events after `t_0` are recorded.
     queue : ndarray of int, optional
         The points that follow none in the order in which lanes take them; default as they stand.
     follows : ndarray of bool, shape (n,), optional
         Which points begin where those before them end; default none. Their `start` is not read.
         What follows a failure has failed.
     section_only : bool
-        Record section points alone: a search for extrema in every step costs as much as the step.
+        Record section points only: a search for extrema in every step costs as much as the step.
     tangent : bool
         Also integrate the variational equation. Its jump at a contact is the identity, because
         the contact force is continuous.
