@@ -16,14 +16,7 @@ from typing import Any
 import matplotlib
 from matplotlib.figure import Figure
 
-from gapsweep.report.pictures import (
-    PACKED,
-    address,
-    is_picture,
-    pictures,
-    size,
-    unpacked,
-)
+from gapsweep.report.pictures import PACKED, is_picture, pictures, size, unpacked
 from gapsweep.report.style import MATPLOTLIB
 
 _LONGEST = 64  # characters of an id
@@ -190,13 +183,13 @@ def _unused(kind: str, name: str, used: set[str]) -> str:
 
 
 def shown(figure: Mapping[str, str]) -> dict[str, Any]:
-    """A figure for the page: pictures, files, and the data of a page of its own, maybe none."""
-    picture = {"src": address(figure["svg"]), **size(figure["svg"])}
+    """A figure for the page: its size, its files, and the data of its own page, maybe none."""
     files = {"svg": figure["svg"].encode()}
     for kind in PACKED:
         with suppress(KeyError, ValueError, zlib.error):  # not there, or not as it was packed
             files[kind] = unpacked(figure[kind])
-    return {**figure, "picture": picture, "data": files.pop("json", b"").decode(), "files": files}
+    data = files.pop("json", b"").decode()
+    return {**figure, **size(figure["svg"]), "data": data, "files": files}
 
 
 def _is_sound(figure: Mapping[str, str]) -> bool:
