@@ -393,28 +393,6 @@ def found_in(responses, *several):
     return " ".join(findings(responses, several, None))
 
 
-def test_closest_is_who_is_closest_in_the_same_contact(responses):
-    near, far = judged("tanh-1e4", median=0.01), judged("poly-13", median=0.3)
-    alone = judged("arctan-1e4", median=1e-6)
-    exact = judged("piecewise-noevents", median=1e-9)
-    said = found_in(responses, contact(near, far, exact), contact(alone))
-    assert "tanh-1e4 in the only contact with several approximations." in said
-    assert "arctan" not in said
-    assert "noevents" not in said
-
-
-def test_overlapping_intervals_and_floors_name_none(responses):
-    near, level = judged("tanh-1e4", median=0.01), judged("poly-13", median=0.0112)
-    none = "In no contact is one approximation clearly closest in amplitude."
-    assert none in found_in(responses, contact(near, level))
-    far = judged("poly-13", median=0.3)
-    several = found_in(responses, contact(near, level), contact(near, far))
-    assert "tanh-1e4 in 1, no single one in 1 of 2 contacts with several approximations." in several
-    assert none in found_in(responses, contact(near, far, floor=0.5))
-    unknown = judged("poly-13", median=0.3, width=np.nan)
-    assert none in found_in(responses, contact(near, unknown))
-
-
 def test_prices_are_counted_by_what_is_beyond_doubt(responses):
     laws = [judged("poly-13", "no", 0.5), judged("tanh-1e4"), judged("arctan-1e4", price=1.05)]
     assert "Of 3 pairs of contact and approximation, 1 cost more" in found_in(

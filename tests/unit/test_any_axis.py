@@ -11,9 +11,8 @@ from gapsweep.analysis.claims import NotInRunError, Run
 from gapsweep.analysis.datasets.timing import timing
 from gapsweep.analysis.dimensions import over, scene_dims
 from gapsweep.report.answer import contacts, in_words
-from gapsweep.report.html import _at_one_frequency, write_report
+from gapsweep.report.html import write_report
 from gapsweep.report.overview import is_wide, overview
-from gapsweep.report.scenes import Scenes
 from gapsweep.status import Status
 from gapsweep.study.grid import COORDINATE
 
@@ -219,18 +218,6 @@ def test_planes_of_several_contacts_have_pictures_of_each(tmp_path, stiffnesses)
     study["sweep"][0] |= {"initial_condition": states, "K_c": stiffnesses}
     page = page_of(tmp_path, datasets(tmp_path, study, answer))
     assert page.count("Attractor, peak: ") == len(stiffnesses)
-
-
-def test_contacts_that_print_alike_stand_apart_in_one_figure(tmp_path):
-    study = tables(["piecewise"], [5.0])
-    study["sweep"][0]["K_c"] = [1.4e4, 1.40000001e4, 2e4]
-    scenes = Scenes(datasets(tmp_path, study, answer)[0])
-    at = [{"K_c": i, "gap": 0} for i in range(3)]
-    (figure,) = _at_one_frequency(scenes, at, "5 Hz").figures
-    (axes,) = figure.figure.axes
-    ticks = [text.get_text() for text in axes.get_xticklabels()]
-    assert ticks == [f"K_c = {name}" for name in ("14000 N/m (1)", "14000 N/m (2)", "20000 N/m")]
-    assert [len(line.get_xdata()) for line in axes.lines] == [3]
 
 
 def test_a_law_has_no_empty_pictures_where_it_was_not_swept(forced):

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from gapsweep.analysis.dimensions import REPRESENTATION, in_metres
 from gapsweep.analysis.unit_check import doubtful_numbers, never_reached
 from gapsweep.model.labels import EXACT
-from gapsweep.report.answer import Contact, Judged, how_many
+from gapsweep.report.answer import Contact
 from gapsweep.report.drawing import labels_of
 from gapsweep.report.scales import drawn, shown_unit
 from gapsweep.report.tables import VERDICTS, condensed, percent
@@ -55,7 +55,6 @@ def findings(
         sentences += _coexisting(attractors)
     if agreement is not None and not in_metres(responses):
         sentences += _agreeing(agreement)
-    sentences += _closest(found)
     sentences += _prices(found)
     if advice is not None:
         sentences.append(_choices(advice))
@@ -206,46 +205,6 @@ def _agreeing(agreement: xr.Dataset) -> Iterator[str]:
             f"{label} keeps 95 % of the amplitudes within {percent(float(row[error]))} of the "
             f"exact law's and finds {percent(float(row[recall]))} of its attractors{over}."
         )
-
-
-def _closest(found: Sequence[Contact]) -> Iterator[str]:
-    """Which laws are closest beyond doubt, among those that stand in the same contact."""
-    several = [contact for contact in found if len(_models(contact)) > 1]
-    counts = Counter(_closest_in(contact) for contact in several)
-    undecided = counts.pop("", 0)
-    if not counts:
-        if several and all(_is_unknown(contact) for contact in several):
-            yield "Closest approximation: undecided, because there are too few frequencies."
-        elif several:
-            yield "In no contact is one approximation clearly closest in amplitude."
-        return
-    pairs = [*counts.most_common(), *([("no single one", undecided)] if undecided else [])]
-    # The last number is part of how many they are of.
-    *others, (last, n) = pairs
-    parts = [*(f"{name} in {k}" for name, k in others), f"{last} in {how_many(n, several)}"]
-    said = ", ".join(parts)
-    yield f"Closest in amplitude beyond the 95 % intervals: {said} with several approximations."
-
-
-def _closest_in(contact: Contact) -> str:
-    first, *others = sorted(_models(contact), key=lambda one: one.values["median"][0])
-    bounds = [one.values["median"] for one in others]
-    # What lies below the floor cannot be told from rounding, nor from each other.
-    told = all(
-        first.values["median"][2] < best and not e <= contact.floors["median"][0]
-        for e, best, _ in bounds
-    )
-    return first.law if told else ""
-
-
-def _is_unknown(contact: Contact) -> bool:
-    """Whether no approximation's error has an interval."""
-    return all(np.isnan(one.values["median"][1:]).all() for one in _models(contact))
-
-
-def _models(contact: Contact) -> list[Judged]:
-    """The approximations with any amplitudes."""
-    return [o for o in contact.laws if o.is_approximation and np.isfinite(o.values["median"][0])]
 
 
 def _prices(found: Sequence[Contact]) -> Iterator[str]:

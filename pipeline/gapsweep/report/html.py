@@ -31,7 +31,7 @@ from gapsweep.report.answer import (
 from gapsweep.report.backdrop import said_of_walls
 from gapsweep.report.benchmarks import bench_parts
 from gapsweep.report.drawing import labels_of, said_of_marks
-from gapsweep.report.figures import beside_exact, by_contact
+from gapsweep.report.figures import beside_exact
 from gapsweep.report.findings import findings, outcomes, said_of_far_walls
 from gapsweep.report.heat import GROUPS, MANY, heads, heat, swept_columns
 from gapsweep.report.maps import numbered_as
@@ -349,13 +349,8 @@ def _scenes(
     attractors: xr.Dataset | None,
     branches: xr.Dataset | None,
 ) -> Iterator[Part]:
-    """Everything about one scene after the other; what would be columns of dots, in one figure."""
-    scenes = Scenes(responses)
-    columns = list(_columns(scenes, responses)) if responses.sizes["omega"] == 1 else []
-    is_joint = len(columns) > 1
-    if is_joint:
-        yield _at_one_frequency(scenes, columns, f"{responses['omega'].item():g} Hz")
-    for at, here in _found(scenes, responses):
+    """Everything about one scene after the other."""
+    for at, here in _found(Scenes(responses), responses):
         labels = labels_of(here)
         title = _title(here)
         compared = None if agreement is None else agreement.isel(at)
@@ -367,9 +362,7 @@ def _scenes(
                 *scene_tables(compared, timing.isel(at), labels),
                 *special_points(branches, here, "omega"),
             ],
-            ()
-            if is_joint and at in columns
-            else _scene_figures(_without_protocols(here), attractors, branches, at, title),
+            _scene_figures(_without_protocols(here), attractors, branches, at, title),
         )
 
 
@@ -382,38 +375,9 @@ def _found(scenes: Scenes, responses: xr.Dataset) -> Iterator[tuple[At, xr.Datas
 
 
 def _title(scene: xr.Dataset) -> str:
-    return ", ".join(_said(scene))
-
-
-def _said(scene: xr.Dataset) -> list[str]:
-    """What a scene has one value of."""
+    """The values that a scene has one of, in words."""
     others = [named(scene[name]) for name in beside(scene)]
-    return [named(scene["K_c"]), f"gap {gap_label(scene)} mm", *others]
-
-
-def _columns(scenes: Scenes, responses: xr.Dataset) -> Iterator[At]:
-    """Scenes of one frequency whose starts form no plane to be drawn."""
-    return (at for at, here in _found(scenes, responses) if not plane_of(here))
-
-
-def _at_one_frequency(scenes: Scenes, columns: Sequence[At], omega: str) -> Part:
-    """One figure in place of one of a single column of dots for each scene."""
-    said, peaks = [], []
-    for at in columns:  # one after the other in memory
-        scene = scenes.at(at)
-        assert scene is not None, "a column is of a scene that was swept"
-        said.append(_said(scene))
-        names = ["x_max", "response_class"]
-        peaks.append(_without_protocols(scene)[names].isel(omega=0).load())
-    differs = [len(set(column)) > 1 for column in zip(*said, strict=True)]
-    names = [", ".join(word for word, d in zip(each, differs, strict=True) if d) for each in said]
-    told = [  # of what differs by less than is printed, the first, the second, ...
-        f"{name} ({names[: i + 1].count(name)})" if names.count(name) > 1 else name
-        for i, name in enumerate(names)
-    ]
-    caption = "Peak displacement of the steady response, one dot per initial condition."
-    figure = Figured(by_contact(dict(zip(told, peaks, strict=True))), caption, f"Peaks at {omega}")
-    return Part("contacts", f"All contacts at {omega}", [], (), [figure])
+    return ", ".join([named(scene["K_c"]), f"gap {gap_label(scene)} mm", *others])
 
 
 def _scene_figures(
