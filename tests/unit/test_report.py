@@ -24,7 +24,7 @@ from gapsweep.report import model as model_module
 from gapsweep.report.answer import Contact, Judged, contacts
 from gapsweep.report.figure_marks import as_csv
 from gapsweep.report.findings import findings
-from gapsweep.report.heat import heads, heat, swept_columns
+from gapsweep.report.heat import cell, heads, heat, swept_columns
 from gapsweep.report.html import (
     _environment,
     _files,
@@ -124,9 +124,7 @@ def test_no_law_is_judged_by_a_wall_that_the_exact_law_never_touches(
     texts = " ".join([top["far"], *top["findings"], *top["headline"], *top["answer"]])
     assert ("never reached" in texts) == bool(said)
     assert ("cannot be judged" in texts) == bool(said)
-    assert [sum(map(bool, row.cells["error"])) for row in top["heat"]] == [n_judged] * len(
-        top["heat"]
-    )
+    assert [sum(map(bool, judged)) for _, judged in top["heat"]] == [n_judged] * len(top["heat"])
     assert "adequate" not in top["headline"][0] or n_judged
     own = in_own_units(responses)
     assert "never reached" not in " ".join(findings(own, [], None))
@@ -416,20 +414,18 @@ def contact(laws, **where):
 def test_the_map_is_darker_where_a_law_is_worse():
     near, far = ("use", 0.01, 0.99, 3.0), ("no", 0.4, 0.2, 0.5)
     soft = contact({"poly-13": far, "tanh-1e4": near}, at={"K_c": 0, "gap": 1})
-    (failed_throughout,) = heat([contact({"poly-21": ("no", np.nan, 0.0, np.nan)})])
-    assert failed_throughout.cells["error"][0].shade == 1.0
+    ((_, (failed_throughout,)),) = heat([contact({"poly-21": ("no", np.nan, 0.0, np.nan)})])
+    assert cell(failed_throughout, "error")[1] == 1.0
     hard = contact({"tanh-1e4": ("with care", 0.1, 0.7, 9.0)}, K_c=1.4e6)
-    first, second = heat([soft, hard])
-    assert (first.law, second.law) == ("tanh-1e4", "poly-13")
-    assert [cell.text for cell in first.cells["error"]] == ["1", "10"]
-    assert [cell.text for cell in first.cells["found"]] == ["99", "70"]
-    assert [cell.text for cell in first.cells["cost"]] == ["3", "–"]  # of equal errors alone
-    assert second.cells["error"][1] is None
-    assert first.cells["error"][0].anchor == "scene-0-1"
+    (law, first), (other, second) = heat([soft, hard])
+    assert (law, other) == ("tanh-1e4", "poly-13")
+    assert [cell(one, "error")[0] for one in first] == ["1", "10"]
+    assert [cell(one, "found")[0] for one in first] == ["99", "70"]
+    assert [cell(one, "cost")[0] for one in first] == ["3", "–"]  # of equal errors alone
+    assert second[1] is None
+    assert soft.anchor == "scene-0-1"
     for group in ("error", "found"):
-        good, fair, bad = (
-            row.cells[group][i].shade for row, i in ((first, 0), (first, 1), (second, 0))
-        )
+        good, fair, bad = (cell(one, group)[1] for one in (*first, second[0]))
         assert 0.0 < good < fair < bad < 1.0
     assert heads([soft.K_c, soft.K_c, hard.K_c]) == [(1.4e4, 2), (1.4e6, 1)]
 
@@ -539,8 +535,8 @@ def numbers_of(part):
 
 def test_numbers_of_the_map_fit_a_phone():
     for error in (0.0, 1e-9, 3.14159e-4, 0.0123, 0.0996, 1.23, 99.0, np.nan):
-        (row,) = heat([contact({"tanh-1e4": ("no", error, 0.5, 1.0)})])
-        assert len(row.cells["error"][0].text) <= 4
+        (one,) = contact({"tanh-1e4": ("no", error, 0.5, 1.0)}).laws
+        assert len(cell(one, "error")[0]) <= 4
 
 
 def test_tables_of_a_section_of_the_studys_own_are_before_its_figures(page):

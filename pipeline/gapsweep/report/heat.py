@@ -11,14 +11,13 @@ cost
 """
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
 from itertools import groupby
 from typing import TypeVar
 
 import numpy as np
 
 from gapsweep.report.answer import SIGNS, Contact, Judged
-from gapsweep.report.tables import number, percent
+from gapsweep.report.tables import number
 
 GROUPS = {
     "error": "Amplitude error of paired attractors [%], 95th percentile",
@@ -31,49 +30,30 @@ _DEAREST = 10.0  # of costs
 T = TypeVar("T")
 
 
-@dataclass(frozen=True, slots=True)
-class Cell:
-    """A number of a law in a contact: in short, in full, how dark (0 to 1), where it is drawn."""
-
-    text: str
-    said: str
-    shade: float
-    anchor: str
-    verdict: str
-    is_firm: bool
-
-
-@dataclass(frozen=True, slots=True)
-class Row:
-    """All cells of a law, by group in the order of contacts; None where it was not swept."""
-
-    law: str
-    cells: dict[str, list[Cell | None]]
-
-
-def heat(found: Sequence[Contact]) -> list[Row]:
-    """Rows of the heat map, the law that may be used most first.
+def heat(found: Sequence[Contact]) -> list[tuple[str, list[Judged | None]]]:
+    """Every law with its verdicts in the order of contacts, the law that may be used most first.
 
     Parameters
     ----------
     found : sequence of Contact
-        The columns of every group.
+        The columns of every group; a law that is not judged in one of them has None there.
     """
     here = [{one.law: one for one in contact.laws} for contact in found]
-    laws = dict.fromkeys(law for judged in here for law in judged)
-    return [
-        Row(
-            law,
-            {
-                group: [
-                    _cell(group, contact, judged[law]) if law in judged else None
-                    for contact, judged in zip(found, here, strict=True)
-                ]
-                for group in GROUPS
-            },
-        )
-        for law in sorted(laws, key=lambda law: _rank([j[law] for j in here if law in j]))
-    ]
+    rows = {law: [judged.get(law) for judged in here] for judged in here for law in judged}
+    return sorted(rows.items(), key=lambda row: _rank([one for one in row[1] if one]))
+
+
+def cell(one: Judged, group: str) -> tuple[str, float]:
+    """The number of a law in a group as short text, and how dark it is drawn, 0 to 1."""
+    error, share = (float(one.values[name][0]) for name in ("p95", "found"))
+    if group == "error":
+        shade = 1.0 if np.isnan(error) else _between(error, _LEAST, _MOST)
+        return _short(100.0 * error), min(shade, 1.0)
+    if group == "found":
+        return _short(100.0 * share), float(np.nan_to_num(np.sqrt(1.0 - share)))
+    if one.column != "use":
+        return "–", 0.0
+    return _cost(one), min(_between(one.price, 1.0, _DEAREST), 1.0)
 
 
 def _cost(one: Judged) -> str:
@@ -90,28 +70,6 @@ def _rank(everywhere: Sequence[Judged]) -> tuple[float, float]:
     verdicts = [list(SIGNS).index(one.verdict) for one in everywhere]
     errors = [one.values["p95"][0] for one in everywhere]
     return float(np.mean(verdicts)), float(np.mean(np.nan_to_num(errors, nan=np.inf)))
-
-
-def _cell(group: str, contact: Contact, one: Judged) -> Cell:
-    error, share = (float(one.values[name][0]) for name in ("p95", "found"))
-    is_usable = one.column == "use"
-    text, shade = {
-        "error": (
-            _short(100.0 * error),
-            1.0 if np.isnan(error) else _between(error, _LEAST, _MOST),
-        ),
-        "found": (_short(100.0 * share), np.sqrt(1.0 - share)),
-        "cost": (
-            _cost(one) if is_usable else "–",
-            _between(one.price, 1.0, _DEAREST) if is_usable else np.nan,
-        ),
-    }[group]
-    said = (
-        f"{one.name}, {contact.place}: {one.verdict}; 95 % of amplitudes within {percent(error)}, "
-        f"{percent(share)} of {one.n_exact} attractors found, cost {one.cost}"
-    )
-    dark = float(np.clip(np.nan_to_num(shade), 0.0, 1.0))
-    return Cell(text, said, dark, contact.anchor, one.verdict, one.is_firm)
 
 
 def _between(value: float, low: float, high: float) -> float:

@@ -33,7 +33,7 @@ from gapsweep.report.benchmarks import bench_parts
 from gapsweep.report.drawing import labels_of, said_of_marks
 from gapsweep.report.figures import beside_exact
 from gapsweep.report.findings import findings, outcomes, said_of_far_walls
-from gapsweep.report.heat import GROUPS, MANY, heads, heat, swept_columns
+from gapsweep.report.heat import GROUPS, MANY, cell, heads, heat, swept_columns
 from gapsweep.report.maps import numbered_as
 from gapsweep.report.model import model
 from gapsweep.report.overview import along_axis, is_wide, maps_of, overview, plane_of
@@ -229,7 +229,7 @@ def _environment() -> jinja2.Environment:
         lstrip_blocks=True,
     )
     filters = {"number": number, "percent": percent, "times": times, "colour": colour}
-    found.filters.update(**filters, plain=plain, digest=_digest)
+    found.filters.update(**filters, cell=cell, plain=plain, digest=_digest)
     return found
 
 
