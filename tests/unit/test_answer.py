@@ -22,6 +22,7 @@ from gapsweep.report.answer import (
     verdict,
 )
 from gapsweep.report.findings import findings
+from gapsweep.report.inputs import Inputs
 from gapsweep.report.scales import Told
 from gapsweep.study.study import Study
 
@@ -390,7 +391,7 @@ def responses(tmp_path_factory):
 
 
 def found_in(responses, *several):
-    return " ".join(findings(responses, several, None))
+    return " ".join(findings(Inputs(responses, None), several))
 
 
 def test_prices_are_counted_by_what_is_beyond_doubt(responses):

@@ -4,6 +4,7 @@ import csv
 import json
 import re
 import subprocess
+from dataclasses import replace
 from html import unescape
 from xml.etree import ElementTree
 
@@ -35,6 +36,7 @@ from gapsweep.report.html import (
     sections,
     write_report,
 )
+from gapsweep.report.inputs import Inputs
 from gapsweep.report.model import model
 from gapsweep.report.parts import Figured, Part, Table, for_page, pictured, rendered, shown
 from gapsweep.report.pictures import is_picture, pictures
@@ -81,7 +83,7 @@ EQUAL = {"piecewise": 1.0, "piecewise@half": 1.001, "tanh-1e4": 1.02, "poly-13":
 def test_failures_are_counted_once_and_never_ranked(tmp_path):
     responses, compared = made(tmp_path, EQUAL | {"poly-13": None})
     found = contacts(compared)
-    sentences = findings(responses, found, None)
+    sentences = findings(Inputs(responses, None), found)
     assert sentences[0] == (
         "Of 16 sweep points 12 are periodic, 0 chaotic, 0 unresolved and 4 without a steady "
         "response (4 diverged)."
@@ -116,7 +118,7 @@ def test_no_law_is_judged_by_a_wall_that_the_exact_law_never_touches(
     """As where gaps are meant in millimetres; one touch at one frequency is enough."""
     responses, attractors = touching(tmp_path, gaps)
     compared = agreement(responses, attractors)
-    top = head(responses, compared)
+    top = head(Inputs(responses, timing(responses), compared))
     assert [bool(contact.laws) for contact in top["contacts"]] == [gap < 1e-3 for gap in gaps]
     for part in said:
         assert part in top["far"]
@@ -127,7 +129,7 @@ def test_no_law_is_judged_by_a_wall_that_the_exact_law_never_touches(
     assert [sum(map(bool, judged)) for _, judged in top["heat"]] == [n_judged] * len(top["heat"])
     assert "adequate" not in top["headline"][0] or n_judged
     own = in_own_units(responses)
-    assert "never reached" not in " ".join(findings(own, [], None))
+    assert "never reached" not in " ".join(findings(Inputs(own, None), []))
 
 
 def test_several_attractors_are_told(tmp_path):
@@ -135,7 +137,7 @@ def test_several_attractors_are_told(tmp_path):
         return periodic([((1.0 + start * (omega > 2.0)) * 1e-3, 0.0)], omega)
 
     responses, attractors = datasets(tmp_path, tables(LABELS, OMEGA, starts=2, **HALF), answer)
-    said = findings(responses, [], None, attractors=attractors)
+    said = findings(Inputs(responses, None, attractors=attractors), [])
     assert len(said) == 2
     assert re.findall("[0-9]+", said[1]) == ["2", "4", "2"]
 
@@ -153,7 +155,7 @@ def test_where_a_curve_is_chaotic_is_told(tmp_path, starts, some):
         responses, _ = datasets(
             tmp_path / str(len(omega)), tables(LABELS, omega, starts=starts, **HALF), answer
         )
-        return findings(responses, [], None)[1:]
+        return findings(Inputs(responses, None), [])[1:]
 
     assert said(omega) == [
         f"piecewise is chaotic{some} at omega [Hz] 0.5, 1.5 to 2, 4 to 5 and 2 more."
@@ -168,15 +170,15 @@ def test_agreement_of_systems_is_of_what_is_compared(tmp_path):
     place = {"representation": "poly-13", "regime": "all"}
     compared["recall_pooled"].loc[place] = [[1.0], [0.75], [0.5], [1.0]]
     compared["n_compared"].loc[place] = [[0], [4], [4], [4]]
-    said = findings(in_own_units(responses), [], None, agreement=compared)
+    said = findings(Inputs(in_own_units(responses), None, compared), [])
     assert said[-1].endswith("75 % of its attractors, medians over 3 scenes; in one 50 %.")
 
 
 def test_what_approximations_keep_of_systems_is_told(tmp_path):
     responses, compared = made(tmp_path, {**EQUAL, "poly-13": 1.3})
     # These are of an oscillator, whose approximations are judged instead.
-    assert len(findings(responses, [], None, agreement=compared)) == 1
-    *_, tanh, poly = findings(in_own_units(responses), [], None, agreement=compared)
+    assert len(findings(Inputs(responses, None, compared), [])) == 1
+    *_, tanh, poly = findings(Inputs(in_own_units(responses), None, compared), [])
     kept = "keeps 95 % of the amplitudes within"
     assert tanh == f"tanh-1e4 {kept} 2 % of the exact law's and finds 100 % of its attractors."
     assert poly == f"poly-13 {kept} 30 % of the exact law's and finds 0 % of its attractors."
@@ -190,13 +192,13 @@ def test_left_fit_ranges_are_told_from_missing_responses(tmp_path):
         return periodic([(1e-3, 0.0)], omega, status=outside if omega > 3.0 else Status.OK)
 
     responses, _ = datasets(tmp_path, tables(["poly-13"], OMEGA), answer)
-    assert findings(responses, [], None)[0].endswith(
+    assert findings(Inputs(responses, None), [])[0].endswith(
         "and 1 without a steady response (1 out of fit range); "
         "1 with a steady response beyond the range of their fit."
     )
     both = [responses, responses.assign_coords(representation=["mine:table"])]
     both = xr.concat(both, "representation", coords="minimal", compat="override")
-    assert findings(both, [], None)[0].endswith(
+    assert findings(Inputs(both, None), [])[0].endswith(
         "; 1 with a steady response beyond the range of their fit"
         "; 1 with a steady response beyond the table's ends."
     )
@@ -269,16 +271,15 @@ THRESHOLDS = xr.Dataset(
 
 
 def written(folder, responses, attractors, own_parts):
-    return write_report(
-        folder / "report" / "index.html",
+    inputs = Inputs(
         responses,
-        agreement(responses, attractors),
         timing(responses),
+        agreement(responses, attractors),
         static=THRESHOLDS,
         claims=decided(),
         own_parts=own_parts,
-        made_from=HOSTILE,
     )
+    return write_report(folder / "report" / "index.html", inputs, HOSTILE)
 
 
 @pytest.fixture(scope="module")
@@ -825,8 +826,8 @@ def test_branches_lie_behind_the_attractors_with_their_special_points(tmp_path):
         K_c=[1.4e4, 1.0, 1.4e4], gap=["0.4/0.4"] * 3,
     )  # fmt: skip
     found["omega"] -= 4.0 - 0.01 * (found["branch"] > 1)
-    given = files[0], agreement(*files), timing(files[0]), files[1]
-    (without,), (part,) = sections(*given), sections(*given, found)
+    inputs = Inputs(files[0], timing(files[0]), agreement(*files), files[1])
+    (without,), (part,) = sections(inputs), sections(replace(inputs, branches=found))
     titles = [table.title for table in part.tables]
     assert titles[:-1] == [table.title for table in without.tables]
     assert [" | ".join(row) for row in part.tables[-1].rows] == [
@@ -883,8 +884,8 @@ def test_a_caption_names_the_few_frequencies_that_had_several_starts(tmp_path):
     study = tables(LABELS, OMEGA, starts=1, **HALF)
     study["sweep"].append(study["sweep"][0] | {"omega": [2.0], "initial_condition": [[2e-5, 0.0]]})
     files = datasets(tmp_path, study, lambda _, omega, start: periodic([(1e-3, 0.0)], omega))
-    compared = agreement(*files)
-    (part,) = sections(files[0], compared, timing(files[0]), files[1])
+    inputs = Inputs(files[0], timing(files[0]), agreement(*files), files[1])
+    (part,) = sections(inputs)
     captions = " ".join(figured.caption for figured in part.figures)
     assert "several initial conditions at 2 Hz only" in captions
-    assert head(files[0], compared)["starts"] == ["1–2"]
+    assert head(inputs)["starts"] == ["1–2"]

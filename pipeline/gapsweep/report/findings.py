@@ -14,6 +14,7 @@ from gapsweep.analysis.unit_check import doubtful_numbers, never_reached
 from gapsweep.model.labels import EXACT
 from gapsweep.report.answer import Contact
 from gapsweep.report.drawing import labels_of
+from gapsweep.report.inputs import Inputs
 from gapsweep.report.scales import drawn, shown_unit
 from gapsweep.report.tables import VERDICTS, condensed, percent
 from gapsweep.response.result import ResponseClass
@@ -21,45 +22,31 @@ from gapsweep.status import Status
 from gapsweep.study.grid import CONTACT, COORDINATE, START
 
 
-def findings(
-    responses: xr.Dataset,
-    found: Sequence[Contact],
-    decided: Mapping[str, Any] | None,
-    advice: xr.Dataset | None = None,
-    *,
-    attractors: xr.Dataset | None = None,
-    agreement: xr.Dataset | None = None,
-) -> list[str]:
+def findings(inputs: Inputs, found: Sequence[Contact]) -> list[str]:
     """The main findings of a run.
 
     Parameters
     ----------
-    responses : Dataset
-        As stored in ``responses.nc``.
+    inputs : Inputs
     found : sequence of Contact
-        What stands in where, judged; empty without the exact law.
-    decided : mapping, optional
-        What stands in ``claims.json``.
-    advice : Dataset, optional
-        As stored in ``advice.nc``.
-    attractors, agreement : Dataset, optional
-        As stored in the run's folder; of systems, whose approximations are not judged, how far
-        these agree is said in numbers.
+        The verdicts of every contact; empty without the exact law, and for systems, of which the
+        agreement is stated in numbers.
     """
+    responses = inputs.responses
     # First, as it says that nothing else here is about contacts.
     far = said_of_far_walls(responses)
     sentences = [*_doubtful(responses), *filter(None, [far])]
     sentences.append(outcomes(responses))
     sentences += _along(responses)
-    if attractors is not None:
-        sentences += _coexisting(attractors)
-    if agreement is not None and not in_metres(responses):
-        sentences += _agreeing(agreement)
+    if inputs.attractors is not None:
+        sentences += _coexisting(inputs.attractors)
+    if inputs.agreement is not None and not in_metres(responses):
+        sentences += _agreeing(inputs.agreement)
     sentences += _prices(found)
-    if advice is not None:
-        sentences.append(_choices(advice))
-    if decided is not None:
-        sentences.append(_verdicts(decided))
+    if inputs.advice is not None:
+        sentences.append(_choices(inputs.advice))
+    if inputs.claims is not None:
+        sentences.append(_verdicts(inputs.claims))
     return sentences
 
 

@@ -34,6 +34,7 @@ from gapsweep.report.drawing import labels_of, said_of_marks
 from gapsweep.report.figures import beside_exact
 from gapsweep.report.findings import findings, outcomes, said_of_far_walls
 from gapsweep.report.heat import GROUPS, MANY, cell, heads, heat, swept_columns
+from gapsweep.report.inputs import Inputs
 from gapsweep.report.maps import numbered_as
 from gapsweep.report.model import model
 from gapsweep.report.overview import along_axis, is_wide, maps_of, overview, plane_of
@@ -64,60 +65,27 @@ _TEMPLATES = Path(__file__).parent / "templates"
 _FEW = 5  # frequencies, which a caption names
 
 
-def write_report(
-    path: Path,
-    responses: xr.Dataset,
-    agreement: xr.Dataset | None,
-    timing: xr.Dataset,
-    *,
-    attractors: xr.Dataset | None = None,
-    advice: xr.Dataset | None = None,
-    static: xr.Dataset | None = None,
-    claims: Mapping[str, Any] | None = None,
-    own_parts: Sequence[Mapping[str, Any]] = (),
-    work_precision: xr.Dataset | None = None,
-    stability: xr.Dataset | None = None,
-    branches: xr.Dataset | None = None,
-    made_from: str = "",
-) -> Path:
+def write_report(path: Path, inputs: Inputs, made_from: str = "") -> Path:
     """Write the report: the files of its figures, and the page last.
 
     Parameters
     ----------
     path : Path
         The HTML file.
-    responses, agreement, timing : Dataset
-        As stored in the run's folder; `agreement` is None if the exact law was not swept.
-    attractors : Dataset, optional
-        As stored in the run's folder; drawn where there are several starts.
-    advice : Dataset, optional
-        As stored in the run's folder, where ``auto`` is a representation.
-    static : Dataset, optional
-        As stored in the run's folder; says from where tanh has no false well.
-    claims : mapping, optional
-        What stands in ``claims.json``.
-    own_parts : sequence of mapping
-        The sections that stand in ``sections.json``.
-    work_precision, stability : Dataset, optional
-        As stored in the run's folder, for the sections of the benchmark.
-    branches : Dataset, optional
-        As stored in the run's folder; drawn behind the attractors.
+    inputs : Inputs
     made_from : str
         Kept in a meta element, so that the report is made again only if that changes.
     """
-    drawn = sections(responses, agreement, timing, attractors, branches, work_precision, stability)
-    own = [part for part in own_parts if part["anchor"] != ANSWER]
-    top = head(
-        responses, agreement, attractors=attractors, advice=advice, static=static, claims=claims,
-        own_answer=[line for part in own_parts if part not in own for line in part["sentences"]],
-    )  # fmt: skip
+    responses, claims = inputs.responses, inputs.claims
+    own = [part for part in inputs.own_parts if part["anchor"] != ANSWER]
+    drawn, top = sections(inputs), head(inputs)
     parts = for_page([*own, *rendered(drawn)], MOST_FIGURES, FIGURES)
     hero = _hero(responses, top["contacts"])
     environment = _environment()
     shared = {
         "parts": [part | {"is_own": i < len(own)} for i, part in enumerate(parts)],
-        "measured_on": timing.attrs["measured_on"],
-        "is_compared": agreement is not None,
+        "measured_on": inputs.timing.attrs["measured_on"],
+        "is_compared": inputs.agreement is not None,
         "has_protocols": any("@" in label for label in labels_of(responses)),
     }
     page = environment.get_template("report.html").render(
@@ -151,58 +119,39 @@ def write_report(
     return path
 
 
-def sections(
-    responses: xr.Dataset,
-    agreement: xr.Dataset | None,
-    timing: xr.Dataset,
-    attractors: xr.Dataset | None = None,
-    branches: xr.Dataset | None = None,
-    work_precision: xr.Dataset | None = None,
-    stability: xr.Dataset | None = None,
-) -> Iterator[Part]:
-    """The sections of a report, except those of the study; datasets as for `write_report`."""
-    files = (responses, agreement, timing, attractors, branches)
-    yield from bench_parts(work_precision, stability)
-    yield from [overview(*files)] if is_wide(responses) else _scenes(*files)
+def sections(inputs: Inputs) -> Iterator[Part]:
+    """The sections of a report, except those of the study."""
+    yield from bench_parts(inputs.work_precision, inputs.stability)
+    yield from [overview(inputs)] if is_wide(inputs.responses) else _scenes(inputs)
 
 
-def head(
-    responses: xr.Dataset,
-    agreement: xr.Dataset | None,
-    *,
-    attractors: xr.Dataset | None = None,
-    advice: xr.Dataset | None = None,
-    static: xr.Dataset | None = None,
-    claims: Mapping[str, Any] | None = None,
-    own_answer: Sequence[str] = (),
-) -> dict[str, Any]:
-    """The texts of a report that stand outside its sections, as its template names them.
-
-    Parameters
-    ----------
-    own_answer : sequence of str
-        Sentences of the study that come first; other parameters as for `write_report`.
-    """
+def head(inputs: Inputs) -> dict[str, Any]:
+    """The texts of a report that stand outside its sections, as its template names them."""
+    responses = inputs.responses
     # The rules of the answer are for one displacement between two walls.
     is_judged = in_metres(responses)
-    found = contacts(agreement, static) if agreement is not None and is_judged else []
+    found = (
+        contacts(inputs.agreement, inputs.static)
+        if inputs.agreement is not None and is_judged
+        else []
+    )
     told, said = found[:MOST_CONTACTS], in_words(found)
+    own_answer = [part["sentences"] for part in inputs.own_parts if part["anchor"] == ANSWER]
+    own = [sentence for sentences in own_answer for sentence in sentences]
     return {
         "title": responses.attrs["title"],
         "study": responses.attrs["study"],
-        "findings": findings(
-            responses, found, claims, advice, attractors=attractors, agreement=agreement
-        ),
+        "findings": findings(inputs, found),
         "contacts": told,
         "far": said_of_far_walls(responses) if is_judged else "",
-        "headline": own_answer or said[:1],
-        "answer": said[0 if own_answer else 1 :],
+        "headline": own or said[:1],
+        "answer": said[0 if own else 1 :],
         "signs": SIGNS,
         "groups": GROUPS,
         "verdicts": VERDICTS,
         "stiffnesses": heads(contact.K_c for contact in told),
         "gaps": heads((contact.K_c, contact.gap) for contact in told),
-        "beside": swept_columns(told) if any(contact.swept for contact in told) else None,
+        "swept": swept_columns(told) if any(contact.swept for contact in told) else None,
         "is_many": len(told) > MANY,
         "has_own_starts": any(len({law.n_exact for law in one.laws}) > 1 for one in told),
         "heat": heat(told),
@@ -342,27 +291,22 @@ def _is_ours(path: Path) -> bool:
     )
 
 
-def _scenes(
-    responses: xr.Dataset,
-    agreement: xr.Dataset | None,
-    timing: xr.Dataset,
-    attractors: xr.Dataset | None,
-    branches: xr.Dataset | None,
-) -> Iterator[Part]:
-    """Everything about one scene after the other."""
+def _scenes(inputs: Inputs) -> Iterator[Part]:
+    """Everything about one parameter set after the other."""
+    responses = inputs.responses
     for at, here in _found(Scenes(responses), responses):
         labels = labels_of(here)
         title = _title(here)
-        compared = None if agreement is None else agreement.isel(at)
+        compared = None if inputs.agreement is None else inputs.agreement.isel(at)
         yield Part(
             anchor_of(at),
             title,
             [outcomes(here)],
             [
-                *scene_tables(compared, timing.isel(at), labels),
-                *special_points(branches, here, "omega"),
+                *scene_tables(compared, inputs.timing.isel(at), labels),
+                *special_points(inputs.branches, here, "omega"),
             ],
-            _scene_figures(_without_protocols(here), attractors, branches, at, title),
+            _scene_figures(inputs, _without_protocols(here), at, title),
         )
 
 
@@ -380,13 +324,7 @@ def _title(scene: xr.Dataset) -> str:
     return ", ".join([named(scene["K_c"]), f"gap {gap_label(scene)} mm", *others])
 
 
-def _scene_figures(
-    scene: xr.Dataset,
-    attractors: xr.Dataset | None,
-    branches: xr.Dataset | None,
-    at: At,
-    title: str,
-) -> Iterator[Figured]:
+def _scene_figures(inputs: Inputs, scene: xr.Dataset, at: At, title: str) -> Iterator[Figured]:
     if scene.sizes["omega"] == 1 and (plane := plane_of(scene)):
         at_once = scene.isel(omega=0)
         exact = at_once.sel(representation=EXACT) if EXACT in labels_of(scene) else None
@@ -396,9 +334,9 @@ def _scene_figures(
                 one = numbered_as(one, exact)
             yield from maps_of([(one, "attractor"), (one, "x_max")], plane, f"{label}, {where}")
         return
-    found = _attractors(attractors, scene, at)
+    found = _attractors(inputs.attractors, scene, at)
     yield from along_axis(
-        scene, found, branches, "omega", title, has_curve=found is None,
+        scene, found, inputs.branches, "omega", title, has_curve=found is None,
         of_starts=said_of_starts(scene),
         of_attractors="" if found is None else _where_few(found, scene),
     )  # fmt: skip

@@ -27,6 +27,7 @@ from gapsweep.report.branch_lines import said as said_of_branches
 from gapsweep.report.drawing import said_of_peaks
 from gapsweep.report.figures import attractors as attractors_figure
 from gapsweep.report.figures import bifurcation, frequency_response, maps
+from gapsweep.report.inputs import Inputs
 from gapsweep.report.maps import MapImage, numbered_as, numeric_axes, on_grid, picture
 from gapsweep.report.parts import Figured, Part
 from gapsweep.report.scales import long_name, named, shown_unit
@@ -72,20 +73,9 @@ def is_wide(responses: xr.Dataset) -> bool:
     )
 
 
-def overview(
-    responses: xr.Dataset,
-    agreement: xr.Dataset | None,
-    timing: xr.Dataset,
-    attractors: xr.Dataset | None,
-    branches: xr.Dataset | None = None,
-) -> Part:
-    """What stands in the report in place of its scenes.
-
-    Parameters
-    ----------
-    responses, agreement, timing, attractors, branches : Dataset
-        As for `gapsweep.report.html.write_report`.
-    """
+def overview(inputs: Inputs) -> Part:
+    """The section of the report in place of one for each of its scenes."""
+    responses, attractors, branches = inputs.responses, inputs.attractors, inputs.branches
     asked = responses["status"].load() != Status.NOT_REQUESTED
     n_points = asked.sum([dim for dim in asked.dims if dim != REPRESENTATION])
     labels = [str(label) for label in asked[REPRESENTATION].values[n_points.values > 0]]
@@ -114,7 +104,7 @@ def overview(
         " over ".join(["All scenes" if n_scenes > 1 else "The scene", *([both] if both else [])]),
         [sentence],
         [
-            *scene_tables(agreement, timing, labels, over, _apart(asked, n_scenes)),
+            *scene_tables(inputs.agreement, inputs.timing, labels, over, _apart(asked, n_scenes)),
             *(special_points(branches, responses, axes[0]) if is_one_line else []),
         ],
         (
