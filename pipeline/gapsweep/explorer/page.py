@@ -32,7 +32,6 @@ from gapsweep.explorer.page_results import (
     Curve,
     Motion,
     Plane,
-    RunPoints,
     answers,
     nearest,
 )
@@ -110,7 +109,7 @@ class Page:
         self._is_setting = False
         self._curves: dict[tuple[str, str], Curve] = {}
         self._motions: dict[str, Motion] = {}
-        self._points: RunPoints | None = None
+        self._points: list[Curve] = []
         self._controls(question, ranges)
         self._figures = Figures()
         self._figures.look_at(question)
@@ -253,16 +252,16 @@ class Page:
 
     def _clicked(self, event: Tap) -> None:
         """Look at the motion of the response that is nearest."""
-        shown: list[Curve | RunPoints] = [*self._curves.values()]
-        shown += [] if self._points is None else [self._points]
         low, high = self._question.band
         # The figure is about three times as wide as high.
         scale = (high - low, 3.0 * self._highest())
-        spot = nearest(shown, event.x, event.y / _MM, scale)
-        if spot is not None:
-            self._have(spot.label)
-            self._set({"omega": spot.omega})
-            self._ask(start=spot.state)
+        shown = [*self._curves.values(), *self._points]
+        found = nearest(shown, event.x, event.y / _MM, scale)
+        if found is not None:
+            curve, k = found
+            self._have(curve.label)
+            self._set({"omega": float(curve.omega[k])})
+            self._ask(start=(float(curve.x_end[k]), float(curve.v_end[k])))
 
     def _start_clicked(self, event: Tap) -> None:
         """Look at the motion from a start among the basins."""

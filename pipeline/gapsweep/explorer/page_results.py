@@ -28,7 +28,7 @@ Array = NDArray[np.float64]
 N_OMEGA = 200
 RTOL = 1e-6
 _ATOL, _OF_DEFLECTION = 1e-9, 1e-6  # m, or less: of what the largest force does to the spring
-REST, UP, DOWN = "from rest", "sweep up", "sweep down"
+REST, UP, DOWN, STORED = "from rest", "sweep up", "sweep down", "stored"
 BASINS, MAP = "basins", "map"
 # Decay times after which a transient counts as gone, and natural periods that bound them where
 # damping is so weak that a slider would have to wait: below a damping ratio of 0.02.
@@ -52,7 +52,7 @@ class Curve:
     Attributes
     ----------
     label, protocol : str
-        Of the law; from rest, or a sweep.
+        Of the law; from rest, a sweep, or stored by a run.
     omega : ndarray, shape (n,)
         Frequencies [Hz].
     x_max : ndarray, shape (n,)
@@ -101,42 +101,6 @@ class Plane:
     y: Array
     x_max: Array = field(default_factory=lambda: np.empty((0, 0)))
     is_periodic: NDArray[np.bool_] = field(default_factory=lambda: np.empty((0, 0), bool))
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class RunPoints:
-    """Responses that a run has stored, as columns.
-
-    Attributes
-    ----------
-    label : ndarray of str, shape (n,)
-    omega, x_max, x_end, v_end : ndarray, shape (n,)
-        As of a `Curve`.
-    """
-
-    label: NDArray[np.str_]
-    omega: Array
-    x_max: Array
-    x_end: Array
-    v_end: Array
-
-
-@dataclass(frozen=True, slots=True)
-class Spot:
-    """One response that was pointed at.
-
-    Attributes
-    ----------
-    label : str
-    omega : float
-        Frequency [Hz].
-    state : (float, float)
-        Displacement [m] and velocity [m/s] on the attractor, at forcing phase zero.
-    """
-
-    label: str
-    omega: float
-    state: tuple[float, float]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -396,13 +360,13 @@ def motion(question: Question, label: str) -> Motion:
 
 
 def nearest(
-    shown: Sequence[Curve | RunPoints], omega: float, x_max: float, scale: tuple[float, float]
-) -> Spot | None:
-    """The response that is nearest to a place in the figure; None if none is shown.
+    shown: Sequence[Curve], omega: float, x_max: float, scale: tuple[float, float]
+) -> tuple[Curve, int] | None:
+    """The curve, and the position on it, nearest to a place in the figure; None without curves.
 
     Parameters
     ----------
-    shown : sequence of Curve or RunPoints
+    shown : sequence of Curve
     omega, x_max : float
         The place [Hz], [m].
     scale : (float, float)
@@ -415,8 +379,5 @@ def nearest(
             continue
         k = int(np.nanargmin(apart))
         if apart[k] < least:
-            least = float(apart[k])
-            label = each.label if isinstance(each, Curve) else str(each.label[k])
-            state = float(each.x_end[k]), float(each.v_end[k])
-            found = Spot(label, float(each.omega[k]), state)
+            least, found = float(apart[k]), (each, k)
     return found

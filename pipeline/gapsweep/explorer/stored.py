@@ -8,7 +8,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from gapsweep.explorer.page_results import RunPoints
+from gapsweep.explorer.page_results import STORED, Curve
 from gapsweep.explorer.question import not_computed, of_study, refuse_systems
 from gapsweep.model.labels import law_of
 from gapsweep.model.oscillator import OSCILLATOR
@@ -18,6 +18,7 @@ from gapsweep.store import netcdf
 from gapsweep.study.schema import written
 from gapsweep.study.study import Study
 
+_SHOWN = ("x_max", "section_x", "section_v", "response_class", "period_multiple")
 _OF_A_POINT = ("representation", "omega", "initial_condition")
 
 
@@ -51,20 +52,17 @@ class StoredRun:
     def _scene(self, name: str) -> xr.Dataset:
         return self._dataset.isel(self._places[name])
 
-    def points(self, name: str) -> RunPoints:
-        """The responses of a scene; those that failed or were not asked for are left out."""
-        scene = self._scene(name)
-        x_max = scene["x_max"].transpose(*_OF_A_POINT)
-        first = scene[["section_x", "section_v"]].isel(section_point=0).transpose(*_OF_A_POINT)
-        label, omega, _ = np.meshgrid(
-            [law_of(text) for text in scene["representation"].values.tolist()],
-            scene["omega"].values,
-            scene["initial_condition"].values,
-            indexing="ij",
-        )
-        is_there = np.isfinite(x_max.values) & np.isfinite(first["section_x"].values)
-        columns = (label, omega, x_max.values, first["section_x"].values, first["section_v"].values)
-        return RunPoints(*(column[is_there] for column in columns))
+    def points(self, name: str) -> list[Curve]:
+        """The stored responses of a scene by label, without those that failed.
+
+        Their states are the first section points.
+        """
+        scene = self._scene(name)[list(_SHOWN)].isel(section_point=0)
+        table = scene.to_dataframe().reset_index().dropna(subset=["x_max", "section_x"])
+        return [
+            Curve(law_of(label), STORED, *(rows[name].to_numpy() for name in ("omega", *_SHOWN)))
+            for label, rows in table.groupby("representation", sort=False)
+        ]
 
     def branches(self, name: str) -> list[tuple[str, bool, NDArray[np.float64]]]:
         """Lines of the branches of a scene [Hz, mm]: label, whether they are stable, points."""
