@@ -13,7 +13,6 @@ from tests.stored import tile_rows
 
 import gapsweep as gs
 from gapsweep.integrate.problem import Models, Solver
-from gapsweep.report import figures
 from gapsweep.response import ensemble, thresholds
 from gapsweep.response.attractors import attractors_of_scenes
 from gapsweep.response.autonomous import PoincareMap
@@ -63,7 +62,7 @@ def test_known_coexisting_attractors_are_found(K_c, gap, omega, known):
 
 def test_basins_are_drawn_with_a_name_for_every_attractor():
     found = box(SOFT, SYMMETRIC, 19.0, n=5)
-    axes, bar = figures.basins(found).axes
+    axes, bar = found.gapsweep.attractors().figure.axes
     (mesh,) = axes.images
     assert np.array_equal(mesh.get_array(), found["attractor"].values)
     names = [tick.get_text() for tick in bar.get_yticklabels()]

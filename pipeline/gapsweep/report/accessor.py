@@ -5,7 +5,6 @@
 """
 
 from collections.abc import Callable
-from contextlib import suppress
 from functools import wraps
 from typing import TYPE_CHECKING, Any, Concatenate, ParamSpec
 
@@ -28,7 +27,6 @@ from gapsweep.variables import to_dataframe
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-_MANY_STARTS = 500  # from here on those that form a grid are a mesh
 _RIM, _DOT = 5.0, 3.0  # points: of the law behind, of the one before it
 
 
@@ -202,7 +200,7 @@ class GapsweepAccessor:
         Of ``attractors.nc``: the peak of every attractor over frequency, the dot as large as its
         basin, hollow if not periodic; at a single frequency the stroboscopic sections. Of
         ``responses.nc`` at a single frequency, and of `gapsweep.basins`: the attractor that every
-        start ends on; more than 500 starts that form a grid are drawn as one mesh.
+        start ends on. ``map("attractor", x="x_0", y="v_0")`` draws many starts as one mesh.
 
         Parameters
         ----------
@@ -309,8 +307,8 @@ class GapsweepAccessor:
     def work_precision(self, *, ax: "Axes | None" = None, **wanted: Any) -> "Axes":
         """Cost of every method over its error, of one scene of ``work_precision.nc``.
 
-        Rings mark the methods that no other beats in both; dotted lines the error of the model
-        itself, which no tolerance mends; failed runs are counted in the legend.
+        Rings mark the methods that no other beats in both; ticks at the bottom the error of the
+        model itself, which no tolerance reduces; crosses at the right failed runs.
 
         Parameters
         ----------
@@ -319,12 +317,12 @@ class GapsweepAccessor:
         **wanted
             Selection by coordinate; one scene must be left.
         """
-        names = ("trajectory_error", "cpu_time", "model_error", "status", "on_front")
-        needed = [name for name in names if name in names[:2] or name in self._dataset]
-        shown = scene(self._dataset, dict.fromkeys(needed, ("method", "tolerance")), wanted)
+        from gapsweep.report.bench_figures import PANEL, panel
+
+        shown = scene(self._dataset, dict.fromkeys(PANEL, ("method", "tolerance")), wanted)
         axes = axes_of(ax)
-        drawing.work_precision(axes, shown)
-        axes.set_xlabel(axis_label(shown["trajectory_error"]))
+        panel(axes, shown)
+        axes.set_xlabel(axis_label(shown["total_error"]))
         axes.set_ylabel(axis_label(shown["cpu_time"]))
         return titled(axes, shown)
 
@@ -357,9 +355,6 @@ def _starts(dataset: xr.Dataset, ax: "Axes | None") -> "Axes":
     dataset = dataset.reset_coords([name for name in ("x_0", "v_0") if name in dataset.coords])
     names = ("attractor", "period_multiple", "x_max", "x_0", "v_0")
     shown = scene(dataset, dict.fromkeys(names, ("initial_condition",)), {})
-    if shown.sizes["initial_condition"] > _MANY_STARTS:
-        with suppress(DatasetError):  # no grid: a mark for each
-            return _basins(maps.as_basins(shown), ax)
     axes = axes_of(ax)
     drawing.starts(axes, shown)
     return _plane(axes, shown["x_0"], shown["v_0"], shown)

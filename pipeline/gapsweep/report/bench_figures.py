@@ -17,6 +17,10 @@ _WIDTH = 9.5  # inches, the report's column
 _COLUMNS = 3
 _MARKERS = ("o", "s", "^", "D", "v")
 _ERRORS = (1e-14, 1e2)
+PANEL = (
+    *("total_error", "cpu_time", "cpu_time_q25", "cpu_time_q75"),
+    *("model_error", "status", "on_front", "at_reference_floor"),
+)
 # From best to worst: what a cell of the atlas shows is the worst of its runs.
 _SEVERITY = (
     CellOutcome.NOT_REQUESTED,
@@ -66,7 +70,10 @@ def work_precision_figure(bench: xr.Dataset) -> Figure:
     panels = figure.subplots(n_rows, columns, squeeze=False, sharex=True, sharey=True)
     labels = bench["method"].values.tolist()
     for axes, s in zip(panels.flat, range(bench.sizes["scene"]), strict=False):
-        _panel(axes, bench.isel(scene=s), labels)
+        one = bench.isel(scene=s)
+        panel(axes, one)
+        title = f"{one['gap'].item()} mm, {float(one['omega']):g} Hz"
+        axes.set_title(title, fontsize=9, loc="left")
     _widen(panels[0, 0])
     for axes in panels.flat[bench.sizes["scene"] :]:
         axes.set_visible(False)
@@ -84,7 +91,15 @@ def work_precision_figure(bench: xr.Dataset) -> Figure:
     return figure
 
 
-def _panel(axes: Axes, scene: xr.Dataset, labels: list[str]) -> None:
+def panel(axes: Axes, scene: xr.Dataset) -> None:
+    """Cost over error of every method in one scene, a point per tolerance.
+
+    Parameters
+    ----------
+    scene : Dataset
+        The variables `PANEL`, over method and tolerance.
+    """
+    labels = scene["method"].values.tolist()
     styles, marks = lines(labels), by_colour(labels, _MARKERS)
     axes.set_xscale("log")
     axes.set_yscale("log")
@@ -109,7 +124,7 @@ def _panel(axes: Axes, scene: xr.Dataset, labels: list[str]) -> None:
         )
         ring: dict[str, Any] = {"markerfacecolor": "none", "markeredgecolor": "#D55E00"}
         axes.plot(x[front], y[front], "o", markersize=9, zorder=3, label=named, **ring)
-        model = float(one["model_error"])
+        model = float(one["model_error"].max())
         if model > 0.0:
             edge: dict[str, Any] = {"ymax": 0.06, "color": shade, "linewidth": 1.4}
             axes.axvline(min(model, _ERRORS[1]), label=f"_{label}, its own error", **edge)
@@ -120,8 +135,6 @@ def _panel(axes: Axes, scene: xr.Dataset, labels: list[str]) -> None:
             crosses = axes.plot(np.ones(failed.sum()), y[failed], "x", **look)
             crosses[0].set_in_layout(False)
     axes.grid(which="minor", visible=False)
-    title = f"{scene['gap'].item()} mm, {float(scene['omega']):g} Hz"
-    axes.set_title(title, fontsize=9, loc="left")
     said = _failed_words(scene, labels)
     if said:
         axes.text(0.98, 0.97, said, transform=axes.transAxes, ha="right", va="top", fontsize=7)

@@ -15,10 +15,9 @@ from numpy.typing import NDArray
 from gapsweep.analysis.agreement.jumps import breaks
 from gapsweep.model.labels import EXACT
 from gapsweep.report.mesh import mesh
-from gapsweep.report.scales import drawn, factor, shown_unit
+from gapsweep.report.scales import drawn, shown_unit
 from gapsweep.report.style import WALL, colour, lines
 from gapsweep.response.result import ResponseClass
-from gapsweep.status import Status
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -316,42 +315,6 @@ def summary(
         axes.axvline(float(drawn(floor)), **WALL, label="exact against exact")
     axes.set_yticks(range(len(labels)), labels)
     axes.set_ylim(len(labels) - 0.5, -0.5)
-
-
-def work_precision(axes: "Axes", scene: xr.Dataset) -> None:
-    """Cost over error, a line per method; rings on the front, dots where the model itself is off.
-
-    Parameters
-    ----------
-    scene : Dataset
-        ``trajectory_error(method, tolerance)``, ``cpu_time``; where there are any ``model_error``,
-        ``on_front`` and ``status``.
-    """
-    methods = [str(name) for name in scene["method"].values]
-    styles = lines(methods)
-    for position, name in enumerate(methods):
-        one = scene.isel({"method": position})  # sel(method=...) is xarray's own keyword
-        error, cost = drawn(one["trajectory_error"]), drawn(one["cpu_time"])
-        shown = np.isfinite(error) & np.isfinite(cost) & (error > 0.0)
-        status = (
-            one["status"].values if "status" in one else np.where(shown, Status.OK, Status.ERROR)
-        )
-        shown &= status == Status.OK
-        # Methods have ladders of different lengths: what was not asked for is no failure.
-        lost = int(np.sum((status != Status.OK) & (status != Status.NOT_REQUESTED)))
-        style: dict[str, Any] = {"color": colour(name), "markersize": 4}
-        words = f"{name} ({lost} failed)" if lost else name
-        axes.plot(error[shown], cost[shown], f"o{styles[name]}", label=words, **style)
-        if "on_front" in one:
-            best = shown & (one["on_front"].values == 1)
-            axes.plot(
-                error[best], cost[best], "o", color=colour(name), markersize=9, fillstyle="none"
-            )
-        if "model_error" in one and np.nanmax(one["model_error"], initial=0.0) > 0.0:
-            worst = factor(one["model_error"]) * float(np.nanmax(one["model_error"]))
-            axes.axvline(worst, color=colour(name), linestyle=":", linewidth=1.0)
-    axes.set_xscale("log")
-    axes.set_yscale("log")
 
 
 def _label(one: xr.Dataset) -> str:

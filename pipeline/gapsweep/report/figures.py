@@ -118,22 +118,6 @@ def _where_asked(law: xr.Dataset, scene: xr.Dataset, exact: str) -> xr.Dataset:
     return theirs.assign({name: theirs[name].where(asked, other) for name, other in known.items()})
 
 
-def basins(found: xr.Dataset) -> Figure:
-    """Attractor of every start, as returned by `gapsweep.basins`; white where there is none.
-
-    Parameters
-    ----------
-    found : Dataset
-        ``attractor(v_0, x_0)`` and what each attractor is.
-    """
-    figure = Figure(figsize=(0.75 * _WIDTH, 4.2), layout="constrained")
-    axes = figure.subplots()
-    drawing.basins(axes, found)
-    axes.set_xlabel(axis_label(found["x_0"]))
-    axes.set_ylabel(axis_label(found["v_0"]))
-    return figure
-
-
 def maps(pictures: Sequence[MapImage]) -> Figure:
     """Pictures of one representation, two in a row."""
     n_rows = math.ceil(len(pictures) / 2)

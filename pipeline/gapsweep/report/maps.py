@@ -141,31 +141,6 @@ def on_grid(starts: xr.Dataset, y: str = "v_0", x: str = "x_0") -> xr.Dataset:
     )
 
 
-def as_basins(starts: xr.Dataset) -> xr.Dataset:
-    """Starts that form a grid in the form in which `gapsweep.basins` returns them.
-
-    Parameters
-    ----------
-    starts : Dataset
-        ``attractor(initial_condition)``, ``period_multiple``, ``x_max``, ``x_0`` and ``v_0``.
-
-    Raises
-    ------
-    DatasetError
-        If they form none.
-    """
-    starts = starts.isel({_START: np.isfinite(starts["x_0"].values)})
-    ids, first = np.unique(starts["attractor"].values, return_index=True)
-    known = first[ids >= 0]
-    what = starts[["period_multiple", "x_max"]].isel({_START: known})
-    grid = on_grid(starts.set_coords(["x_0", "v_0"])[["attractor"]])
-    numbers = np.searchsorted(ids[ids >= 0], grid["attractor"].values)
-    grid["attractor"] = grid["attractor"].copy(data=np.where(grid["attractor"] >= 0, numbers, -1))
-    return grid.assign(
-        {name: ("attractor_number", what[name].values, what[name].attrs) for name in what}
-    )
-
-
 def numbered_as(starts: xr.Dataset, exact: xr.Dataset) -> xr.Dataset:
     """The starts of a law, its attractors numbered as those of the exact law that they are like.
 

@@ -109,7 +109,7 @@ def missing_variable(dataset: xr.Dataset, name: str) -> str:
 _FILES = {
     "responses.nc": ("amplitude", "x_max", "extrema", "response_class", "period_multiple"),
     "attractors.nc": ("n_attractors", "basin_share", "section_x", "section_v"),
-    "work_precision.nc": ("trajectory_error", "cpu_time"),
+    "work_precision.nc": ("total_error", "trajectory_error", "cpu_time"),
 }
 
 
