@@ -92,11 +92,15 @@ def test_a_dot_without_a_known_basin_is_no_small_basin():
     ("found", "said"),
     [
         (attractors(np.nan, np.nan), ""),
-        (attractors(0.3, np.nan), " The area of a dot is the share of the starts that end on it."),
+        (
+            attractors(0.3, np.nan),
+            " Dot area: share of the initial conditions that lead to the attractor.",
+        ),
         (attractors(np.nan, kind="chaotic"), " Hollow: not periodic."),
         (
             attractors(0.5, kind="quasiperiodic"),
-            " The area of a dot is the share of the starts that end on it; hollow: not periodic.",
+            " Dot area: share of the initial conditions that lead to the attractor; hollow: not "
+            "periodic.",
         ),
     ],
 )

@@ -583,14 +583,14 @@ def test_a_study_of_systems_is_refused_before_its_code_is_looked_for(tmp_path, c
     for path in (tmp_path / "moved.toml", run):
         assert exit_code(["explore", str(path), "--no-browser"]) == 1
         said = capsys.readouterr().err
-        assert f"error: {path}: a study of systems, and explore takes oscillators only" in said
+        assert f"error: {path}: a study of systems; explore accepts oscillators only" in said
         assert "report of 'gapsweep run'" in said
 
 
 def test_the_page_says_that_its_line_is_no_law_of_the_users(tmp_path):
     tables_ = tables(("bump:clean@fine", "piecewise"), (5.0, 6.0), protocol={"fine": {}})
     said = not_computed(gs.Study.from_dict(tables_))
-    assert "Not computed here: your own bump:clean." in said
+    assert "Not computed here: the user-defined bump:clean." in said
     document = Document()
     Page(document, of_model(LINEAR, FREE), {}, None, said).stop()
     (div,) = document.select({"name": "note"})

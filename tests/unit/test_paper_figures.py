@@ -457,13 +457,16 @@ def test_the_period_at_the_end_of_a_history_is_what_a_plot_shows(motion, period,
     ("asked", "said"),
     [
         ({"a": ["1", "1"], "b": ["1", "1"]}, ""),
-        ({"a": ["12", "12"], "b": ["12", "12"]}, " from 2 starts"),
-        ({"a": ["1", "123"], "b": ["1", "123"]}, " from 1 to 3 starts per frequency"),
-        ({"a": ["1", "2"], "b": ["1", "2"]}, " from 1 of 2 starts per frequency"),
-        ({"a": ["12", "12"], "b": ["1", "1"]}, ", of b from 1 start, of a from 2 starts"),
+        ({"a": ["12", "12"], "b": ["12", "12"]}, " from 2 initial conditions"),
+        ({"a": ["1", "123"], "b": ["1", "123"]}, " from 1 to 3 initial conditions per frequency"),
+        ({"a": ["1", "2"], "b": ["1", "2"]}, " from 1 of 2 initial conditions per frequency"),
+        (
+            {"a": ["12", "12"], "b": ["1", "1"]},
+            ", of b from 1 initial condition, of a from 2 initial conditions",
+        ),
         (
             {"a": ["12", "12"], "b": ["12", "12"], "c": ["1", ""]},
-            ", of c from 1 start, of the other laws from 2 starts",
+            ", of c from 1 initial condition, of the other laws from 2 initial conditions",
         ),
     ],
 )

@@ -142,7 +142,7 @@ def test_several_attractors_are_told(tmp_path):
     assert re.findall("[0-9]+", said[1]) == ["2", "4", "2"]
 
 
-@pytest.mark.parametrize(("starts", "some"), [(1, ""), (2, " from some start")])
+@pytest.mark.parametrize(("starts", "some"), [(1, ""), (2, " from some initial conditions")])
 def test_where_a_curve_is_chaotic_is_told(tmp_path, starts, some):
     omega = (0.5, 1.0, 1.5, 2.0, 2.5, 3.0, 3.5, 4.0, 4.5, 5.0, 5.5, 6.0)
     wild = {0.5, 1.5, 2.0, 3.0, 4.0, 4.5, 5.0, 6.0}
@@ -171,7 +171,7 @@ def test_agreement_of_systems_is_of_what_is_compared(tmp_path):
     compared["recall_pooled"].loc[place] = [[1.0], [0.75], [0.5], [1.0]]
     compared["n_compared"].loc[place] = [[0], [4], [4], [4]]
     said = findings(Inputs(in_own_units(responses), None, compared), [])
-    assert said[-1].endswith("75 % of its attractors, medians over 3 scenes; in one 50 %.")
+    assert said[-1].endswith("75 % of its attractors, medians over 3 parameter sets; lowest 50 %.")
 
 
 def test_what_approximations_keep_of_systems_is_told(tmp_path):
@@ -360,7 +360,7 @@ def test_the_studys_own_answer_comes_before_that_of_the_rules(page):
     first = page.read_text().partition('class="answer">')[2]
     assert "<img" not in first.partition("</p>")[0]
     assert first.partition("</p>")[2].strip().startswith("<p>second</p>")
-    assert "Take the exact law" in first.partition("<details>")[2]
+    assert "Use the exact law" in first.partition("<details>")[2]
 
 
 def test_hostile_texts_stay_texts(page):
@@ -395,19 +395,19 @@ def test_the_answer_comes_first_in_words_and_as_a_map(page):
     assert anchor == "scene-0-0"
     assert said.startswith("tanh-1e4 ±, 14000 N/m, 0.4/0.4 mm: use; 95 % of amplitudes within 2 %")
     assert [re.sub("<[^>]+>", "", cell) for cell in (tanh, poly)] == ["✓2", "✗30"]
-    assert "one well: ε &gt; 72000" in text
-    assert "exact against exact" in text[text.index("<details>") :]
+    assert "one static equilibrium: ε &gt; 72000" in text
+    assert "exact law, other settings" in text[text.index("<details>") :]
 
 
 def contact(laws, **where):
-    """A contact where each law has a verdict, an error, a share found and a price."""
+    """A contact where each law has a verdict, an error, a share found and a cost ratio."""
     judged = [
         Judged(
             law,
             {"median": np.array([error]), "p95": np.array([error]), "found": np.array([share])},
-            9, said, frozenset({said}), price, price, price,
+            9, said, frozenset({said}), cost_ratio, cost_ratio, cost_ratio,
         )
-        for law, (said, error, share, price) in laws.items()
+        for law, (said, error, share, cost_ratio) in laws.items()
     ]  # fmt: skip
     return Contact(**{"K_c": 1.4e4, "gap": "0/1", **where}, floors={}, laws=judged, threshold="?")
 
@@ -473,10 +473,10 @@ def test_the_model_of_a_system_is_what_its_function_made():
     assert ("b of mesh", "[1]") in told
     assert dict(told)["F of mesh"].startswith("times 1 + -0.2 cos(2πωt)")
     assert dict(told)["j₁/j₂"] == "1/1"
-    assert dict(told)["r"].startswith("1 (lower wall's")
+    assert dict(told)["r"].startswith("1 (stiffness of the lower wall")
     one_sided = responses.assign_coords(K_ratio=[0.0], representation=["tanh-1e4"])
     told = dict(model(one_sided))
-    assert told["r"] == "0 (lower wall's stiffness over K_c); 0: no lower wall"
+    assert told["r"] == "0 (stiffness of the lower wall / K_c); 0: no lower wall"
     assert "ε [1/unit of x] in its name" in told["F of tanh"]
     assert [
         model_module._turning({"k": k, "phase": phase})
@@ -490,7 +490,7 @@ def test_a_contact_of_its_own_numbers_is_told():
     coords = {"representation": ["piecewise"], "K_c": [10.0], "gap": ["0.1/0.2"]}
     responses = xr.Dataset({"x_max": 0.1}, coords, study.attributes)
     told = dict(model(responses))
-    assert told["Of between alone"] == "K_c 50, j₁/j₂ 0.5/0.4, r 2"
+    assert told["Only between"] == "K_c 50, j₁/j₂ 0.5/0.4, r 2"
     assert "Of stop alone" not in told
 
 
@@ -503,11 +503,17 @@ def test_the_model_is_told_with_the_numbers_that_a_run_used(tmp_path):
     # Each law once, whatever its settings or parameter.
     assert list(told) == ["Equation", "Numbers", "F of piecewise", "F of tanh"]
     assert told["F of piecewise"].startswith("K_c (x − j₂)")
-    for told_of in ("ζ 0.07,", "p 1.5, 2.5 N", "K_c 20000 N/m", "r 0.5 (lower", "ω 1, 2, 3, 4 Hz"):
+    for told_of in (
+        "ζ 0.07,",
+        "p 1.5, 2.5 N",
+        "K_c 20000 N/m",
+        "r 0.5 (stiffness of the lower",
+        "ω 1, 2, 3, 4 Hz",
+    ):
         assert told_of in told["Numbers"]
     assert "0.4/0.4 mm" in told["Numbers"]
     users = responses.assign_coords(representation=["piecewise", "mine:spring", *"ab"])
-    assert dict(model(users.isel(representation=[0, 1])))["F of mine:spring"] == "the user's own"
+    assert dict(model(users.isel(representation=[0, 1])))["F of mine:spring"] == "user-defined"
     tables_json = json.dumps({"mine:spring": {"points": 7, "low": -1e-3, "high": 2.5e-3}})
     measured = users.isel(representation=[0, 1]).assign_attrs(tables_json=tables_json)
     assert dict(model(measured))["F of mine:spring"].startswith(
@@ -642,7 +648,7 @@ def test_claims_approximation_the_page_with_their_numbers(page):
 @pytest.mark.parametrize(
     ("holds", "said"),
     [
-        ((True, None, True), "1 of 3 tests open, none failed"),
+        ((True, None, True), "1 of 3 tests undecided, none failed"),
         ((True, None, False), ""),
         ((True, True), ""),
         ((None, None), ""),
@@ -758,10 +764,10 @@ def test_parts_that_hold_nothing_are_left_out():
     [
         (0.93, ">=", 0.8, True, "0.93 ≥ 0.8 holds"),
         (0.4, ">=", 0.8, False, "0.4, not ≥ 0.8"),
-        (0.79, "<", 0.8, None, "open: 0.79 is within its floor of < 0.8"),
-        (None, ">", 0.8, None, "open: no finite number, asked for > 0.8"),
-        (None, ">", None, None, "open: no finite number, asked for > no finite number"),
-        (3.0, ">", None, None, "open: 3, asked for > no finite number"),
+        (0.79, "<", 0.8, None, "undecided: 0.79 is within its uncertainty of < 0.8"),
+        (None, ">", 0.8, None, "undecided: no finite number, required > 0.8"),
+        (None, ">", None, None, "undecided: no finite number, required > no finite number"),
+        (3.0, ">", None, None, "undecided: 3, required > no finite number"),
         (None, ">", 0.8, True, "no finite number > 0.8 holds"),
         (2.0, ">", None, False, "2, not > no finite number"),
     ],

@@ -1,4 +1,4 @@
-"""The figures of the page: what is drawn where, and how answers get into them."""
+"""The figures of the page."""
 
 from collections.abc import Iterable, Sequence
 from html import escape

@@ -30,7 +30,7 @@ class Question:
         Stiffness [N/m] of the upper wall, and of the lower over the upper [-].
     gap : Gap
     approximations : tuple of str
-        Labels of the laws beside the exact one.
+        Labels of the other laws.
     band : (float, float)
         First and last frequency [Hz] of the response.
     omega : float
@@ -40,7 +40,7 @@ class Question:
     fit_range : float
         Half-width [m] of the range on which polynomials are fitted.
     over : str
-        Number of a slider that the map has beside the frequency.
+        Number of a slider on the second axis of the map.
     over_values : tuple of float
         Its values there, in SI units; none: no map.
     """
@@ -59,7 +59,7 @@ class Question:
 
     def __post_init__(self) -> None:
         if not self.oscillator.omega_n:
-            raise ModelError("omega_n = 0: must be > 0 here; of a free mass see gapsweep.respond")
+            raise ModelError("omega_n = 0: must be > 0 here; for a free mass use gapsweep.respond")
         checked("omega", self.omega, low=0.0, strict=True)
         for name, value in zip(("x_0", "v_0"), self.start, strict=True):
             checked(name, value)
@@ -108,7 +108,7 @@ def labels(text: str) -> tuple[str, ...]:
     found = tuple(label for label in found if label != EXACT)
     if len(found) > MAX_APPROXIMATIONS:
         raise ModelError(
-            f"{len(found)} approximations: must be <= {MAX_APPROXIMATIONS}; take some away"
+            f"{len(found)} approximations: must be <= {MAX_APPROXIMATIONS}; remove some"
         )
     return found
 
@@ -255,7 +255,7 @@ def of_model(
     *,
     approximations: Sequence[str] = DEFAULT_APPROXIMATIONS,
 ) -> Question:
-    """The question of an oscillator and a contact; a law that is an approximation is one beside.
+    """The question of an oscillator and a contact; an approximation as law is shown, too.
 
     Raises
     ------
@@ -288,7 +288,7 @@ def refuse_systems(tables: Mapping[str, Any], source: object) -> None:
     """
     if tables.get("system") is not None:
         raise ModelError(
-            f"{source}: a study of systems, and explore takes oscillators only; for systems use "
+            f"{source}: a study of systems; explore accepts oscillators only. For systems use "
             "the report of 'gapsweep run', ds.gapsweep.bifurcation() and map() of gapsweep.open, "
             "gapsweep.respond and gapsweep.simulate"
         )
@@ -337,8 +337,8 @@ def not_computed(study: Study) -> str:
     if not own:
         return ""
     return (
-        f"Not computed here: your own {', '.join(own)}. Squares show what a run has stored; black "
-        "is the exact law of straight walls, with K_c and the gap of the sliders."
+        f"Not computed here: the user-defined {', '.join(own)}. Squares: stored results; black: "
+        "the piecewise-linear law, with K_c and the gap of the sliders."
     )
 
 

@@ -50,7 +50,7 @@ class GapsweepAccessor:
 
     Every plot takes `ax`, the axes to draw into (new ones if None), and selects by coordinate:
     a value, a list, or for numbers a slice that includes both ends. What cannot be drawn is
-    refused with a `gapsweep.DatasetError` that names what is missing. In a notebook,
+    refused with a `gapsweep.DatasetError` that names the missing part. In a notebook,
     ``ds.gapsweep`` by itself shows what the dataset holds and where its points came from.
     """
 
@@ -168,8 +168,8 @@ class GapsweepAccessor:
     ) -> "Axes":
         """Peaks of two representations from all starts, `a` behind `b`.
 
-        What shows of `a` is missed by `b`, what shows of `b` alone is invented. Responses that
-        are not periodic are pale.
+        Visible dots of `a` are missed by `b`; dots of `b` without `a` behind are spurious.
+        Responses that are not periodic are pale.
 
         Parameters
         ----------
@@ -195,7 +195,7 @@ class GapsweepAccessor:
     def attractors(
         self, *, along: str | None = None, ax: "Axes | None" = None, **wanted: Any
     ) -> "Axes":
-        """Which attractors there are.
+        """Attractors.
 
         Of ``attractors.nc``: the peak of every attractor over frequency, the dot as large as its
         basin, hollow if not periodic; at a single frequency the stroboscopic sections. Of
@@ -243,7 +243,7 @@ class GapsweepAccessor:
         ----------
         variable : str
             A summary, as ``"same_attractor_mean"``: a row per representation with its confidence
-            interval, and the floor of exact against exact as a dashed line. A variable over
+            interval, and the exact law with other settings as a dashed line. A variable over
             `along`, as ``"amplitude_error"``: a curve per representation and start.
         along, ax, **wanted
             As for `frequency_response`; `regime` is ``"all"`` if not given.
@@ -259,7 +259,9 @@ class GapsweepAccessor:
         reference = self._dataset.attrs.get("reference")
         others = value["representation"].values != reference
         if not others.any():
-            raise DatasetError(f"{reference}: what all others are compared with, not itself")
+            raise DatasetError(
+                f"{reference}: the reference of all comparisons; choose another representation"
+            )
         value = value.isel(representation=others)
         interval = _numbers(self._dataset, f"{variable}_ci", ("representation", "bound"), wanted)
         of_all = {name: what for name, what in wanted.items() if name != "representation"}

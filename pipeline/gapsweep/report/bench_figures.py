@@ -21,7 +21,7 @@ PANEL = (
     *("total_error", "cpu_time", "cpu_time_q25", "cpu_time_q75"),
     *("model_error", "status", "on_front", "at_reference_floor"),
 )
-# From best to worst: what a cell of the atlas shows is the worst of its runs.
+# From best to worst: a cell of the atlas shows the worst of its runs.
 _SEVERITY = (
     CellOutcome.NOT_REQUESTED,
     CellOutcome.RIGHT,
@@ -57,7 +57,7 @@ _QUANTITIES = {
 
 
 def work_precision_figure(bench: xr.Dataset) -> Figure:
-    """Total error against cost, a panel per scene.
+    """Cost over total error, a panel per scenario.
 
     Parameters
     ----------
@@ -80,7 +80,7 @@ def work_precision_figure(bench: xr.Dataset) -> Figure:
     for axes in panels[:, 0]:
         axes.set_ylabel("processor time per\nsimulated second")
     for axes in panels[-1]:
-        axes.set_xlabel("error against the exact law")
+        axes.set_xlabel("error compared with the exact law")
     figure.legend(
         [panels[0, 0].lines[i] for i in range(len(labels))],
         labels,
@@ -141,9 +141,9 @@ def panel(axes: Axes, scene: xr.Dataset) -> None:
 
 
 def _widen(axes: Axes) -> None:
-    """Show a decade about values that are all one.
+    """Show a decade about a single value.
 
-    Error bars make of one value two, a rounding apart, and so narrow would be the axis.
+    Error bars split one value into two that differ by rounding, which sets a too narrow axis.
     """
     for (low, high), set_limits in (
         (axes.get_xlim(), axes.set_xlim),
@@ -154,7 +154,7 @@ def _widen(axes: Axes) -> None:
 
 
 def _failed_words(scene: xr.Dataset, labels: list[str]) -> str:
-    """Which methods failed, and how, a line each."""
+    """Failed methods and their status, one per line."""
     found = []
     for label in labels:
         status = np.unique(scene["status"].sel({"method": label}).values).tolist()
@@ -164,7 +164,7 @@ def _failed_words(scene: xr.Dataset, labels: list[str]) -> str:
 
 
 def tolerance_figure(bench: xr.Dataset) -> Figure:
-    """Solver errors against the tolerance asked for, medians over the scenes."""
+    """Solver errors over the tolerance, medians over the scenarios."""
     figure = Figure(figsize=(_WIDTH, 4.2), layout="constrained")
     panels = figure.subplots(1, len(_QUANTITIES))
     labels = bench["method"].values.tolist()

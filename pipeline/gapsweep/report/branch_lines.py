@@ -116,7 +116,7 @@ def behind(
 
 
 def said(found: xr.Dataset | None, here: xr.Dataset, along: str) -> str:
-    """What a caption says of branches, with a blank before; nothing where none is drawn."""
+    """The caption of branches, with a leading blank; empty if none is drawn."""
     branches = of_scene(found, here, along)
     if branches is None:
         return ""

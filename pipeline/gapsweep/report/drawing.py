@@ -1,4 +1,4 @@
-"""What the report's figures and the accessor share: functions that draw into given axes.
+"""Functions that draw into given axes, for the report's figures and the accessor.
 
 Every function takes matplotlib axes and a dataset that holds the dimensions it names. matplotlib
 itself comes with the axes, so that importing this module is cheap.
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 MANY = 60  # points as vectors would make a file heavy
-_MOST_NAMES = 24  # that fit beside a colour bar
+_MOST_NAMES = 24  # that fit next to a colour bar
 _SPARE = 0.5  # room around the exact law, in widths of its range
 _DOT = 12.0  # points², of an attractor whose basin is not known
 
@@ -139,10 +139,13 @@ def peaks(
 
 
 def said_of_marks(figure: "Figure") -> str:
-    """What a caption says of pale dots and of triangles, with blanks before; of those there are."""
+    """The caption of pale dots and triangles, with leading blanks; empty if there are none."""
     lines = [line for axes in figure.axes for line in axes.lines]
     labels = {str(line.get_label()) for line in lines if np.size(line.get_xdata())}
-    kinds = {"not periodic": " Pale: not periodic.", "outside": " Triangles: outside the frame."}
+    kinds = {
+        "not periodic": " Pale: not periodic.",
+        "outside": " Triangles: outside the axes.",
+    }
     return "".join(v for kind, v in kinds.items() if any(name.endswith(kind) for name in labels))
 
 
@@ -212,13 +215,13 @@ def attractor_peaks(axes: "Axes", one: xr.Dataset, along: str) -> None:
 
 
 def said_of_peaks(found: xr.Dataset) -> str:
-    """What a caption says of the dots of attractors, with a blank before."""
+    """The caption of the dots of attractors, with a leading blank."""
     has_peak = np.isfinite(found["x_max"].values)
     kinds = {*np.unique(found["response_class"].values[has_peak]).tolist()}
-    rest = ", or at rest" if ResponseClass.EQUILIBRIUM in kinds else ""
+    rest = " or in equilibrium" if ResponseClass.EQUILIBRIUM in kinds else ""
     said = []
     if np.isfinite(found["basin_share"].values).any():
-        said.append("The area of a dot is the share of the starts that end on it")
+        said.append("Dot area: share of the initial conditions that lead to the attractor")
     if kinds - {ResponseClass.PERIODIC}:
         said.append(f"{'hollow' if said else 'Hollow'}: not periodic{rest}")
     return f" {'; '.join(said)}." if said else ""
@@ -302,7 +305,7 @@ def summary(
     interval : DataArray, optional
         Over representation and bound.
     floor : DataArray, optional
-        One number: exact against exact.
+        One number: of the exact law with other settings.
     """
     labels = [str(label) for label in value["representation"].values]
     numbers = drawn(value)
@@ -312,7 +315,7 @@ def summary(
             axes.plot(ends, [row, row], color=colour(label), linewidth=1.2)
         axes.plot([number], [row], "o", color=colour(label), markersize=5)
     if floor is not None and np.isfinite(floor):
-        axes.axvline(float(drawn(floor)), **WALL, label="exact against exact")
+        axes.axvline(float(drawn(floor)), **WALL, label="exact law, other settings")
     axes.set_yticks(range(len(labels)), labels)
     axes.set_ylim(len(labels) - 0.5, -0.5)
 

@@ -126,7 +126,7 @@ def sections(inputs: Inputs) -> Iterator[Part]:
 
 
 def head(inputs: Inputs) -> dict[str, Any]:
-    """The texts of a report that stand outside its sections, as its template names them."""
+    """The texts of a report outside its sections, as its template names them."""
     responses = inputs.responses
     # The rules of the answer are for one displacement between two walls.
     is_judged = in_metres(responses)
@@ -201,7 +201,7 @@ def _files(
 
 
 def _script(name: str) -> Markup:
-    """A file of our own, without anything of the user's."""
+    """A script of the package, without user texts."""
     return Markup((_TEMPLATES / f"{name}.js").read_text(encoding="utf-8"))
 
 
@@ -226,7 +226,7 @@ def _remove_others(folder: Path, written: Collection[str]) -> None:
 
 
 def _hero(responses: xr.Dataset, found: Sequence[Contact]) -> dict[str, Any] | None:
-    """What the verdicts look like, where they differ most; None without frequencies."""
+    """Figure of the case with the most different verdicts; None without frequencies."""
     if not found or responses.sizes["omega"] < 2:
         return None
     contact = max(found, key=lambda one: (len(list(filter(None, one.columns.values()))), one.K_c))
@@ -235,8 +235,8 @@ def _hero(responses: xr.Dataset, found: Sequence[Contact]) -> dict[str, Any] | N
     if scene is None or not laws:
         return None
     said = (
-        f"Peak displacement at {contact.place}: contact laws (coloured) over the exact law (larger "
-        "dots), for the same initial conditions"
+        f"Peak displacement at {contact.place}: contact laws (coloured) and the exact law (larger "
+        "dots behind), for the same initial conditions"
     )
     with matplotlib.rc_context(MATPLOTLIB):
         figure = beside_exact(swept(scene.sel(representation=[EXACT, *laws])), EXACT, laws)
@@ -246,7 +246,7 @@ def _hero(responses: xr.Dataset, found: Sequence[Contact]) -> dict[str, Any] | N
 
 
 def _telling(contact: Contact) -> list[Judged]:
-    """Of each verdict the cheapest approximation, firm if any is; best and worst if all alike."""
+    """The cheapest approximation of each verdict, firm if any; best and worst if all are alike."""
     columns = ([one for one in laws if one.is_approximation] for laws in contact.columns.values())
     shown = [next((one for one in laws if one.is_firm), laws[0]) for laws in columns if laws]
     if len(shown) > 1:
@@ -274,17 +274,17 @@ def _place(place: str, names: Mapping[str, str], parts: Sequence[Mapping[str, An
 
 
 def _begins(text: str, start: str) -> bool:
-    """Whether a name begins with another one, of the same number."""
+    """Whether a name begins with another one that ends before a number does."""
     return text.startswith(start) and not text[len(start) : len(start) + 1].isdigit()
 
 
 def _digest(script: str) -> str:
-    """SHA-256 by which the page allows its own script, and no other."""
+    """SHA-256 by which the page allows only its own script."""
     return base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
 
 
 def _is_ours(path: Path) -> bool:
-    """Whether the file there is a report, sound or changed, which may be replaced."""
+    """Whether the file is a report, sound or changed, which may be replaced."""
     return (
         is_recorded(path)
         or '<meta name="generator" content="gapsweep">' in path.read_text(errors="replace")[:1000]
@@ -311,7 +311,7 @@ def _scenes(inputs: Inputs) -> Iterator[Part]:
 
 
 def _found(scenes: Scenes, responses: xr.Dataset) -> Iterator[tuple[At, xr.Dataset]]:
-    """Every scene that was swept, and where it is."""
+    """Every computed parameter set, with its position."""
     for at in all_scenes(responses, scene_dims(responses["status"].dims)):
         here = scenes.at(at)
         if here is not None:
@@ -357,7 +357,7 @@ def _attractors(attractors: xr.Dataset | None, scene: xr.Dataset, at: At) -> xr.
 
 
 def _where_few(found: xr.Dataset, scene: xr.Dataset) -> str:
-    """At which few of its frequencies a scene was swept from several starts, in words."""
+    """The few frequencies with several initial conditions, in words."""
     omega = found["omega"].values
     if omega.size > min(_FEW, scene.sizes["omega"] - 1):
         return ""
