@@ -37,7 +37,7 @@ from gapsweep.analysis.datasets.timing import repeatability, widened
 from gapsweep.analysis.dimensions import At, scene_dims, scenes
 from gapsweep.model.labels import AUTO
 from gapsweep.report.scales import Told, plain
-from gapsweep.report.selection import anchor_of, beside, gap_label
+from gapsweep.report.selection import anchor_of, gap_label, other_parameters
 from gapsweep.report.tables import number
 
 LINE, MOST, HALF = 0.05, 0.95, 0.5
@@ -216,7 +216,7 @@ def contacts(agreement: xr.Dataset, static: xr.Dataset | None = None) -> list[Co
         floors = _worst([_values(where[label]) for label in exact])
         judged = [_judged(law, where[law], floors, noise) for law in can_be]
         here = pooled.coords.to_dataset().isel(at)
-        gap, swept = gap_label(here), [Told.of(here[name]) for name in beside(here)]
+        gap, swept = gap_label(here), [Told.of(here[name]) for name in other_parameters(here)]
         known = _threshold(static, here), swept, _floor_cost_ratio(where, exact), at, unjudged
         contact = Contact(float(here["K_c"]), gap, floors, judged, *known)
         order = float(np.round(here["j_1"] + here["j_2"], 12)), float(here["j_1"])

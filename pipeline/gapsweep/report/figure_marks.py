@@ -85,7 +85,7 @@ def as_json(figure: Figure) -> str:
     """The same, with all that a page needs to draw it: places, scales and looks.
 
     Numbers of marks are single precision, little-endian, in base64. Empty as `as_csv` is, and where
-    panels are no rectangles beside each other (polar ones, insets, a second axis).
+    panels do not form a grid of rectangles (polar ones, insets, a second axis).
     """
     panels: list[Any] = _panels(figure)
     places = [str(axes.get_subplotspec()) for axes in panels if axes.get_subplotspec()]

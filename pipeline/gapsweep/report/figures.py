@@ -82,7 +82,7 @@ def attractors(
     return _grid(found, along, axis_label(found["x_max"], "peak"), peaks)
 
 
-def beside_exact(scene: xr.Dataset, exact: str, titles: Mapping[str, str]) -> Figure:
+def compared_with_exact(scene: xr.Dataset, exact: str, titles: Mapping[str, str]) -> Figure:
     """Peaks of some laws over those of the exact one, black where it is missed, a panel per law.
 
     Parameters

@@ -31,7 +31,7 @@ from gapsweep.report.answer import (
 from gapsweep.report.backdrop import said_of_walls
 from gapsweep.report.benchmarks import bench_parts
 from gapsweep.report.drawing import labels_of, said_of_marks
-from gapsweep.report.figures import beside_exact
+from gapsweep.report.figures import compared_with_exact
 from gapsweep.report.findings import findings, outcomes, said_of_far_walls
 from gapsweep.report.heat import GROUPS, MANY, cell, heads, heat, swept_columns
 from gapsweep.report.inputs import Inputs
@@ -42,7 +42,7 @@ from gapsweep.report.parts import HERO, Figured, Part, for_page, pictured, rende
 from gapsweep.report.provenance import provenance
 from gapsweep.report.scales import named, plain
 from gapsweep.report.scenes import Scenes, said_of_starts, starts_of, swept
-from gapsweep.report.selection import anchor_of, beside, gap_label
+from gapsweep.report.selection import anchor_of, gap_label, other_parameters
 from gapsweep.report.style import MATPLOTLIB, colour
 from gapsweep.report.tables import (
     VERDICTS,
@@ -239,7 +239,7 @@ def _hero(responses: xr.Dataset, found: Sequence[Contact]) -> dict[str, Any] | N
         "dots behind), for the same initial conditions"
     )
     with matplotlib.rc_context(MATPLOTLIB):
-        figure = beside_exact(swept(scene.sel(representation=[EXACT, *laws])), EXACT, laws)
+        figure = compared_with_exact(swept(scene.sel(representation=[EXACT, *laws])), EXACT, laws)
         looks = f"{said_of_walls(scene, of_peaks=True)}{said_of_marks(figure)}"
         made = pictured(Figured(figure, f"{said}.{looks}", said))
     return {**shown(made), "id": HERO}
@@ -320,7 +320,7 @@ def _found(scenes: Scenes, responses: xr.Dataset) -> Iterator[tuple[At, xr.Datas
 
 def _title(scene: xr.Dataset) -> str:
     """The values that a scene has one of, in words."""
-    others = [named(scene[name]) for name in beside(scene)]
+    others = [named(scene[name]) for name in other_parameters(scene)]
     return ", ".join([named(scene["K_c"]), f"gap {gap_label(scene)} mm", *others])
 
 

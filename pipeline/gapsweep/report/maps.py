@@ -1,5 +1,6 @@
 """Maps: one variable over two numeric axes, every cell a colour of one mesh."""
 
+import math
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -120,25 +121,16 @@ def on_grid(starts: xr.Dataset, y: str = "v_0", x: str = "x_0") -> xr.Dataset:
         If the fixed starts do not form a full grid.
     """
     here = starts.isel({_START: np.isfinite(starts[x].values) & np.isfinite(starts[y].values)})
-    rows, columns = np.unique(here[y].values), np.unique(here[x].values)
-    order = np.lexsort((here[x].values, here[y].values))
-    pairs = np.stack(np.meshgrid(rows, columns, indexing="ij"), axis=-1).reshape(-1, 2)
-    found = np.column_stack([here[y].values, here[x].values])[order]
-    if not order.size or pairs.shape != found.shape or not np.array_equal(pairs, found):
+    others = [name for name, held in here.coords.items() if held.ndim and name not in (x, y)]
+    table = here.set_coords([x, y]).drop_vars(others).set_index(initial_condition=[y, x])
+    index: Any = table.indexes[_START]
+    if not index.size or index.has_duplicates or math.prod(index.levshape) != index.size:
         raise DatasetError(
-            f"{x}, {y}: the {order.size} fixed starts are no full grid of the two; attractors() "
+            f"{x}, {y}: the {index.size} fixed starts are no full grid of the two; attractors() "
             "draws a mark for each"
         )
-    shape = rows.size, columns.size
-    return xr.Dataset(
-        {
-            name: ((y, x), here[name].values[order].reshape(shape), here[name].attrs)
-            for name in here.data_vars
-        },
-        {y: (y, rows, here[y].attrs), x: (x, columns, here[x].attrs)}
-        | {name: c for name, c in here.coords.items() if c.ndim == 0},
-        starts.attrs,
-    )
+    grid = table.unstack(_START)
+    return grid.assign_coords({name: grid[name].assign_attrs(here[name].attrs) for name in (y, x)})
 
 
 def numbered_as(starts: xr.Dataset, exact: xr.Dataset) -> xr.Dataset:
@@ -227,11 +219,9 @@ def _hatch(axes: "Axes", shown: MapImage) -> None:
 def _key(axes: "Axes", names: Sequence[str], colours: Sequence[str], title: str) -> None:
     """A legend under the axes, where it hides nothing."""
     from matplotlib.patches import Patch
-    from matplotlib.transforms import ScaledTranslation
 
     if not names:
         return
-    below = ScaledTranslation(0.0, -34.0 / 72.0, axes.figure.dpi_scale_trans)
     patches = [
         Patch(facecolor=shade, edgecolor="#888888", linewidth=0.4, label=name)
         for name, shade in zip(names, colours, strict=True)
@@ -241,17 +231,12 @@ def _key(axes: "Axes", names: Sequence[str], colours: Sequence[str], title: str)
     axes.legend(
         handles=patches,
         loc="upper left",
-        bbox_to_anchor=(0.0, 0.0),
-        bbox_transform=axes.transAxes + below,
+        bbox_to_anchor=(0.0, -0.16),
         ncols=4,
         title=title,
         alignment="left",
         fontsize=8,
         title_fontsize=8,
-        handlelength=1.0,
-        handletextpad=0.4,
-        columnspacing=1.0,
-        borderpad=0.0,
         frameon=False,
     )
 

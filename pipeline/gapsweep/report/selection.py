@@ -80,8 +80,8 @@ def _is_parameter(coordinate: xr.DataArray) -> bool:
     return str(coordinate.attrs.get("long_name", "")).startswith(f"{PARAMETER} ")
 
 
-def beside(scene: xr.Dataset) -> list[str]:
-    """What a scene has one value of, beside its stiffness and gap."""
+def other_parameters(scene: xr.Dataset) -> list[str]:
+    """Parameters with one value, except stiffness and gap."""
     own = {"K_c", "gap", "j_1", "j_2"}
     return [name for name in places(scene) if name not in own and scene[name].ndim == 0]
 
