@@ -8,6 +8,7 @@ from collections.abc import Callable
 from functools import wraps
 from typing import TYPE_CHECKING, Any, Concatenate, ParamSpec
 
+import numpy as np
 import xarray as xr
 
 from gapsweep.analysis.dimensions import selected
@@ -342,9 +343,16 @@ def _numbers(
 
 
 def _basins(found: xr.Dataset, ax: "Axes | None") -> "Axes":
+    """A map of the initial conditions; a few attractors have their periods and peaks as names."""
+    names = drawing.attractor_names(found["period_multiple"], found["x_max"])
+    if len(names) <= maps.MOST_KINDS:
+        words = " ".join(name.replace(" ", "_") for name in names)
+        about = {"flag_values": np.arange(len(names)), "flag_meanings": words}
+        found = found.assign(attractor=found["attractor"].assign_attrs(about))
+    picture, shown = maps.picture(found, "attractor", "x_0", "v_0", {})
     axes = axes_of(ax)
-    drawing.basins(axes, found)
-    return _plane(axes, found["x_0"], found["v_0"], found)
+    maps.draw(axes, picture)
+    return titled(axes, shown)
 
 
 def _starts(dataset: xr.Dataset, ax: "Axes | None") -> "Axes":

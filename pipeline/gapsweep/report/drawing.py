@@ -4,7 +4,6 @@ Every function takes matplotlib axes and a dataset that holds the dimensions it 
 itself comes with the axes, so that importing this module is cheap.
 """
 
-import math
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
@@ -14,7 +13,6 @@ from numpy.typing import NDArray
 
 from gapsweep.analysis.agreement.jumps import breaks
 from gapsweep.model.labels import EXACT
-from gapsweep.report.mesh import mesh
 from gapsweep.report.scales import drawn, shown_unit
 from gapsweep.report.style import WALL, colour, lines
 from gapsweep.response.result import ResponseClass
@@ -24,7 +22,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 MANY = 60  # points as vectors would make a file heavy
-_MOST_NAMES = 24  # that fit next to a colour bar
 _SPARE = 0.5  # room around the exact law, in widths of its range
 _DOT = 12.0  # points², of an attractor whose basin is not known
 
@@ -262,25 +259,6 @@ def starts(axes: "Axes", one: xr.Dataset) -> None:
         first = one.isel(initial_condition=slice(int(np.argmax(here)), int(np.argmax(here)) + 1))
         (name,) = attractor_names(first["period_multiple"], first["x_max"])
         axes.plot(x[here], v[here], "o", color=shades(n), markersize=4, label=name)
-
-
-def basins(axes: "Axes", found: xr.Dataset) -> None:
-    """Attractor of every start of a grid; white where there is none.
-
-    Parameters
-    ----------
-    found : Dataset
-        As `gapsweep.basins` returns it.
-    """
-    found = found.sortby(["x_0", "v_0"])
-    names = attractor_names(found["period_multiple"], found["x_max"])
-    n = max(len(names), 1)
-    ids = found["attractor"].transpose("v_0", "x_0")
-    look = {"cmap": _shades(n), "vmin": -0.5, "vmax": n - 0.5}
-    made = mesh(axes, found["x_0"], found["v_0"], ids.where(ids >= 0).values, **look)
-    shown = range(0, len(names), math.ceil(n / _MOST_NAMES))
-    bar = axes.figure.colorbar(made, ax=axes, ticks=list(shown))
-    bar.ax.set_yticklabels([names[i] for i in shown])
 
 
 def attractor_names(period_multiple: xr.DataArray, x_max: xr.DataArray) -> list[str]:

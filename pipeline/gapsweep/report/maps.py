@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 _START = "initial_condition"
-_MOST_KINDS = 8  # colours that can be told apart; whole numbers beyond have a colour bar
+MOST_KINDS = 8  # colours that can be told apart; whole numbers beyond have a colour bar
 _TAIL = 0.005  # share of the numbers at either end that may lie beyond the colour bar
 _ALIKE = 0.05  # of the peak: attractors of two laws that one would call the same in a diagram
 # Colours of attractors, which no order of lightness may seem to rank (Okabe & Ito, 2008).
@@ -296,7 +296,7 @@ def _mark_whole_numbers(made: MapImage, values: xr.DataArray) -> None:
     there = np.unique(whole[whole >= first]).tolist()
     flags = np.ravel(attributes.get("flag_values", [])).tolist()
     known = dict(zip(flags, str(attributes.get("flag_meanings", "")).split(), strict=False))
-    if not known and len(there) > _MOST_KINDS:
+    if not known and len(there) > MOST_KINDS:
         made.numbers = made.numbers.where(whole >= first)
         return
     # Those of attractors are names: one number has one colour in the maps of all laws.
