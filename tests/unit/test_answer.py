@@ -23,7 +23,7 @@ from gapsweep.report.answer import (
 )
 from gapsweep.report.findings import findings
 from gapsweep.report.inputs import Inputs
-from gapsweep.report.scales import Told
+from gapsweep.report.scales import NamedValue
 from gapsweep.study.study import Study
 
 NOTHING = {name: np.full(1, np.nan) for name in ("median", "p95", "found")}
@@ -313,7 +313,7 @@ def test_the_answer_names_what_saves_time():
 def test_contacts_of_one_stiffness_and_gap_are_told_apart():
     """A study that sweeps the forcing has several: one may pay where another does not."""
     cheap, dear = judged("poly-13", cost_ratio=0.5), judged("poly-13", cost_ratio=3.0)
-    of_3, of_4 = [Told("p", "3", "N")], [Told("p", "4", "N")]
+    of_3, of_4 = [NamedValue("p", "3", "N")], [NamedValue("p", "4", "N")]
     said = in_words([contact(cheap, swept=of_3), contact(dear, swept=of_4)])
     assert "in 1 of 2 cases: poly-13 for 10000 N/m" in said[0]
     assert "at p = 3 N" in said[0]

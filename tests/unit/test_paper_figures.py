@@ -32,7 +32,7 @@ from gapsweep.report.figure_marks import as_csv
 from gapsweep.report.figures import bifurcation
 from gapsweep.report.parts import rendered
 from gapsweep.report.pictures import is_picture
-from gapsweep.report.scenes import said_of_starts
+from gapsweep.report.scenes import caption_of_starts
 from gapsweep.report.style import MATPLOTLIB, colour
 from gapsweep.response.result import ResponseClass
 from gapsweep.status import Status
@@ -475,4 +475,4 @@ def test_captions_say_how_many_starts_there_are(asked, said):
     status = np.where(wanted, Status.OK, Status.NOT_REQUESTED)
     dims = ("representation", "omega", "initial_condition")
     scene = xr.Dataset({"status": (dims, status)}, {"representation": list(asked)})
-    assert said_of_starts(scene) == said
+    assert caption_of_starts(scene) == said

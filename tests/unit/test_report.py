@@ -41,7 +41,7 @@ from gapsweep.report.model import model
 from gapsweep.report.parts import Figured, Part, Table, for_page, pictured, rendered, shown
 from gapsweep.report.pictures import is_picture, pictures
 from gapsweep.report.provenance import provenance
-from gapsweep.report.scales import Told
+from gapsweep.report.scales import NamedValue
 from gapsweep.report.style import MATPLOTLIB
 from gapsweep.report.tables import VERDICTS, claim_rows, number, outcome, percent, special_points
 from gapsweep.run_folder import is_of_run
@@ -432,8 +432,8 @@ def test_the_map_is_darker_where_a_law_is_worse():
 
 
 def test_what_is_swept_beside_contacts_is_named_once():
-    zeta = Told("zeta", "0.1", "")
-    both = [contact({}, swept=[Told("forcing", force, "N"), zeta]) for force in ("1", "2.5")]
+    zeta = NamedValue("zeta", "0.1", "")
+    both = [contact({}, swept=[NamedValue("forcing", force, "N"), zeta]) for force in ("1", "2.5")]
     assert swept_columns(both) == ("forcing [N], zeta", ["1, 0.1", "2.5, 0.1"])
 
 

@@ -122,7 +122,7 @@ class Figures:
         return source
 
     def look_at(self, question: Question) -> None:
-        """Move what marks the question: the frequency looked at and the walls."""
+        """Move the lines at the frequency of the motion and at the walls."""
         gap = question.gap
         self._at.location = question.omega
         self._top.location = gap.j_2 * _MM
@@ -186,7 +186,7 @@ class Figures:
 
 
 def legend(question: Question, motions: Iterable[Motion]) -> str:
-    """What the colours and marks are, and what each law's motion is, as HTML."""
+    """Legend of colours and marks, and the period of each law's motion, as HTML."""
     given = decay_times(question.oscillator)
     said = {motion.label: _kind(motion, given) for motion in motions}
     laws = "".join(

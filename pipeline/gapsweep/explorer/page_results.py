@@ -1,8 +1,8 @@
-"""What the page shows: pure functions from a question to arrays, in the order of their haste.
+"""Results of the page: pure functions from a question to arrays, the most urgent first.
 
-Every response begins from rest, whatever was shown before, so that the same sliders show the same
-figure. It is given less time to settle than a study's (`settled`): where that is less than
-`DECAY_TIMES`, what does not repeat itself is not settled, which says nothing of what it will be.
+Every response starts from rest, so that the same sliders show the same figure. Transients are
+shorter than in a study (`settled`): if they are shorter than `DECAY_TIMES`, a motion that does not
+repeat is called not settled.
 """
 
 import math
@@ -138,11 +138,11 @@ class Motion:
 
 
 def answers(question: Question) -> Iterator[Curve | Motion | Plane]:
-    """All that a page shows of a question, what is looked at first first.
+    """All results of a question, the most visible first.
 
-    The exact law from rest, the motion, the same of every approximation, then sweeps of the exact
-    law in growing parts, and the planes, of the first approximation too. Whoever has no use for the
-    rest any more stops asking.
+    The exact law from rest and its motion, the same for every approximation, then sweeps of the
+    exact law in growing parts, and the planes of the exact law and the first approximation. The
+    caller may stop iterating at any time.
 
     Raises
     ------
@@ -233,7 +233,7 @@ def _height(curve: Curve, omega: float) -> float:
 
 
 def basins(question: Question, label: str, reach: float) -> Iterator[Plane]:
-    """The responses at the frequency looked at, from starts up to `reach` [m] on a plane."""
+    """Responses at the frequency of the motion, from initial displacements up to `reach` [m]."""
     x = np.linspace(-reach, reach, N_STARTS)
     v = x * unit_of(question.omega)[1]
     omega = np.full(N_STARTS, question.omega)
@@ -283,10 +283,10 @@ def _joined(parts: list[Curve]) -> Curve:
 
 
 def settled(oscillator: Oscillator) -> Steady:
-    """When a response counts as steady on the page: when it repeats itself in good time.
+    """Convergence criteria of the page.
 
-    A motion that does not is asked no exponent, which would take longer than all others together:
-    no time that it is given lets so little of a disturbance be left.
+    No Lyapunov exponent is computed for motions that do not repeat, which would take longer than
+    all other results: `_NEVER` is a tolerance that no transient reaches.
     """
     return Steady(
         settle_tol=_NEVER,
@@ -304,13 +304,13 @@ def _atol(oscillator: Oscillator) -> float:
 
 
 def _transient(oscillator: Oscillator) -> float:
-    """How long [s] motions are given to settle."""
+    """Length of transients [s]."""
     bound, rate = NATURAL_PERIODS / oscillator.omega_n, oscillator.settling_rate
     return min(bound, DECAY_TIMES / rate) if rate else bound
 
 
 def decay_times(oscillator: Oscillator) -> float:
-    """Decay times that motions are given to settle; where damping is weak not all `DECAY_TIMES`."""
+    """Length of transients in decay times; less than `DECAY_TIMES` for weak damping."""
     return min(DECAY_TIMES, NATURAL_PERIODS * oscillator.settling_rate / oscillator.omega_n)
 
 
@@ -320,7 +320,7 @@ def _settling(oscillator: Oscillator, omega: float) -> int:
 
 
 def motion(question: Question, label: str) -> Motion:
-    """The motion of a law at the frequency looked at, from the question's start."""
+    """The motion of a law at the frequency and initial condition of the question."""
     oscillator, omega = question.oscillator, question.omega
     first = _settling(oscillator, omega)
     n = first + N_SECTION

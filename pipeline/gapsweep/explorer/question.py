@@ -1,4 +1,4 @@
-"""What the page asks: one setting of its sliders, and where the sliders start and end."""
+"""A setting of the page's sliders, and the ranges of the sliders."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -150,19 +150,19 @@ class Dial:
 
     @property
     def tick(self) -> str:
-        """JavaScript that says what a place on the slider, `tick`, stands for."""
+        """JavaScript for the value at a place of the slider, `tick`."""
         return f"return String(Number(({'10 ** tick' if self.is_log else 'tick'}).toPrecision(4)))"
 
     def place(self, value: float) -> float:
-        """Where a value in SI units is on the slider."""
+        """The place of a value in SI units on the slider."""
         return self.scaled(value / self.factor)
 
     def scaled(self, shown: float) -> float:
-        """Where a value in the unit shown is on the slider."""
+        """The place of a value in the displayed unit on the slider."""
         return math.log10(shown) if self.is_log else shown
 
     def at(self, place: float) -> float:
-        """What a place on the slider says, in SI units."""
+        """The value at a place of the slider, in SI units."""
         return float(self.factor * (10.0**place if self.is_log else place))
 
     def along(self, n: int) -> tuple[float, ...]:
@@ -332,7 +332,7 @@ def of_study(study: Study) -> tuple[Question, dict[str, tuple[float, float]]]:
 
 
 def not_computed(study: Study) -> str:
-    """What the page says of laws of the user's own: its black line is none of them."""
+    """A note that the page does not compute user-defined laws; empty if there are none."""
     own = [label for label in _plain(study.grid.representations) if ":" in label]
     if not own:
         return ""

@@ -1,4 +1,4 @@
-"""The points of a run: which scenes its folder holds, and the responses in each."""
+"""The points of a run: its parameter sets, and the responses of each."""
 
 import json
 from pathlib import Path
@@ -23,7 +23,7 @@ _OF_A_POINT = ("representation", "omega", "initial_condition")
 
 
 class StoredRun:
-    """A run that the page shows the points of.
+    """A run whose points the page shows.
 
     Attributes
     ----------
@@ -81,7 +81,7 @@ def _tables(dataset: xr.Dataset) -> dict[str, Any]:
 
 
 def _scenes(dataset: xr.Dataset) -> Any:
-    """Name and place of every scene that a point was asked for in."""
+    """Name and position of every computed parameter set."""
     dims = [dim for dim in dataset["x_max"].dims if dim not in _OF_A_POINT]
     is_there = dataset["x_max"].notnull().any(_OF_A_POINT).transpose(*dims)
     for place in np.argwhere(is_there.values).tolist():

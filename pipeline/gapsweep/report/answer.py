@@ -36,7 +36,7 @@ from numpy.typing import NDArray
 from gapsweep.analysis.datasets.timing import repeatability, widened
 from gapsweep.analysis.dimensions import At, scene_dims, scenes
 from gapsweep.model.labels import AUTO
-from gapsweep.report.scales import Told, plain
+from gapsweep.report.scales import NamedValue, plain
 from gapsweep.report.selection import anchor_of, gap_label, other_parameters
 from gapsweep.report.tables import number
 
@@ -121,7 +121,7 @@ class Contact:
     floors: Values
     laws: list[Judged]
     threshold: str
-    swept: Sequence[Told] = ()
+    swept: Sequence[NamedValue] = ()
     floor_cost_ratio: float = np.nan
     at: At = field(default_factory=dict)
     unjudged: str = ""
@@ -216,7 +216,7 @@ def contacts(agreement: xr.Dataset, static: xr.Dataset | None = None) -> list[Co
         floors = _worst([_values(where[label]) for label in exact])
         judged = [_judged(law, where[law], floors, noise) for law in can_be]
         here = pooled.coords.to_dataset().isel(at)
-        gap, swept = gap_label(here), [Told.of(here[name]) for name in other_parameters(here)]
+        gap, swept = gap_label(here), [NamedValue.of(here[name]) for name in other_parameters(here)]
         known = _threshold(static, here), swept, _floor_cost_ratio(where, exact), at, unjudged
         contact = Contact(float(here["K_c"]), gap, floors, judged, *known)
         order = float(np.round(here["j_1"] + here["j_2"], 12)), float(here["j_1"])
@@ -225,7 +225,7 @@ def contacts(agreement: xr.Dataset, static: xr.Dataset | None = None) -> list[Co
 
 
 def verdict(values: Values, floors: Values) -> list[str]:
-    """The first verdict whose demands are met, at each end of the intervals; NaN meets none."""
+    """The best verdict whose thresholds are met, at each end of the intervals; NaN meets none."""
     known, floor = (
         {name: np.where(np.isnan(v), v[0], v) for name, v in some.items()}
         for some in (values, floors)

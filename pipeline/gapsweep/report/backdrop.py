@@ -26,7 +26,7 @@ _SYSTEM = "system_json"
 _WALLS = {"j_1": -1.0, "j_2": 1.0}
 
 
-def said_of_walls(scene: xr.Dataset, along: str = "omega", *, of_peaks: bool = False) -> str:
+def caption_of_walls(scene: xr.Dataset, along: str = "omega", *, of_peaks: bool = False) -> str:
     """The caption of walls, with a leading blank; empty if none is drawn."""
     n = len(list(_walls(scene, along, of_peaks)))
     if n and _SYSTEM in scene.attrs:
@@ -141,7 +141,7 @@ def key_of_bands(figure: "Figure", scene: xr.Dataset) -> None:
         figure.legend(handles=handles, loc="outside upper right", ncols=len(handles), fontsize=8)
 
 
-def said_of_bands(scene: xr.Dataset) -> str:
+def caption_of_bands(scene: xr.Dataset) -> str:
     """The caption of bands, with a leading blank."""
     if not (kinds := _has(scene)):
         return ""
@@ -150,7 +150,7 @@ def said_of_bands(scene: xr.Dataset) -> str:
     return f" Bands: the response{whose} is {' or '.join(kinds)}.{beyond}"
 
 
-def said_of_missing(scene: xr.Dataset) -> str:
+def caption_of_missing(scene: xr.Dataset) -> str:
     """The caption of responses without extrema, with a leading blank."""
     found = np.unique(scene["response_class"].values)
     missing = [words for kind, words in _NOT_DRAWN.items() if kind in found]

@@ -115,7 +115,7 @@ def behind(
         name_points(axes, branches, along, heights[0])
 
 
-def said(found: xr.Dataset | None, here: xr.Dataset, along: str) -> str:
+def caption(found: xr.Dataset | None, here: xr.Dataset, along: str) -> str:
     """The caption of branches, with a leading blank; empty if none is drawn."""
     branches = of_scene(found, here, along)
     if branches is None:
@@ -194,7 +194,7 @@ def _looks(branches: xr.Dataset) -> list[tuple[str, str]]:
 
 
 def lines(branches: xr.Dataset, along: str, height: str) -> Iterator[tuple[int, bool, Array]]:
-    """Of every branch its number and the points of the unstable or the stable part, with gaps."""
+    """Number of every branch and the points of its unstable or stable part, with gaps."""
     columns = of_orbits(branches, along, height, "stable", "special")
     for number, (x, y, stable, special) in enumerate(zip(*columns, strict=True)):
         there = np.isfinite(x) & np.isfinite(y)

@@ -135,7 +135,7 @@ def peaks(
     outside(axes, places[above], high, "^", label)
 
 
-def said_of_marks(figure: "Figure") -> str:
+def caption_of_marks(figure: "Figure") -> str:
     """The caption of pale dots and triangles, with leading blanks; empty if there are none."""
     lines = [line for axes in figure.axes for line in axes.lines]
     labels = {str(line.get_label()) for line in lines if np.size(line.get_xdata())}
@@ -211,7 +211,7 @@ def attractor_peaks(axes: "Axes", one: xr.Dataset, along: str) -> None:
         )
 
 
-def said_of_peaks(found: xr.Dataset) -> str:
+def caption_of_peaks(found: xr.Dataset) -> str:
     """The caption of the dots of attractors, with a leading blank."""
     has_peak = np.isfinite(found["x_max"].values)
     kinds = {*np.unique(found["response_class"].values[has_peak]).tolist()}
@@ -262,7 +262,7 @@ def starts(axes: "Axes", one: xr.Dataset) -> None:
 
 
 def attractor_names(period_multiple: xr.DataArray, x_max: xr.DataArray) -> list[str]:
-    """What each attractor is, in words."""
+    """Period and peak of each attractor, in words."""
     unit = shown_unit(x_max)[1]
     pairs = zip(period_multiple.values, drawn(x_max), strict=True)
     return [f"{f'P{n}' if n else 'chaotic'}, peak {x:.4g} {unit}" for n, x in pairs]
@@ -303,14 +303,14 @@ def _label(one: xr.Dataset) -> str:
 
 
 def _broadcast(one: xr.Dataset, name: str, along: str) -> Iterator[NDArray[np.float64]]:
-    """Where along the axis, and the values; both of the shape (along, initial_condition, ...)."""
+    """Places along the axis, and values; both of shape (along, initial_condition, ...)."""
     values = drawn(one[name].transpose(along, "initial_condition", ...))
     places = drawn(one[along]).reshape(-1, *[1] * (values.ndim - 1))
     return iter((np.broadcast_to(places, values.shape), values))
 
 
 def with_setting(scene: xr.Dataset, name: str) -> xr.Dataset:
-    """A scene with a variable `SETS`: which values of another one set the axis, of all its laws."""
+    """A scene with a variable `SETS`: which values of a variable set the axis, for all laws."""
     return scene.assign({SETS: sets_axis(scene[name], scene["response_class"])})
 
 

@@ -112,7 +112,7 @@ def compared_with_exact(scene: xr.Dataset, exact: str, titles: Mapping[str, str]
 
 
 def _where_asked(law: xr.Dataset, scene: xr.Dataset, exact: str) -> xr.Dataset:
-    """The exact law where another one was asked too: from fewer starts it could not do more."""
+    """The exact law at the points where another law was requested, too."""
     theirs, asked = scene.sel(representation=exact), law["status"] != Status.NOT_REQUESTED
     known = {"x_max": np.nan, "status": int(Status.NOT_REQUESTED)}
     return theirs.assign({name: theirs[name].where(asked, other) for name, other in known.items()})

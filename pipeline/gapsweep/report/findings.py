@@ -34,7 +34,7 @@ def findings(inputs: Inputs, found: Sequence[Contact]) -> list[str]:
     """
     responses = inputs.responses
     # First, because without contacts all other findings are about the linear system.
-    far = said_of_far_walls(responses)
+    far = unreached_walls(responses)
     sentences = [*_doubtful(responses), *filter(None, [far])]
     sentences.append(outcomes(responses))
     sentences += _along(responses)
@@ -64,7 +64,7 @@ _CURVE = 10  # values that make a curve
 _SAID = 3  # intervals of it that are listed
 
 
-def said_of_far_walls(responses: xr.Dataset) -> str:
+def unreached_walls(responses: xr.Dataset) -> str:
     """The cases, or the contacts of a system, in which no motion reaches a wall; empty if none."""
     if in_metres(responses):
         dims = [str(dim) for dim in responses["status"].dims]

@@ -73,7 +73,7 @@ def _rank(everywhere: Sequence[Judged]) -> tuple[float, float]:
 
 
 def _between(value: float, low: float, high: float) -> float:
-    """Where a value is between two others, on a logarithmic scale."""
+    """The position of a value between two others, 0 to 1 on a logarithmic scale."""
     return float(np.log(max(value, low) / low) / np.log(high / low)) if value > 0.0 else 0.0
 
 

@@ -28,11 +28,11 @@ from gapsweep.report.answer import (
     in_words,
     times,
 )
-from gapsweep.report.backdrop import said_of_walls
+from gapsweep.report.backdrop import caption_of_walls
 from gapsweep.report.benchmarks import bench_parts
-from gapsweep.report.drawing import labels_of, said_of_marks
+from gapsweep.report.drawing import caption_of_marks, labels_of
 from gapsweep.report.figures import compared_with_exact
-from gapsweep.report.findings import findings, outcomes, said_of_far_walls
+from gapsweep.report.findings import findings, outcomes, unreached_walls
 from gapsweep.report.heat import GROUPS, MANY, cell, heads, heat, swept_columns
 from gapsweep.report.inputs import Inputs
 from gapsweep.report.maps import numbered_as
@@ -41,7 +41,7 @@ from gapsweep.report.overview import along_axis, is_wide, maps_of, overview, pla
 from gapsweep.report.parts import HERO, Figured, Part, for_page, pictured, rendered, shown
 from gapsweep.report.provenance import provenance
 from gapsweep.report.scales import named, plain
-from gapsweep.report.scenes import Scenes, said_of_starts, starts_of, swept
+from gapsweep.report.scenes import Scenes, caption_of_starts, starts_of, swept
 from gapsweep.report.selection import anchor_of, gap_label, other_parameters
 from gapsweep.report.style import MATPLOTLIB, colour
 from gapsweep.report.tables import (
@@ -143,7 +143,7 @@ def head(inputs: Inputs) -> dict[str, Any]:
         "study": responses.attrs["study"],
         "findings": findings(inputs, found),
         "contacts": told,
-        "far": said_of_far_walls(responses) if is_judged else "",
+        "far": unreached_walls(responses) if is_judged else "",
         "headline": own or said[:1],
         "answer": said[0 if own else 1 :],
         "signs": SIGNS,
@@ -240,7 +240,7 @@ def _hero(responses: xr.Dataset, found: Sequence[Contact]) -> dict[str, Any] | N
     )
     with matplotlib.rc_context(MATPLOTLIB):
         figure = compared_with_exact(swept(scene.sel(representation=[EXACT, *laws])), EXACT, laws)
-        looks = f"{said_of_walls(scene, of_peaks=True)}{said_of_marks(figure)}"
+        looks = f"{caption_of_walls(scene, of_peaks=True)}{caption_of_marks(figure)}"
         made = pictured(Figured(figure, f"{said}.{looks}", said))
     return {**shown(made), "id": HERO}
 
@@ -337,7 +337,7 @@ def _scene_figures(inputs: Inputs, scene: xr.Dataset, at: At, title: str) -> Ite
     found = _attractors(inputs.attractors, scene, at)
     yield from along_axis(
         scene, found, inputs.branches, "omega", title, has_curve=found is None,
-        of_starts=said_of_starts(scene),
+        of_starts=caption_of_starts(scene),
         of_attractors="" if found is None else _where_few(found, scene),
     )  # fmt: skip
 
@@ -365,6 +365,6 @@ def _where_few(found: xr.Dataset, scene: xr.Dataset) -> str:
 
 
 def _without_protocols(scene: xr.Dataset) -> xr.Dataset:
-    """The representations as they are; those of other solver settings if there is nothing else."""
+    """Representations without other solver settings; all if there are no others."""
     plain = [i for i, label in enumerate(scene["representation"].values) if "@" not in str(label)]
     return swept(scene.isel(representation=plain)) if plain else scene

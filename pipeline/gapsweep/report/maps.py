@@ -71,7 +71,7 @@ class MapImage:
 def picture(
     dataset: xr.Dataset, variable: str, x: str, y: str | None, wanted: Mapping[str, Any]
 ) -> tuple[MapImage, xr.Dataset]:
-    """What a map of a variable shows, and the part of the dataset that it is of.
+    """A map of a variable, and the part of the dataset that it shows.
 
     Parameters
     ----------
@@ -134,10 +134,10 @@ def on_grid(starts: xr.Dataset, y: str = "v_0", x: str = "x_0") -> xr.Dataset:
 
 
 def numbered_as(starts: xr.Dataset, exact: xr.Dataset) -> xr.Dataset:
-    """The starts of a law, its attractors numbered as those of the exact law that they are like.
+    """Number the attractors of a law as the matching attractors of the exact law.
 
-    Alike are those of one period whose peaks are within `_ALIKE`, the closest pair first; what is
-    like none is counted on after the exact law's.
+    Two attractors match if their periods are equal and their peaks within `_ALIKE`; the closest
+    pair is matched first. Attractors without a match have numbers after those of the exact law.
 
     Parameters
     ----------
@@ -217,7 +217,7 @@ def _hatch(axes: "Axes", shown: MapImage) -> None:
 
 
 def _key(axes: "Axes", names: Sequence[str], colours: Sequence[str], title: str) -> None:
-    """A legend under the axes, where it hides nothing."""
+    """A legend below the axes."""
     from matplotlib.patches import Patch
 
     if not names:
@@ -251,7 +251,7 @@ def _check_axis(part: xr.Dataset, name: str) -> None:
 
 
 def _companions(part: xr.Dataset, variable: str) -> list[str]:
-    """What tells why a cell has no number, where it is stored cell by cell."""
+    """Variables that explain missing numbers, if they are stored for every cell."""
     needed = ("status", "response_class")
     dims = set(part[variable].dims)
     return [n for n in needed if n in part and n != variable and dims == set(part[n].dims)]

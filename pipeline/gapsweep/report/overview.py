@@ -22,9 +22,9 @@ from gapsweep.analysis.dimensions import (
 )
 from gapsweep.errors import DatasetError
 from gapsweep.model.labels import EXACT
-from gapsweep.report.backdrop import said_of_bands, said_of_missing, said_of_walls
-from gapsweep.report.branch_lines import said as said_of_branches
-from gapsweep.report.drawing import said_of_peaks
+from gapsweep.report.backdrop import caption_of_bands, caption_of_missing, caption_of_walls
+from gapsweep.report.branch_lines import caption as caption_of_branches
+from gapsweep.report.drawing import caption_of_peaks
 from gapsweep.report.figures import attractors as attractors_figure
 from gapsweep.report.figures import bifurcation, frequency_response, maps
 from gapsweep.report.inputs import Inputs
@@ -178,7 +178,7 @@ def _figures(
     found = None if attractors is None else attractors.isel(at, missing_dims="ignore")
     n_starts = responses.sizes[_START]
     is_one = n_starts > 1 and here[_START].ndim == 0
-    start = f", {_said_of_start(here)} of {n_starts}" if is_one else ""
+    start = f", {_start_in_words(here)} of {n_starts}" if is_one else ""
     where = ", ".join([label, *_where(responses, here)])
     if len(axes) > 1:
         exact = responses[REPRESENTATION].values == EXACT
@@ -203,7 +203,7 @@ def _figures(
         )
 
 
-def _said_of_start(here: xr.Dataset) -> str:
+def _start_in_words(here: xr.Dataset) -> str:
     kind = str(here["start"].values)
     swept_from = "" if kind == "fixed" else f" ({kind.replace('_', ' ')} over frequency)"
     return f"initial condition {int(here[_START]) + 1}{swept_from}"
@@ -289,18 +289,19 @@ def along_axis(
         caption = "Amplitude (half the range) of the steady response, broken at jumps"
         figure = frequency_response(scene, along)
         yield Figured(figure, f"{caption}: {where}.", f"Amplitude, {where}")
-    behind = said_of_branches(branches, scene, along)
+    behind = caption_of_branches(branches, scene, along)
     yield Figured(
         bifurcation(scene, along, branches),
-        f"Extrema of the steady response{of_starts}: {where}.{said_of_bands(scene)}"
-        f"{said_of_missing(scene)}{said_of_walls(scene, along)}{behind}",
+        f"Extrema of the steady response{of_starts}: {where}.{caption_of_bands(scene)}"
+        f"{caption_of_missing(scene)}{caption_of_walls(scene, along)}{behind}",
         f"Bifurcation diagram, {where}",
     )
     if attractors is not None:
         yield Figured(
             attractors_figure(attractors, along, branches),
             f"Peak displacement of every attractor{of_attractors}: {where}."
-            f"{said_of_peaks(attractors)}{said_of_walls(scene, along, of_peaks=True)}{behind}",
+            f"{caption_of_peaks(attractors)}"
+            f"{caption_of_walls(scene, along, of_peaks=True)}{behind}",
             f"Attractors and their basins, {where}",
         )
 

@@ -42,7 +42,7 @@ class Table:
 
 @dataclass(frozen=True, slots=True)
 class Figured:
-    """A figure with its caption, what a screen reader says, and what claims call it.
+    """A figure with its caption, its description for screen readers, and its name in claims.
 
     A claim whose place is the name, such as "Fig. 8b", leads to the figure.
     """
@@ -102,7 +102,7 @@ def _check_texts(name: str, texts: Any) -> None:
 
 
 def rendered(parts: Iterable[Part]) -> list[dict[str, Any]]:
-    """Parts as texts and SVG, in the report's style, without those that hold nothing."""
+    """Parts as texts and SVG in the report's style, without empty ones."""
     if not isinstance(parts, Iterable):
         raise TypeError(f"must give sections, as a list or by yield, not {parts!r:.40}")
     with matplotlib.rc_context(MATPLOTLIB):

@@ -95,7 +95,7 @@ def swept(scene: xr.Dataset) -> xr.Dataset:
     return scene
 
 
-def said_of_starts(scene: xr.Dataset) -> str:
+def caption_of_starts(scene: xr.Dataset) -> str:
     """Numbers of initial conditions of each law; empty if every law has one."""
     asked = (scene["status"] != Status.NOT_REQUESTED).transpose("representation", "omega", ...)
     groups: dict[str, list[str]] = {}

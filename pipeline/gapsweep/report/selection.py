@@ -54,7 +54,7 @@ def scene(
     shown = xr.Dataset(
         {name: _over(part, name, dims) for name, dims in variables.items()}, attrs=part.attrs
     ).load()
-    # Nobody asks which start it is where there is no other.
+    # A single initial condition needs no name.
     return shown.drop_vars(START, errors="ignore") if dataset.sizes.get(START) == 1 else shown
 
 
@@ -67,7 +67,7 @@ def _over(part: xr.Dataset, name: str, dims: Sequence[str]) -> xr.DataArray:
 
 
 def places(dataset: xr.Dataset) -> list[str]:
-    """Coordinates that say where a dataset's points are, representation and start apart."""
+    """Names of the parameters of a dataset, without representation and initial condition."""
     # The label of a gap holds both distances.
     walls = ("j_1", "j_2") if "gap" in dataset.coords else ()
     ours = [name for name in _PLACE if name in dataset.coords and name not in walls]
