@@ -19,8 +19,7 @@ from tests.swept import over_forcing, over_walls
 import gapsweep as gs
 import gapsweep.report.accessor  # plain xarray.load_dataset does not bring it along
 from gapsweep.analysis.agreement.comparison import agreement
-from gapsweep.report.maps import numbered_as
-from gapsweep.report.mesh import edges, mesh
+from gapsweep.report.maps import edges, mesh, numbered_as
 from gapsweep.report.scales import is_log
 from gapsweep.report.style import CLASS_COLOURS, colour
 from gapsweep.study.points import canonical

@@ -9,7 +9,7 @@ import sys
 import zlib
 from collections.abc import Iterable, Mapping
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from itertools import chain, count
 from typing import Any
 
@@ -121,10 +121,7 @@ def _rendered(part: Part) -> dict[str, Any]:
         "anchor": part.anchor,
         "title": part.title,
         "sentences": list(part.sentences),
-        "tables": [
-            {"title": t.title, "header": list(t.header), "rows": [list(row) for row in t.rows]}
-            for t in part.tables
-        ],
+        "tables": [asdict(table) for table in part.tables],
         "figures": [pictured(each) for each in part.figures],
     }
 
