@@ -45,8 +45,8 @@ or of half of the gap where that is larger. Blank: not swept there, or failed th
 - **with care**: half of the amplitudes within 5 % and half of the attractors found, which *use*
   asks too. **no**: less.
 - **exact here**: in neither worse than the exact law against itself; counted as *use*.
-- **±**: the 95 % intervals, its own and those of exact against exact, leave open on which side of a
-  line it lies, or the frequencies are too few for any.
+- **±**: the 95 % interval of the law or of the exact law with other settings includes a threshold,
+  or there are too few frequencies for intervals.
 - **tanh: one well**: where tanh has no false static equilibrium. That is needed and not enough:
   beside it stands the least ε of this study that may be used.
 - `piecewise-noevents` is the exact force, contacts not located: no approximation; it shows what
@@ -67,7 +67,7 @@ BEHIND = """\
 Every number is the cost (b): processor time per forcing period over that of the exact law, on the
 same fixed starts; above 1 × a law costs *more* than the exact one, ≈ 1 × cannot be told from it,
 and where the 95 % interval reaches far to both sides of 1 × it stands in place of the number. It
-covers the choice of frequencies and how far costs of exact against exact are from 1, in all
+covers the choice of frequencies and how far costs of exact law, other settings are from 1, in all
 contacts together. Nothing is judged (–) where the exact law has no steady response, or touches no
 wall.
 
@@ -104,14 +104,14 @@ def numbers(contact: Contact) -> str:
             percent(one.values["median"][0]),
             percent(one.values["p95"][0]),
             f"{percent(one.values['found'][0])} of {one.n_exact}",
-            times(one.price),
+            times(one.cost_ratio),
             f"{times(one.low)} to {times(one.high)}",
-            times(one.periodic_price),
+            times(one.periodic_cost_ratio),
         ]
         for one in contact.laws
     ]
     floors = [percent(contact.floors[name][0]) for name in ("median", "p95", "found")]
-    rows.append(["exact against exact", "", *floors, times(contact.floor_price), "", ""])
+    rows.append(["exact law, other settings", "", *floors, times(contact.floor_cost_ratio), "", ""])
     return f"### {contact.place}\n\n{table(NUMBERS, rows)}"
 
 
@@ -133,7 +133,7 @@ def finding(found: Sequence[Contact], machine: str) -> str:
     def count(*families: str) -> int:
         return sum(any(law.law.startswith(families) for law in laws) for laws in usable)
 
-    costs = [law.price for laws in usable for law in laws]
+    costs = [law.cost_ratio for laws in usable for law in laws]
     softest, hardest = found[0].K_c / STIFFNESS, found[-1].K_c / STIFFNESS
     return (
         f"In the built-in study (mass 3 kg, spring 2961 N/m, walls {softest:.1f} to {hardest:.0f} "

@@ -27,7 +27,6 @@ PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
 CONDA = {"dask": "dask-core", "matplotlib": "matplotlib-base", "netCDF4": "netcdf4"}
 # Imported only where something else has brought them: a notebook, jinja2, numba.
 BROUGHT = {"IPython", "llvmlite", "markupsafe", "tornado"}
-NAMED = {"PIL": "pillow"}
 
 
 def run(command, **options):
@@ -121,7 +120,7 @@ def test_the_wheel_carries_the_whole_paper(elsewhere):
 def test_no_library_is_missing():
     asked = [*PROJECT["dependencies"], *PROJECT["optional-dependencies"]["explore"]]
     declared = {re.split("[>=<]", text)[0] for text in asked}
-    names = {NAMED.get(name, name) for name in imported()}
+    names = set(imported())
     assert names - BROUGHT <= declared
     # Imported by xarray; by Dask, which makes the keys of a local cluster with it.
     assert declared <= names | {"netCDF4", "cryptography"}

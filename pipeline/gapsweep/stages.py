@@ -278,22 +278,18 @@ def opened(folder: Path, names: Iterable[str]) -> "Iterator[dict[str, xr.Dataset
 def write_page(folder: Path) -> Path:
     """Write the report of a run from the files in its folder; no code there is executed."""
     from gapsweep.report.html import write_report
+    from gapsweep.report.inputs import Inputs
 
     page = folder / REPORT
     if page.parent.is_symlink():
         raise StoreError(f"{page.parent}: must be a folder, is a symbolic link; remove it")
     with reading(folder), opened(folder, PAGE.inputs) as found:
-        responses, timing = found.pop("responses"), found.pop("timing")
-        return write_report(
-            page,
-            responses,
-            found.pop("agreement", None),
-            timing,
+        inputs = Inputs(
             **found,
             claims=read_json(folder / CLAIMS),
             own_parts=(read_json(folder / SECTIONS) or {}).get("sections", ()),
-            made_from=as_text(PAGE.made_from(folder)),
         )
+        return write_report(page, inputs, as_text(PAGE.made_from(folder)))
 
 
 def _points_digest(run: RunContext) -> str:

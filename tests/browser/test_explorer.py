@@ -135,12 +135,12 @@ def test_clicks_on_basins_and_map_show_the_motion_from_there(debugger):
     async def steps(opened):
         await opened.until(f"{source('map 0 peaks')}.image?.[0]?.shape[0] === 40")
         shape = await opened.ask(f"{source('basins 0 peaks')}.image[0].shape")
-        await click(opened, "Peaks by start, 9 Hz: piecewise", 0.5, 20.0)
+        await click(opened, "Peak by initial condition, 9 Hz: piecewise", 0.5, 20.0)
         said = await opened.until(
             f"{model('status')}.text.includes('mm/s') && {model('status')}.text"
         )
         await opened.until(f"{source('map 0 peaks')}.image[0].shape[0] === 40")
-        await click(opened, "Peaks from rest over ω and K_c: piecewise", 6.0, 5.0)
+        await click(opened, "Peak from rest over ω and K_c: piecewise", 6.0, 5.0)
         await opened.until(f"{model('status')}.text.includes('from rest')")
         return shape, said, [await opened.ask(f"{model(name)}.value") for name in ("omega", "K_c")]
 
@@ -219,7 +219,7 @@ def test_a_map_over_another_number_is_not_shown_under_its_name(debugger):
         await opened.until(f"{source('map 0 peaks')}.image?.[0]?.shape[0] === 40")
         await opened.ask(f"{model('over')}.value = 'alpha'")
         title = """[...Bokeh.index.all_views()].map(v => v.model.title?.text)
-          .find(text => text?.startsWith('Peaks from rest'))"""
+          .find(text => text?.startsWith('Peak from rest'))"""
         await opened.until(f"({title}).includes('α')")
         begun = await opened.ask(f"[{title}, {source('map 0 peaks')}.image.length]")
         await opened.until(f"{source('map 0 peaks')}.image?.[0]?.shape[0] === 40")
@@ -227,4 +227,4 @@ def test_a_map_over_another_number_is_not_shown_under_its_name(debugger):
 
     (title, n_shown), done = browse(debugger, gs.explore(approximations=()), change)
     assert ("computing" in title) == (n_shown == 0)
-    assert done == "Peaks from rest over ω and α: piecewise"
+    assert done == "Peak from rest over ω and α: piecewise"

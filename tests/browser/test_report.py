@@ -18,6 +18,7 @@ from gapsweep.analysis.agreement.comparison import agreement
 from gapsweep.analysis.claims import Run
 from gapsweep.analysis.datasets.timing import timing
 from gapsweep.report.html import write_report
+from gapsweep.report.inputs import Inputs
 from gapsweep.report.parts import Figured, Part, rendered
 from gapsweep.report.tables import VERDICTS
 from gapsweep.status import Status
@@ -33,15 +34,15 @@ def page(tmp_path_factory):
     responses, attractors = datasets(
         folder, study, lambda label, omega, _: periodic([(1e-3 / omega, 0.0)], omega)
     )
-    return write_report(
-        folder / "index.html",
+    inputs = Inputs(
         responses,
-        agreement(responses, attractors),
         timing(responses),
-        attractors=attractors,
+        agreement(responses, attractors),
+        attractors,
         claims=decided(),
         own_parts=rendered(sections(Run({"responses": everything()}))),
     )
+    return write_report(folder / "index.html", inputs)
 
 
 def everything():
@@ -343,9 +344,8 @@ def far_out(page, tmp_path_factory):
     folder = tmp_path_factory.mktemp("far")
     study = tables(("piecewise",), (1.0, 2.0))
     responses, _ = datasets(folder, study, lambda *_: periodic([(1e-3, 0.0)], 1.0))
-    write_report(
-        folder / "index.html", responses, None, timing(responses), own_parts=rendered([part])
-    )
+    inputs = Inputs(responses, timing(responses), own_parts=rendered([part]))
+    write_report(folder / "index.html", inputs)
     (found,) = (folder / "figures").glob("figure-far*.html")
     return found
 

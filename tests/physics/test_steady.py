@@ -13,7 +13,6 @@ from tests.stored import tile_rows
 
 import gapsweep as gs
 from gapsweep.integrate.problem import Models, Solver
-from gapsweep.report import figures
 from gapsweep.response import ensemble, thresholds
 from gapsweep.response.attractors import attractors_of_scenes
 from gapsweep.response.autonomous import PoincareMap
@@ -63,11 +62,12 @@ def test_known_coexisting_attractors_are_found(K_c, gap, omega, known):
 
 def test_basins_are_drawn_with_a_name_for_every_attractor():
     found = box(SOFT, SYMMETRIC, 19.0, n=5)
-    axes, bar = figures.basins(found).axes
-    (mesh,) = axes.images
-    assert np.array_equal(mesh.get_array(), found["attractor"].values)
-    names = [tick.get_text() for tick in bar.get_yticklabels()]
-    assert [name.split(",")[0] for name in names] == ["P1", "P3"]
+    axes = found.gapsweep.attractors()
+    shades = axes.images[0].get_array().reshape(-1, 4)
+    patches = axes.get_legend().get_patches()
+    of = {tuple(round(255 * c) for c in patch.get_facecolor()): patch for patch in patches}
+    names = [of[tuple(shade)].get_label().split(",")[0] for shade in shades.tolist()]
+    assert names == [["P1", "P3"][i] for i in found["attractor"].values.ravel()]
 
 
 def test_chaos_has_a_positive_exponent():

@@ -80,8 +80,11 @@ def precision():
     status[:, 0, 3] = gs.Status.NOT_REQUESTED
     return xr.Dataset(
         {
-            "trajectory_error": (dims, error, {"units": "1", "long_name": "end error"}),
+            "total_error": (dims, error, {"units": "1", "long_name": "end error"}),
             "cpu_time": (dims, 1e-6 / error**0.1, {"units": "s", "long_name": "cost per second"}),
+            "cpu_time_q25": (dims, 0.9e-6 / error**0.1),
+            "cpu_time_q75": (dims, 1.2e-6 / error**0.1),
+            "at_reference_floor": (dims, np.zeros(error.shape, "i1")),
             "model_error": (dims[:2], [[0.0, 1e-3], [0.0, 1e-3]], {"units": "1"}),
             "status": (dims, status),
             "on_front": (dims, np.zeros(error.shape, "i1") + np.array([[1], [0]], "i1")),
@@ -216,7 +219,11 @@ def test_basins_are_a_map_of_the_starts(ax):
         gs.Oscillator(), gs.Piecewise(1.4e4, gs.Gap(4e-4, 4e-4)), 20.0, x=[0.0, 1e-3], v=[0.0]
     )
     found.gapsweep.attractors(ax=ax)
-    assert_allclose(ax.images[0].get_array().ravel(), found["attractor"].values.ravel())
+    shades = ax.images[0].get_array().reshape(-1, 4)
+    ids = found["attractor"].values.ravel()
+    assert [[tuple(a) == tuple(b) for b in shades] for a in shades] == [
+        [a == b for b in ids] for a in ids
+    ]
     assert ax.get_ylabel() == "initial velocity [mm/s]"
 
 
@@ -249,19 +256,22 @@ def test_agreement_over_frequency_is_a_curve(compared, ax):
 
 def test_work_precision_shows_front_and_failures(precision, ax):
     precision.gapsweep.work_precision(scene="soft", ax=ax)
-    assert ax.get_legend_handles_labels()[1] == ["piecewise", "tanh-1e4 (1 failed)"]
+    assert ax.get_legend_handles_labels()[1] == ["piecewise", "tanh-1e4"]
+    assert [text.get_text() for text in ax.texts] == ["× tanh-1e4: diverged"]
     assert ax.get_title(loc="left") == "soft, K_c = 14000 N/m"
     soft = precision.sel(scene="soft")
     there = {"piecewise": slice(3), "tanh-1e4": slice(1, None)}
+    lines = {str(line.get_label()): line for line in ax.lines}
     for position, (name, tolerances) in enumerate(there.items()):
-        one = soft.isel({"method": position, "tolerance": tolerances})
-        (line,) = [ln for ln in ax.lines if ln.get_label().split(" ")[0] == name]
-        assert_allclose(line.get_xdata(), one["trajectory_error"])
-        assert_allclose(line.get_ydata(), one["cpu_time"])
-    models = [ln.get_xdata() for ln in ax.lines if ln.get_linestyle() == ":"]
-    assert models == [[1e-3, 1e-3]]
-    rings = [ln for ln in ax.lines if ln.get_fillstyle() == "none" and len(ln.get_xdata())]
-    assert [to_hex(ln.get_color()) for ln in rings] == [colour("piecewise")]
+        one, line = soft.isel({"method": position, "tolerance": tolerances}), lines[name]
+        is_shown = np.isfinite(line.get_xdata())
+        assert_allclose(line.get_xdata()[is_shown], one["total_error"])
+        assert_allclose(line.get_ydata()[is_shown], one["cpu_time"])
+    assert list(lines["_tanh-1e4, its own error"].get_xdata()) == [1e-3, 1e-3]
+    assert "_piecewise, its own error" not in lines
+    assert len(lines["_tanh-1e4, failed"].get_ydata()) == 1
+    rings = [name for name, line in lines.items() if "front" in name and len(line.get_xdata())]
+    assert rings == ["_piecewise, on the front"]
     assert (ax.get_xscale(), ax.get_yscale()) == ("log", "log")
     assert (ax.get_xlabel(), ax.get_ylabel()) == ("end error", "cost per second [s]")
 
@@ -285,7 +295,7 @@ def test_units_are_those_of_the_dataset(responses, ax):
     [
         (lambda r, a: a.gapsweep.bifurcation(), "extrema: no variable .* it is in responses.nc"),
         (lambda r, a: r.gapsweep.agreement(), "amplitude_error_median: .* in agreement.nc"),
-        (lambda r, a: r.gapsweep.work_precision(), "trajectory_error: .* work_precision.nc"),
+        (lambda r, a: r.gapsweep.work_precision(), "total_error: .* work_precision.nc"),
         (lambda r, a: r.gapsweep.bifurcation(K_c=3.0), r"K_c = 3.0: .* which has 14000"),
         (lambda r, a: r.gapsweep.bifurcation(stiffness=3.0), "stiffness: not a coordinate"),
         (lambda r, a: r.gapsweep.bifurcation(gap=slice(1, 2)), "gap = slice.*: must be a label"),
@@ -537,7 +547,7 @@ def test_every_plot_of_any_selection_is_drawn_or_refused(made, compared, selecti
 
 
 def test_agreement_of_the_reference_alone_is_refused(compared):
-    with pytest.raises(gs.DatasetError, match=r"piecewise: .* itself"):
+    with pytest.raises(gs.DatasetError, match=r"piecewise: the reference"):
         compared.gapsweep.agreement(representation="piecewise")
 
 

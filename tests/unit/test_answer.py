@@ -22,7 +22,8 @@ from gapsweep.report.answer import (
     verdict,
 )
 from gapsweep.report.findings import findings
-from gapsweep.report.scales import Told
+from gapsweep.report.inputs import Inputs
+from gapsweep.report.scales import NamedValue
 from gapsweep.study.study import Study
 
 NOTHING = {name: np.full(1, np.nan) for name in ("median", "p95", "found")}
@@ -80,8 +81,8 @@ def numbers(p95, ci):
     row = {"amplitude_error_paired_median": 1e-9, "recall_pooled": 1.0, "n_exact": 9}
     row |= {f"{name}_ci": (value, value) for name, value in row.items()}
     row |= {"amplitude_error_paired_p95": p95, "amplitude_error_paired_p95_ci": ci}
-    price = {"cpu_time_per_period_ratio": 2.0, "cpu_time_per_period_ratio_ci": (1.9, 2.1)}
-    return row | price | {"periodic": 2.0}
+    cost_ratio = {"cpu_time_per_period_ratio": 2.0, "cpu_time_per_period_ratio_ci": (1.9, 2.1)}
+    return row | cost_ratio | {"periodic": 2.0}
 
 
 @pytest.mark.parametrize(
@@ -129,7 +130,7 @@ LAWS = {
 def test_every_law_has_its_verdict_and_its_price(tmp_path):
     _, (contact,) = made(tmp_path, LAWS)
     found = {one.law: (one.verdict, one.is_firm, one.cost) for one in contact.laws}
-    # 1 is within how far prices repeat, and one repeat tells little: nothing is known but the ends.
+    # 1 is within the repeatability, and one repetition tells little: only the ends are known.
     open_ = {
         one.law: f"{times(one.low)} to {times(one.high)}"
         for one in contact.laws
@@ -176,8 +177,8 @@ def test_a_price_of_all_motions_stands_beside_that_of_periodic_ones(tmp_path):
     study = tables(("piecewise", "piecewise@half", "tanh-1e4"), OMEGA, **HALF)
     (contact,) = contacts(agreement(*datasets(tmp_path, study, answer)))
     (tanh,) = contact.laws
-    assert tanh.periodic_price == pytest.approx(2.0)
-    assert 2.0 < tanh.price < 20.0
+    assert tanh.periodic_cost_ratio == pytest.approx(2.0)
+    assert 2.0 < tanh.cost_ratio < 20.0
 
 
 def test_code_of_the_users_that_only_fails_is_no_approximation(tmp_path):
@@ -227,7 +228,7 @@ def test_too_few_frequencies_for_an_interval_settle_nothing(tmp_path):
     _, (contact,) = made(tmp_path, LAWS, OMEGA[:4])
     tanh = next(one for one in contact.laws if one.law == "tanh-1e4")
     assert (tanh.verdict, tanh.is_firm, tanh.cost) == ("use", False, "4.0\u00a0× ?")
-    assert "beyond doubt" in in_words([contact])[0]
+    assert "clearly faster" in in_words([contact])[0]
 
 
 def test_without_floors_the_rule_is_the_same(tmp_path):
@@ -238,18 +239,18 @@ def test_without_floors_the_rule_is_the_same(tmp_path):
     assert said["poly-13"] == ("no", "0.25\u00a0× ?")
 
 
-def repeated(prices):
-    """Intervals of the price 0.7 beside these ones of exact against exact."""
-    return widened(0.7, np.array([0.7, 0.7]), repeatability(np.array(prices)))
+def repeated(cost_ratios):
+    """Intervals of the cost ratio 0.7 with these ones of exact law, other settings."""
+    return widened(0.7, np.array([0.7, 0.7]), repeatability(np.array(cost_ratios)))
 
 
 def test_the_interval_of_a_price_holds_how_far_prices_repeat():
-    """Student's t of the logarithms: 95 % of the prices of equal work are within it."""
+    """Student's t of the logarithms: 95 % of the cost ratios of equal work are within it."""
     rng = np.random.default_rng(5)
     inside = []
     for _ in range(2000):
-        *repeats, price = np.exp(rng.normal(0.0, 0.3, 5))
-        low, high = widened(price, np.full(2, price), repeatability(np.array(repeats)))
+        *repeats, cost_ratio = np.exp(rng.normal(0.0, 0.3, 5))
+        low, high = widened(cost_ratio, np.full(2, cost_ratio), repeatability(np.array(repeats)))
         inside.append(low <= 1.0 <= high)
     assert 0.93 < np.mean(inside) < 0.97
     assert repeated([1.01, 1.02, np.nan])[1] < 1.0 < repeated([1.3, 0.9])[1]
@@ -263,7 +264,7 @@ def test_what_the_frequencies_leave_open_is_added():
 
 
 def test_prices_repeat_as_far_in_one_contact_as_in_another(tmp_path):
-    """Equal work that cost threefold in the soft contact leaves prices in the hard one in doubt."""
+    """Equal work that cost threefold in the soft contact leaves costs in the hard one in doubt."""
     study = tables(["piecewise", "piecewise@half", "poly-13"], OMEGA, **HALF)
     study["sweep"][0]["K_c"] = [1.4e3, 1.4e4]
 
@@ -277,19 +278,21 @@ def test_prices_repeat_as_far_in_one_contact_as_in_another(tmp_path):
     assert [contact.laws[0].cost for contact in contacts(compared)] == [
         "0.018\u00a0× to 14\u00a0×"
     ] * 2
-    assert [contact.floor_price for contact in contacts(compared)] == [3.0, 1.0]
+    assert [contact.floor_cost_ratio for contact in contacts(compared)] == [3.0, 1.0]
 
 
 @pytest.mark.parametrize(("high", "said"), [(1.4, "≈ 1\u00a0×"), (1.6, "0.9\u00a0× to 1.6\u00a0×")])
 def test_about_one_is_said_of_what_is_known_to_be_near_it(high, said):
-    one = judged("tanh-1e4", price=1.2)
+    one = judged("tanh-1e4", cost_ratio=1.2)
     assert replace(one, low=0.9, high=high).cost == said
 
 
-def judged(law, verdict="use", price=4.0, width=1.1, firm=True, median=0.01):
+def judged(law, verdict="use", cost_ratio=4.0, width=1.1, firm=True, median=0.01):
     values = {"median": np.array([median, median / width, median * width])}
     possible = frozenset({verdict.replace("exact here", "use"), *(() if firm else COLUMNS)})
-    return Judged(law, values, 9, verdict, possible, price, price / width, price * width)
+    return Judged(
+        law, values, 9, verdict, possible, cost_ratio, cost_ratio / width, cost_ratio * width
+    )
 
 
 def contact(*laws, K_c=1e4, gap="0.4/0.4", floor=0.0, swept=()):
@@ -297,29 +300,29 @@ def contact(*laws, K_c=1e4, gap="0.4/0.4", floor=0.0, swept=()):
 
 
 def test_the_answer_names_what_saves_time():
-    cheap, dear = judged("poly-13", price=0.5), judged("tanh-1e4", price=3.0)
+    cheap, dear = judged("poly-13", cost_ratio=0.5), judged("tanh-1e4", cost_ratio=3.0)
     said = in_words([contact(cheap, dear), contact(dear, K_c=1e6)])
     assert said[0] == (
-        "An approximation saves time with this study's solver in 1 of 2 contacts: "
+        "An approximation is faster with this study's solver in 1 of 2 cases: "
         "poly-13 for 10000 N/m with 0.4/0.4 mm (0.5\u00a0×)."
     )
-    assert said[1].startswith("Elsewhere take the exact law; ")
+    assert said[1].startswith("Elsewhere use the exact law. ")
     assert "tanh-1e4 for 1e6 N/m" in said[1]
 
 
 def test_contacts_of_one_stiffness_and_gap_are_told_apart():
     """A study that sweeps the forcing has several: one may pay where another does not."""
-    cheap, dear = judged("poly-13", price=0.5), judged("poly-13", price=3.0)
-    of_3, of_4 = [Told("p", "3", "N")], [Told("p", "4", "N")]
+    cheap, dear = judged("poly-13", cost_ratio=0.5), judged("poly-13", cost_ratio=3.0)
+    of_3, of_4 = [NamedValue("p", "3", "N")], [NamedValue("p", "4", "N")]
     said = in_words([contact(cheap, swept=of_3), contact(dear, swept=of_4)])
-    assert "in 1 of 2 settings: poly-13 for 10000 N/m" in said[0]
+    assert "in 1 of 2 cases: poly-13 for 10000 N/m" in said[0]
     assert "at p = 3 N" in said[0]
     assert "at p = 4 N" in said[1]
 
 
 def test_prices_that_intervals_do_not_part_stand_together():
-    near = [judged("tanh-1e4", price=4.0), judged("arctan-1e4", price=4.5)]
-    far = judged("poly-13", price=9.0)
+    near = [judged("tanh-1e4", cost_ratio=4.0), judged("arctan-1e4", cost_ratio=4.5)]
+    far = judged("poly-13", cost_ratio=9.0)
     (_, said) = in_words([contact(*near, far)])
     assert "arctan-1e4 or tanh-1e4 for" in said
     assert "(4.0\u00a0× to 4.5\u00a0×)" in said
@@ -328,8 +331,11 @@ def test_prices_that_intervals_do_not_part_stand_together():
 
 def test_prices_without_intervals_are_not_called_alike():
     unknown = {"width": np.nan}
-    near, far = judged("tanh-1e4", price=2.0, **unknown), judged("tanh-1e6", price=90.0, **unknown)
-    none = judged("poly-13", price=np.nan, **unknown)
+    near, far = (
+        judged("tanh-1e4", cost_ratio=2.0, **unknown),
+        judged("tanh-1e6", cost_ratio=90.0, **unknown),
+    )
+    none = judged("poly-13", cost_ratio=np.nan, **unknown)
     for laws in ((near, far, none), (none, far, near)):
         assert (
             "tanh-1e4 for 10000 N/m with 0.4/0.4 mm (2.0\u00a0×)" in in_words([contact(*laws)])[1]
@@ -337,40 +343,40 @@ def test_prices_without_intervals_are_not_called_alike():
 
 
 def test_a_cheap_law_in_doubt_does_not_hide_a_sure_one():
-    doubtful, sure = judged("poly-13", price=0.5, firm=False), judged("tanh-1e4")
+    doubtful, sure = judged("poly-13", cost_ratio=0.5, firm=False), judged("tanh-1e4")
     said = in_words([contact(doubtful, sure)])
-    assert said[0].endswith("but none saves time beyond doubt with this study's solver.")
+    assert said[0].endswith("but none is clearly faster with this study's solver.")
     assert "poly-13 ± or tanh-1e4" in said[1]
 
 
 def test_nothing_to_use_is_said():
     bad = judged("poly-13", "with care")
-    assert in_words([contact(bad)]) == ["Take the exact law: no approximation is adequate."]
+    assert in_words([contact(bad)]) == ["Use the exact law: no approximation is adequate."]
     open_ = judged("poly-13", "with care", firm=False)
     assert in_words([contact(open_)]) == [
-        "Take the exact law: no approximation has been shown to be adequate."
+        "Use the exact law: no approximation has been shown to be adequate."
     ]
     said = in_words([contact(bad), contact(judged("tanh-1e4"), gap="0/1")])
-    assert "none of those swept for 10000 N/m with 0.4/0.4 mm" in said[1]
+    assert "none of those computed for 10000 N/m with 0.4/0.4 mm" in said[1]
 
 
 def test_a_contact_where_nothing_is_sure_is_called_open():
     doubtful = judged("poly-13", "with care", firm=False)
     headline, said = in_words([contact(doubtful), contact(judged("tanh-1e4"), gap="0/1")])
-    assert "adequate in 1 of 2 contacts and may be in 1 more, but" in headline
-    assert "none beyond doubt for 10000 N/m with 0.4/0.4 mm" in said
+    assert "adequate in 1 of 2 cases (1 undecided), but" in headline
+    assert "undecided for 10000 N/m with 0.4/0.4 mm" in said
     # What is cheap and sure stands for the contact, whatever is in doubt beside it.
     sure = in_words([contact(doubtful, judged("tanh-1e4"))])
-    assert "adequate in the only contact, but" in sure[0]
+    assert "adequate in the only case, but" in sure[0]
 
 
 @pytest.mark.parametrize("label", ["piecewise-noevents", "auto"])
 def test_what_is_the_exact_law_is_no_approximation(responses, label):
-    """Neither in the answer and its prices, nor among those that are counted."""
-    exact = judged(label, "exact here", price=0.5)
-    assert in_words([contact(exact)]) == ["Take the exact law: no approximation was swept."]
+    """Neither in the answer and its costs, nor among those that are counted."""
+    exact = judged(label, "exact here", cost_ratio=0.5)
+    assert in_words([contact(exact)]) == ["Use the exact law: no approximation was computed."]
     said = found_in(responses, contact(judged("tanh-1e4"), exact))
-    assert "Of 1 pair of contact and approximation" in said
+    assert "Of 1 pair of case and approximation" in said
     assert label not in said
 
 
@@ -390,33 +396,11 @@ def responses(tmp_path_factory):
 
 
 def found_in(responses, *several):
-    return " ".join(findings(responses, several, None))
-
-
-def test_closest_is_who_is_closest_in_the_same_contact(responses):
-    near, far = judged("tanh-1e4", median=0.01), judged("poly-13", median=0.3)
-    alone = judged("arctan-1e4", median=1e-6)
-    exact = judged("piecewise-noevents", median=1e-9)
-    said = found_in(responses, contact(near, far, exact), contact(alone))
-    assert "tanh-1e4 in the only contact with several approximations." in said
-    assert "arctan" not in said
-    assert "noevents" not in said
-
-
-def test_overlapping_intervals_and_floors_name_none(responses):
-    near, level = judged("tanh-1e4", median=0.01), judged("poly-13", median=0.0112)
-    none = "In no contact is one approximation clearly closest in amplitude."
-    assert none in found_in(responses, contact(near, level))
-    far = judged("poly-13", median=0.3)
-    several = found_in(responses, contact(near, level), contact(near, far))
-    assert "tanh-1e4 in 1, no single one in 1 of 2 contacts with several approximations." in several
-    assert none in found_in(responses, contact(near, far, floor=0.5))
-    unknown = judged("poly-13", median=0.3, width=np.nan)
-    assert none in found_in(responses, contact(near, unknown))
+    return " ".join(findings(Inputs(responses, None), several))
 
 
 def test_prices_are_counted_by_what_is_beyond_doubt(responses):
-    laws = [judged("poly-13", "no", 0.5), judged("tanh-1e4"), judged("arctan-1e4", price=1.05)]
-    assert "Of 3 pairs of contact and approximation, 1 cost more" in found_in(
+    laws = [judged("poly-13", "no", 0.5), judged("tanh-1e4"), judged("arctan-1e4", cost_ratio=1.05)]
+    assert "Of 3 pairs of case and approximation, 1 cost more" in found_in(
         responses, contact(*laws)
     )

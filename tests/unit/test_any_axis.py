@@ -11,9 +11,9 @@ from gapsweep.analysis.claims import NotInRunError, Run
 from gapsweep.analysis.datasets.timing import timing
 from gapsweep.analysis.dimensions import over, scene_dims
 from gapsweep.report.answer import contacts, in_words
-from gapsweep.report.html import _at_one_frequency, write_report
+from gapsweep.report.html import write_report
+from gapsweep.report.inputs import Inputs
 from gapsweep.report.overview import is_wide, overview
-from gapsweep.report.scenes import Scenes
 from gapsweep.status import Status
 from gapsweep.study.grid import COORDINATE
 
@@ -113,7 +113,7 @@ def test_many_contacts_are_counted(tmp_path):
     found = contacts(agreement(*datasets(tmp_path, study, answer)))
     said = " ".join(in_words(found))
     assert len(found) == 20
-    assert "for 20 contacts" in said
+    assert "for 20 cases" in said
     assert said.count("10019") == 0
 
 
@@ -135,30 +135,30 @@ def page_of(folder, files):
     responses, attractors = files
     compared, costs = agreement(*files), timing(responses)
     path = folder / "page" / "index.html"
-    return write_report(path, responses, compared, costs, attractors=attractors).read_text()
+    return write_report(path, Inputs(responses, costs, compared, attractors)).read_text()
 
 
 def test_few_values_of_another_axis_have_curves_each_and_rows_of_their_own(forced, tmp_path):
     page = page_of(tmp_path, forced)
     assert 'id="overview"' in page
     assert 'id="scene-' not in page
-    assert "pictures over forcing frequency, for each of 2 values of forcing amplitude. ds." in page
+    assert "figures over forcing frequency, for each of 2 values of forcing amplitude. ds." in page
     for force in FORCING:  # too few for an axis
         where = f"piecewise, K_c = 14000 N/m, gap 0.4/0.4 mm, forcing = {force:g} N"
         assert f"Peak displacement of every attractor: {where}" in page
-    part = overview(forced[0], agreement(*forced), timing(forced[0]), forced[1])
+    part = overview(Inputs(forced[0], timing(forced[0]), agreement(*forced), forced[1]))
     (compared, costs) = part.tables
     rows = {row[0]: row[-1] for row in compared.rows}  # each scene's own
     for force in FORCING:
         assert rows[f"tanh-1e4, forcing = {force:g} N"] == "6 of 9"
-        assert f"exact against exact, forcing = {force:g} N" in rows
+        assert f"exact law, other settings, forcing = {force:g} N" in rows
     assert len(rows) == 4
     assert [row[-1] for row in costs.rows] == ["18"] * 3
 
 
 def test_one_parameter_alone_is_a_bifurcation_diagram(forced):
     files = [ds.isel(omega=[0]) for ds in forced]
-    figures = list(overview(files[0], None, timing(files[0]), files[1]).figures)
+    figures = list(overview(Inputs(files[0], timing(files[0]), attractors=files[1])).figures)
     said = [figure.description.partition(",")[0] for figure in figures]
     assert said == ["Bifurcation diagram", "Attractors and their basins"] * 2
     for figure in figures:
@@ -174,13 +174,13 @@ def test_branches_along_a_parameter_lie_in_its_figures_and_have_a_table(forced):
     found = branches([[1, 1, 0, 0]] * 2, [[0, 1, 0, 0]] * 2, representation=labels)
     found = found.rename(omega="forcing").assign_attrs(along="forcing")
     found["forcing"][:] = found["forcing"] - 4.0
-    part = overview(files[0], None, timing(files[0]), files[1], found)
+    part = overview(Inputs(files[0], timing(files[0]), None, files[1], branches=found))
     has_lines = ["dashed where unstable" in figure.caption for figure in part.figures]
     assert has_lines == [True, True, False, False]
     titles = [table.title for table in part.tables]
     assert "Special points of the branches" in titles
     for other in (found.assign_attrs(along="x_max"), None):
-        part = overview(files[0], None, timing(files[0]), files[1], other)
+        part = overview(Inputs(files[0], timing(files[0]), None, files[1], branches=other))
         assert [table.title for table in part.tables] == titles[:-1]
 
 
@@ -189,7 +189,7 @@ def test_many_starts_at_one_place_are_a_map_of_the_starts(tmp_path):
     states = [[1e-5 * i, 1e-3 * k] for i in range(26) for k in range(20)]
     study["sweep"][0]["initial_condition"] = states
     responses, found = datasets(tmp_path, study, lambda *_: periodic([(1e-3, 0.0)], 5.0))
-    (figure,) = overview(responses, None, timing(responses), found).figures
+    (figure,) = overview(Inputs(responses, timing(responses), attractors=found)).figures
     axes = figure.figure.axes[0]
     assert axes.get_xlabel() == "initial displacement [mm]"
     assert axes.images[0].get_array().shape[:2] == (20, 26)
@@ -209,7 +209,7 @@ def test_a_grid_of_starts_at_one_frequency_is_drawn_as_its_plane(tmp_path):
 
     page = page_of(tmp_path, datasets(tmp_path, study, two))
     assert page.count("Attractor, peak: ") == 2
-    assert "displacements at zero velocity" not in page
+    assert "Extrema of the steady response" not in page
 
 
 @pytest.mark.parametrize("stiffnesses", [[1.4e4, 2e4], [1.4e4, 1.40000001e4, 2e4]])
@@ -221,24 +221,12 @@ def test_planes_of_several_contacts_have_pictures_of_each(tmp_path, stiffnesses)
     assert page.count("Attractor, peak: ") == len(stiffnesses)
 
 
-def test_contacts_that_print_alike_stand_apart_in_one_figure(tmp_path):
-    study = tables(["piecewise"], [5.0])
-    study["sweep"][0]["K_c"] = [1.4e4, 1.40000001e4, 2e4]
-    scenes = Scenes(datasets(tmp_path, study, answer)[0])
-    at = [{"K_c": i, "gap": 0} for i in range(3)]
-    (figure,) = _at_one_frequency(scenes, at, "5 Hz").figures
-    (axes,) = figure.figure.axes
-    ticks = [text.get_text() for text in axes.get_xticklabels()]
-    assert ticks == [f"K_c = {name}" for name in ("14000 N/m (1)", "14000 N/m (2)", "20000 N/m")]
-    assert [len(line.get_xdata()) for line in axes.lines] == [3]
-
-
 def test_a_law_has_no_empty_pictures_where_it_was_not_swept(forced):
     responses, attractors = (ds.copy() for ds in forced)
     here = responses["representation"] == "tanh-1e4", responses["forcing"] == FORCING[1]
     is_left = here[0] & here[1]
     responses["status"] = responses["status"].where(~is_left, Status.NOT_REQUESTED)
-    figures = list(overview(responses, None, timing(responses), attractors).figures)
+    figures = list(overview(Inputs(responses, timing(responses), attractors=attractors)).figures)
     of_tanh = [one.description for one in figures if "tanh" in one.description]
     assert of_tanh
     assert all(f"forcing = {FORCING[0]:g} N" in said for said in of_tanh)
@@ -253,7 +241,7 @@ def test_coordinates_share_maps_of_classes_and_have_amplitudes_of_their_own(tmp_
     both = [responses[names]] * 2
     two = xr.concat(both, xr.DataArray(["q_1", "q_2"], dims=COORDINATE, name=COORDINATE))
     responses = responses.drop_vars(names).assign(two.transpose(..., COORDINATE))
-    (figure,) = overview(responses, None, timing(responses), None).figures
+    (figure,) = overview(Inputs(responses, timing(responses))).figures
     labels = [axes.get_ylabel() for axes in figure.figure.axes if axes.get_label() == "<colorbar>"]
     assert [label.partition(":")[0] for label in labels] == ["q_1", "q_2"]
     assert figure.caption.startswith("Class, period, amplitude: tanh-1e4, K_c")

@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 
 import gapsweep.report.accessor  # noqa: F401  # plain datasets do not bring it along
 from gapsweep.report import backdrop
-from gapsweep.report.drawing import attractor_peaks, frame, said_of_peaks
+from gapsweep.report.drawing import attractor_peaks, caption_of_peaks, frame
 from gapsweep.report.figures import bifurcation, frequency_response
 from gapsweep.report.style import BANDS
 from gapsweep.response.result import ResponseClass
@@ -69,7 +69,7 @@ def test_key_and_caption_name_the_bands_that_are_drawn(kinds):
     assert drawn == set(kinds) & set(BANDS)
     key = {text.get_text() for legend in figure.legends for text in legend.get_texts()}
     assert key == drawn
-    said = backdrop.said_of_bands(shown)
+    said = backdrop.caption_of_bands(shown)
     assert {kind for kind in BANDS if kind in said} == drawn
     assert bool(said) == bool(drawn)
 
@@ -92,16 +92,20 @@ def test_a_dot_without_a_known_basin_is_no_small_basin():
     ("found", "said"),
     [
         (attractors(np.nan, np.nan), ""),
-        (attractors(0.3, np.nan), " The area of a dot is the share of the starts that end on it."),
+        (
+            attractors(0.3, np.nan),
+            " Dot area: share of the initial conditions that lead to the attractor.",
+        ),
         (attractors(np.nan, kind="chaotic"), " Hollow: not periodic."),
         (
             attractors(0.5, kind="quasiperiodic"),
-            " The area of a dot is the share of the starts that end on it; hollow: not periodic.",
+            " Dot area: share of the initial conditions that lead to the attractor; hollow: not "
+            "periodic.",
         ),
     ],
 )
 def test_a_caption_says_of_dots_what_is_to_be_seen(found, said):
-    assert said_of_peaks(found) == said
+    assert caption_of_peaks(found) == said
 
 
 def growing():
@@ -186,7 +190,7 @@ def test_walls_of_a_system_stand_where_its_coordinate_meets_them(shown, of_peaks
     axes = Figure().subplots()
     backdrop.walls(axes, shown, of_peaks=of_peaks)
     assert sorted(line.get_ydata()[0] for line in axes.lines) == pytest.approx(heights)
-    assert backdrop.said_of_walls(shown, of_peaks=of_peaks) == said
+    assert backdrop.caption_of_walls(shown, of_peaks=of_peaks) == said
 
 
 def test_a_wall_of_a_system_sets_no_axis():

@@ -348,9 +348,10 @@ def test_no_motion_is_asked_for_an_exponent():
 
 def test_the_nearest_response_is_found():
     curve = from_rest(of_model(LINEAR, FREE), EXACT)
-    spot = nearest([curve], curve.omega[70] + 1e-4, curve.x_max[70], (1.0, 1e-3))
-    assert spot.omega == curve.omega[70]
-    assert spot.state == (curve.x_end[70], curve.v_end[70])
+    shown = [replace(curve, omega=curve.omega + 100.0), curve]
+    found, k = nearest(shown, curve.omega[70] + 1e-4, curve.x_max[70], (1.0, 1e-3))
+    assert found is curve
+    assert k == 70
     assert nearest([], 1.0, 1.0, (1.0, 1.0)) is None
 
 
@@ -450,12 +451,14 @@ def test_the_points_of_a_run_are_found_in_their_scenes(run):
     (name,) = stored.scenes
     assert "14000 N/m" in name
     assert stored.scenes[name] == {"K_c": 1.4e4, "j_1": 0.4e-3, "j_2": 0.4e-3}
-    points = stored.points(name)
-    assert sorted(set(points.label)) == ["piecewise", "tanh-1e4"]
-    assert sorted(points.omega) == [5.0] * 4 + [7.0] * 4
-    np.testing.assert_allclose(points.x_max, 1e-3 * points.omega)
-    np.testing.assert_allclose(points.x_end, 1e-3 * points.omega)
-    assert len(set(points.v_end)) == 3  # at rest, or one at either frequency
+    curves = stored.points(name)
+    assert [curve.label for curve in curves] == ["piecewise", "tanh-1e4"]
+    for points in curves:
+        assert sorted(points.omega) == [5.0] * 2 + [7.0] * 2
+        np.testing.assert_allclose(points.x_max, 1e-3 * points.omega)
+        np.testing.assert_allclose(points.x_end, 1e-3 * points.omega)
+        assert len(set(points.v_end)) == 3  # at rest, or one at either frequency
+        assert points.is_periodic.all()
 
 
 def test_branches_of_a_run_are_lines_behind_its_points(run):
@@ -580,14 +583,14 @@ def test_a_study_of_systems_is_refused_before_its_code_is_looked_for(tmp_path, c
     for path in (tmp_path / "moved.toml", run):
         assert exit_code(["explore", str(path), "--no-browser"]) == 1
         said = capsys.readouterr().err
-        assert f"error: {path}: a study of systems, and explore takes oscillators only" in said
+        assert f"error: {path}: a study of systems; explore accepts oscillators only" in said
         assert "report of 'gapsweep run'" in said
 
 
 def test_the_page_says_that_its_line_is_no_law_of_the_users(tmp_path):
     tables_ = tables(("bump:clean@fine", "piecewise"), (5.0, 6.0), protocol={"fine": {}})
     said = not_computed(gs.Study.from_dict(tables_))
-    assert "Not computed here: your own bump:clean." in said
+    assert "Not computed here: the user-defined bump:clean." in said
     document = Document()
     Page(document, of_model(LINEAR, FREE), {}, None, said).stop()
     (div,) = document.select({"name": "note"})

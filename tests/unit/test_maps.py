@@ -19,8 +19,7 @@ from tests.swept import over_forcing, over_walls
 import gapsweep as gs
 import gapsweep.report.accessor  # plain xarray.load_dataset does not bring it along
 from gapsweep.analysis.agreement.comparison import agreement
-from gapsweep.report.maps import numbered_as
-from gapsweep.report.mesh import edges, mesh
+from gapsweep.report.maps import edges, mesh, numbered_as
 from gapsweep.report.scales import is_log
 from gapsweep.report.style import CLASS_COLOURS, colour
 from gapsweep.study.points import canonical
@@ -288,23 +287,6 @@ def test_starts_of_a_full_grid_are_a_map(tmp_path, ax):
     )
     with pytest.raises(gs.DatasetError, match="the 11 fixed starts are no full grid"):
         starts(tmp_path, 4, 3, lost=1).gapsweep.map("response_class", x="x_0", y="v_0", ax=ax)
-
-
-@pytest.mark.parametrize(("lost", "n_images"), [(0, 1), (1, 0)])
-def test_many_starts_that_form_a_grid_are_one_mesh(tmp_path, ax, lost, n_images):
-    responses = starts(tmp_path, 26, 20, lost)
-    responses.gapsweep.attractors(ax=ax)
-    assert len(ax.images) == n_images
-    if n_images:
-        ids = ax.images[0].get_array()
-        assert ids.shape == (20, 26)
-        assert np.ma.getmaskarray(np.ma.masked_invalid(ids)).sum() == 1
-        assert set(np.unique(ids[:, :13].compressed())).isdisjoint(ids[:, 13:].compressed())
-        (bar,) = (axes for axes in ax.figure.axes if axes is not ax)
-        assert [text.get_text() for text in bar.get_yticklabels()] == [
-            "P1, peak 1 mm",
-            "P1, peak 2 mm",
-        ]
 
 
 def starts_on(attractors, peaks, periods):

@@ -32,7 +32,7 @@ from gapsweep.report.figure_marks import as_csv
 from gapsweep.report.figures import bifurcation
 from gapsweep.report.parts import rendered
 from gapsweep.report.pictures import is_picture
-from gapsweep.report.scenes import said_of_starts
+from gapsweep.report.scenes import caption_of_starts
 from gapsweep.report.style import MATPLOTLIB, colour
 from gapsweep.response.result import ResponseClass
 from gapsweep.status import Status
@@ -457,13 +457,16 @@ def test_the_period_at_the_end_of_a_history_is_what_a_plot_shows(motion, period,
     ("asked", "said"),
     [
         ({"a": ["1", "1"], "b": ["1", "1"]}, ""),
-        ({"a": ["12", "12"], "b": ["12", "12"]}, " from 2 starts"),
-        ({"a": ["1", "123"], "b": ["1", "123"]}, " from 1 to 3 starts per frequency"),
-        ({"a": ["1", "2"], "b": ["1", "2"]}, " from 1 of 2 starts per frequency"),
-        ({"a": ["12", "12"], "b": ["1", "1"]}, ", of b from 1 start, of a from 2 starts"),
+        ({"a": ["12", "12"], "b": ["12", "12"]}, " from 2 initial conditions"),
+        ({"a": ["1", "123"], "b": ["1", "123"]}, " from 1 to 3 initial conditions per frequency"),
+        ({"a": ["1", "2"], "b": ["1", "2"]}, " from 1 of 2 initial conditions per frequency"),
+        (
+            {"a": ["12", "12"], "b": ["1", "1"]},
+            ", of b from 1 initial condition, of a from 2 initial conditions",
+        ),
         (
             {"a": ["12", "12"], "b": ["12", "12"], "c": ["1", ""]},
-            ", of c from 1 start, of the other laws from 2 starts",
+            ", of c from 1 initial condition, of the other laws from 2 initial conditions",
         ),
     ],
 )
@@ -472,4 +475,4 @@ def test_captions_say_how_many_starts_there_are(asked, said):
     status = np.where(wanted, Status.OK, Status.NOT_REQUESTED)
     dims = ("representation", "omega", "initial_condition")
     scene = xr.Dataset({"status": (dims, status)}, {"representation": list(asked)})
-    assert said_of_starts(scene) == said
+    assert caption_of_starts(scene) == said

@@ -263,7 +263,7 @@ def test_another_law_on_the_front_is_named(measured):
         changed["total_error"].loc[{"method": method}] = front.get(method, 1e-3)
     assert beaten(changed) == {"soft": ["tanh-1e4"]}
     said = " ".join(conclusions(changed).sentences)
-    assert "in 0 of 1 scenes. In soft, tanh-1e4 is on it too." in said
+    assert "in 0 of 1 scenarios. In soft, tanh-1e4 is on the front, too." in said
 
 
 # ---- The tables --------------------

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from gapsweep.analysis.claims import NotInRunError, Run
 from gapsweep.model.labels import law_of
-from gapsweep.report.drawing import labels_of, said_of_marks
+from gapsweep.report.drawing import caption_of_marks, labels_of
 from gapsweep.report.parts import Figured, Part, Table
 from gapsweep.report.scales import plain
 from gapsweep.report.scenes import Scenes, swept
@@ -123,7 +123,7 @@ def figures(run: Run) -> Iterator[Figured]:
             words += f" {_SAME} {', '.join(same)}." * bool(marks)
             n = np.count_nonzero(scene["status"] != Status.NOT_REQUESTED)
             counts = ", ".join(filter(None, (f"{n} points", draw.without_response(scene))))
-            words += f"{said_of_marks(figure)} {counts}."
+            words += f"{caption_of_marks(figure)} {counts}."
             yield _figured(figure, f"{name}{', their solver' * bool(solver)}", *at, words, solver)
     if "histories" in run.datasets:
         yield from _histories(run["histories"])

@@ -11,10 +11,10 @@ A = TypeVar("A")
 
 
 class Latest(Generic[Q, A]):
-    """Answers questions in a thread of its own; a newer one takes the place of all older ones.
+    """Computes results of questions in one thread; a newer question replaces all older ones.
 
-    The first answer of a question is always delivered, so that a figure follows a slider that never
-    rests; those after it only while no newer question is there. Nothing queues up.
+    The first result of a question is always delivered, so that a figure follows a moving slider;
+    later ones only while there is no newer question. There is no queue.
 
     Parameters
     ----------
@@ -41,13 +41,13 @@ class Latest(Generic[Q, A]):
         self._thread.start()
 
     def ask(self, question: Q) -> None:
-        """Leave what is being answered, and answer this."""
+        """Replace the current question."""
         with self._news:
             self._wanted[:] = [question]
             self._news.notify()
 
     def stop(self) -> None:
-        """End the thread, after the answer it is at."""
+        """End the thread after the current result."""
         with self._news:
             self._is_over = True
             self._news.notify()

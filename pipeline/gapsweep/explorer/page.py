@@ -1,4 +1,4 @@
-"""The page: sliders that ask, figures that answer."""
+"""The page: sliders and the figures that follow them."""
 
 from collections.abc import Callable
 from contextlib import suppress
@@ -32,7 +32,6 @@ from gapsweep.explorer.page_results import (
     Curve,
     Motion,
     Plane,
-    RunPoints,
     answers,
     nearest,
 )
@@ -51,11 +50,11 @@ from gapsweep.model.labels import AUTO, EXACT
 _MM = 1e3
 _SIDE = 300  # pixels
 _FRAME = 60  # ms in which a browser draws one figure, before others keep it busy
-_WARMING = "Compiling the engine: the first time takes up to a minute …"
+_WARMING = "Compiling kernels (first run only, up to a minute) …"
 _NOTE = (
-    f"{N_OMEGA} frequencies, every response from rest, then sweeps of the exact law; compiled "
-    "engine, rtol 1e-6, atol 1e-9 m at most. <code>gapsweep run</code> continues motions that have "
-    "not settled here. Click a dot, an initial condition or a place in the map to see its motion."
+    f"{N_OMEGA} frequencies: responses from rest, then frequency sweeps of the exact law. Compiled "
+    "engine, rtol 1e-6, atol 1e-9 m or less. <code>gapsweep run</code> computes longer transients. "
+    "Click a dot, an initial condition or a point of the map to see its motion."
 )
 # Hues survive the turn that makes black white: the figures of a light page, in the dark.
 _STYLE = """
@@ -81,20 +80,20 @@ _WORDS = ":host { font: 13px system-ui, sans-serif; line-height: 1.45; }"
 
 
 class Page:
-    """One visitor's page: its sliders, its figures and the thread that answers.
+    """The page of one session: its sliders, its figures and the computing thread.
 
     Parameters
     ----------
     document : Document
         Filled here.
     question : Question
-        What it starts with.
+        The initial setting.
     ranges : dict
         As of `dials`.
     stored : StoredRun, optional
-        A run whose points are shown behind.
+        A run whose points are shown.
     note : str
-        What is to be known of the figures; empty: nothing.
+        A note on the figures; may be empty.
     """
 
     def __init__(
@@ -110,7 +109,7 @@ class Page:
         self._is_setting = False
         self._curves: dict[tuple[str, str], Curve] = {}
         self._motions: dict[str, Motion] = {}
-        self._points: RunPoints | None = None
+        self._points: list[Curve] = []
         self._controls(question, ranges)
         self._figures = Figures()
         self._figures.look_at(question)
@@ -129,7 +128,7 @@ class Page:
             self._open_scene(next(iter(stored.scenes)))
 
     def stop(self) -> None:
-        """End the thread that answers."""
+        """End the computing thread."""
         self._latest.stop()
 
     # --- layout -----------------------------------------------------------------------------------
@@ -205,7 +204,7 @@ class Page:
             self._ask()
 
     def _ask(self, **others: Any) -> None:
-        """Ask what the sliders say; what is out of range says so, and the figures stay."""
+        """Compute the setting of the sliders; out of range, show the error and keep the figures."""
         values = {name: self._read(name) for name in self._sliders}
         kept = {"start": self._question.start, "fit_range": self._question.fit_range}
         over = self._dials[self._over.value]
@@ -222,16 +221,16 @@ class Page:
         self._latest.ask(question)
 
     def _read(self, name: str) -> float:
-        """What a slider says, in SI units; where it was put, the number itself.
+        """The value of a slider in SI units: the exact number if it was set by the program.
 
-        Rounded on its way through a logarithm, the number would be of another chaotic motion.
+        A number rounded by a logarithm would give another chaotic motion.
         """
         place = self._sliders[name].value
         put_at, number = self._put[name]
         return number if place == put_at else self._dials[name].at(place)
 
     def _set(self, values: dict[str, float]) -> None:
-        """Move sliders, in SI units, without an answer to each."""
+        """Set sliders, in SI units, without a computation for each."""
         self._is_setting = True
         for name, value in values.items():
             slider, place = self._sliders[name], self._dials[name].place(value)
@@ -241,7 +240,7 @@ class Page:
         self._is_setting = False
 
     def _heeding(self, handler: Callable[[Tap], None]) -> Callable[[Tap], None]:
-        """What a click does, or a word on why it cannot."""
+        """A handler of clicks that shows errors."""
 
         def heeded(event: Tap) -> None:
             try:
@@ -252,24 +251,24 @@ class Page:
         return heeded
 
     def _clicked(self, event: Tap) -> None:
-        """Look at the motion of the response that is nearest."""
-        shown: list[Curve | RunPoints] = [*self._curves.values()]
-        shown += [] if self._points is None else [self._points]
+        """Show the motion of the nearest response."""
         low, high = self._question.band
         # The figure is about three times as wide as high.
         scale = (high - low, 3.0 * self._highest())
-        spot = nearest(shown, event.x, event.y / _MM, scale)
-        if spot is not None:
-            self._have(spot.label)
-            self._set({"omega": spot.omega})
-            self._ask(start=spot.state)
+        shown = [*self._curves.values(), *self._points]
+        found = nearest(shown, event.x, event.y / _MM, scale)
+        if found is not None:
+            curve, k = found
+            self._have(curve.label)
+            self._set({"omega": float(curve.omega[k])})
+            self._ask(start=(float(curve.x_end[k]), float(curve.v_end[k])))
 
     def _start_clicked(self, event: Tap) -> None:
-        """Look at the motion from a start among the basins."""
+        """Show the motion from an initial condition in the basins."""
         self._ask(start=(event.x / _MM, event.y / _MM))
 
     def _setting_clicked(self, event: Tap) -> None:
-        """Look at the motion from rest where the map is clicked."""
+        """Show the motion from rest at a point of the map."""
         over = self._dials[self._question.over]  # which the map is drawn over
         low, high = self._question.band
         value = min(max(event.y, over.scaled(over.low)), over.scaled(over.high))
@@ -282,7 +281,7 @@ class Page:
         )
 
     def _have(self, label: str) -> None:
-        """Show a stored point's law too, in the last one's place if there are enough."""
+        """Add the law of a stored point, in place of the last one if there are enough."""
         ours = labels(self._laws.value)
         if label in (EXACT, AUTO, *ours) or ":" in label:
             return
@@ -291,7 +290,7 @@ class Page:
         self._is_setting = False
 
     def _open_scene(self, name: str) -> None:
-        """Show the points of a scene of the run, and ask for it."""
+        """Show the points of a parameter set of the run, and compute it."""
         assert self._stored is not None
         self._points = self._stored.points(name)
         self._figures.show_stored(self._points, self._stored.branches(name))
@@ -301,7 +300,7 @@ class Page:
     # --- answering --------------------------------------------------------------------------------
 
     def _later(self, what: Callable[..., None]) -> Callable[..., None]:
-        """Called from the thread; done when the document is free."""
+        """A function to call from the thread, carried out when the document is free."""
 
         def soon(*given: Any) -> None:
             # The visitor may have left meanwhile, and with them what the document is made of.
@@ -311,14 +310,14 @@ class Page:
         return soon
 
     def _receive(self, question: Question, answer: Curve | Motion | Plane) -> None:
-        """Show the first response at once, and what follows it when that is drawn."""
+        """Show the first response at once, later results when it is drawn."""
         if _is_first(answer):
             self._show(question, answer)
         else:
             self._document.add_timeout_callback(partial(self._show, question, answer), _FRAME)
 
     def _show(self, question: Question, answer: Curve | Motion | Plane) -> None:
-        """Draw an answer, and say what it is."""
+        """Draw a result, and describe it."""
         is_first = _is_first(answer)
         # A slider that never rests is followed by first answers; the others would be of the past.
         if question is not self._question and not is_first:
@@ -344,7 +343,7 @@ class Page:
         return "<br>".join(said)
 
     def _refuse(self, _question: Question, problem: str) -> None:
-        """Say what is wrong; the figures stay as they are."""
+        """Show an error; the figures stay."""
         self._status.text = f'<span style="color:#c00000">{escape(problem)}</span>'
 
 
@@ -363,7 +362,7 @@ def _side_by_side(*figures: Any) -> Any:
 
 
 def _slider(dial: Dial) -> Slider:
-    """The slider of a dial; one over decades moves along the logarithm."""
+    """The slider of a dial, logarithmic over decades."""
     low, high, value = map(dial.scaled, (dial.low, dial.high, dial.value))
     return Slider(
         title=dial.label,

@@ -1,4 +1,4 @@
-"""The figures of the page: what is drawn where, and how answers get into them."""
+"""The figures of the page."""
 
 from collections.abc import Iterable, Sequence
 from html import escape
@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 from bokeh.models import ColumnDataSource, DataRange1d, HoverTool, Range1d
 from bokeh.plotting import figure
-from numpy.typing import NDArray
 
 from gapsweep.explorer.page_results import (
     DECAY_TIMES,
@@ -18,7 +17,6 @@ from gapsweep.explorer.page_results import (
     Curve,
     Motion,
     Plane,
-    RunPoints,
     decay_times,
 )
 from gapsweep.explorer.planes import Planes, blank, guide
@@ -124,7 +122,7 @@ class Figures:
         return source
 
     def look_at(self, question: Question) -> None:
-        """Move what marks the question: the frequency looked at and the walls."""
+        """Move the lines at the frequency of the motion and at the walls."""
         gap = question.gap
         self._at.location = question.omega
         self._top.location = gap.j_2 * _MM
@@ -146,7 +144,7 @@ class Figures:
         if isinstance(answer, Plane):
             self.planes.show(slot, answer)
         elif isinstance(answer, Curve):
-            self._curves[slot, answer.protocol].data = _columns(answer, question)
+            self._curves[slot, answer.protocol].data = _response(answer, question)
         else:
             self._show_motion(slot, _DASHES[lines(labels)[answer.label]], answer)
 
@@ -172,27 +170,23 @@ class Figures:
             self.spectrum.y_range.update(start=_FLOOR * largest, end=largest)
             self.spectrum.x_range.end = _ORDERS * motion.omega
 
-    def show_stored(self, points: RunPoints, branches: Sequence[tuple[str, bool, Any]]) -> None:
+    def show_stored(
+        self, points: Sequence[Curve], branches: Sequence[tuple[str, bool, Any]]
+    ) -> None:
         """Draw the points of a run, and its branches as lines: unstable ones dashed."""
         columns = [
             (*line.T, colour(label), "solid" if is_stable else "dashed")
             for label, is_stable, line in branches
         ]
         self._branches.data = {n: [row[i] for row in columns] for i, n in enumerate(_BRANCH)}
-        n = len(points.omega)
+        tables = [_columns(each, [colour(each.label)], _PALE, ["click to open"]) for each in points]
         self._stored.data = {
-            "omega": points.omega,
-            "x_max": points.x_max * _MM,
-            "colour": [colour(label) for label in points.label.tolist()],
-            "alpha": np.full(n, _PALE),
-            "law": points.label.tolist(),
-            "protocol": ["stored"] * n,
-            "kind": ["click to open"] * n,
+            name: [value for table in tables for value in table[name]] for name in _RESPONSE
         }
 
 
 def legend(question: Question, motions: Iterable[Motion]) -> str:
-    """What the colours and marks are, and what each law's motion is, as HTML."""
+    """Legend of colours and marks, and the period of each law's motion, as HTML."""
     given = decay_times(question.oscillator)
     said = {motion.label: _kind(motion, given) for motion in motions}
     laws = "".join(
@@ -217,23 +211,27 @@ def _kind(motion: Motion, given: float) -> str:
     return f"period {n}" if n else "not settled" if given < DECAY_TIMES else "no period found"
 
 
-def _columns(curve: Curve, question: Question) -> dict[str, Sequence[Any] | NDArray[Any]]:
-    own, is_periodic = colour(curve.label), curve.is_periodic
-    is_exact = curve.label == EXACT
+def _response(curve: Curve, question: Question) -> dict[str, Any]:
+    """Columns of a computed curve: its dots show by colour and opacity what is not periodic."""
+    own, is_exact = colour(curve.label), curve.label == EXACT
     strange, name = NOT_PERIODIC if is_exact else own, "not periodic"
     if decay_times(question.oscillator) < DECAY_TIMES:
         strange, name = NOT_SETTLED, "not settled"
-    shade = np.where(is_periodic, own, strange)
+    shades = np.where(curve.is_periodic, own, strange)
     kinds = [f"period {n}" if n else name for n in curve.period_multiple]
-    n = len(curve.omega)
+    return _columns(curve, shades, np.where(curve.is_periodic | is_exact, 1.0, _PALE), kinds)
+
+
+def _columns(curve: Curve, colours: Any, alpha: Any, kinds: Sequence[str]) -> dict[str, Any]:
+    n = curve.omega.size
     return {
         "omega": curve.omega,
         "x_max": curve.x_max * _MM,
-        "colour": shade.tolist(),
-        "alpha": np.where(is_periodic | is_exact, 1.0, _PALE),
+        "colour": np.broadcast_to(colours, n).tolist(),
+        "alpha": np.broadcast_to(alpha, n),
         "law": [curve.label] * n,
         "protocol": [curve.protocol] * n,
-        "kind": kinds,
+        "kind": np.broadcast_to(kinds, n).tolist(),
     }
 
 

@@ -1,8 +1,8 @@
-"""What the page shows: pure functions from a question to arrays, in the order of their haste.
+"""Results of the page: pure functions from a question to arrays, the most urgent first.
 
-Every response begins from rest, whatever was shown before, so that the same sliders show the same
-figure. It is given less time to settle than a study's (`settled`): where that is less than
-`DECAY_TIMES`, what does not repeat itself is not settled, which says nothing of what it will be.
+Every response starts from rest, so that the same sliders show the same figure. Transients are
+shorter than in a study (`settled`): if they are shorter than `DECAY_TIMES`, a motion that does not
+repeat is called not settled.
 """
 
 import math
@@ -28,7 +28,7 @@ Array = NDArray[np.float64]
 N_OMEGA = 200
 RTOL = 1e-6
 _ATOL, _OF_DEFLECTION = 1e-9, 1e-6  # m, or less: of what the largest force does to the spring
-REST, UP, DOWN = "from rest", "sweep up", "sweep down"
+REST, UP, DOWN, STORED = "from rest", "sweep up", "sweep down", "stored"
 BASINS, MAP = "basins", "map"
 # Decay times after which a transient counts as gone, and natural periods that bound them where
 # damping is so weak that a slider would have to wait: below a damping ratio of 0.02.
@@ -52,7 +52,7 @@ class Curve:
     Attributes
     ----------
     label, protocol : str
-        Of the law; from rest, or a sweep.
+        Of the law; from rest, a sweep, or stored by a run.
     omega : ndarray, shape (n,)
         Frequencies [Hz].
     x_max : ndarray, shape (n,)
@@ -104,42 +104,6 @@ class Plane:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class RunPoints:
-    """Responses that a run has stored, as columns.
-
-    Attributes
-    ----------
-    label : ndarray of str, shape (n,)
-    omega, x_max, x_end, v_end : ndarray, shape (n,)
-        As of a `Curve`.
-    """
-
-    label: NDArray[np.str_]
-    omega: Array
-    x_max: Array
-    x_end: Array
-    v_end: Array
-
-
-@dataclass(frozen=True, slots=True)
-class Spot:
-    """One response that was pointed at.
-
-    Attributes
-    ----------
-    label : str
-    omega : float
-        Frequency [Hz].
-    state : (float, float)
-        Displacement [m] and velocity [m/s] on the attractor, at forcing phase zero.
-    """
-
-    label: str
-    omega: float
-    state: tuple[float, float]
-
-
-@dataclass(frozen=True, slots=True, eq=False)
 class Motion:
     """The motion at one frequency, transients left out.
 
@@ -174,11 +138,11 @@ class Motion:
 
 
 def answers(question: Question) -> Iterator[Curve | Motion | Plane]:
-    """All that a page shows of a question, what is looked at first first.
+    """All results of a question, the most visible first.
 
-    The exact law from rest, the motion, the same of every approximation, then sweeps of the exact
-    law in growing parts, and the planes, of the first approximation too. Whoever has no use for the
-    rest any more stops asking.
+    The exact law from rest and its motion, the same for every approximation, then sweeps of the
+    exact law in growing parts, and the planes of the exact law and the first approximation. The
+    caller may stop iterating at any time.
 
     Raises
     ------
@@ -269,7 +233,7 @@ def _height(curve: Curve, omega: float) -> float:
 
 
 def basins(question: Question, label: str, reach: float) -> Iterator[Plane]:
-    """The responses at the frequency looked at, from starts up to `reach` [m] on a plane."""
+    """Responses at the frequency of the motion, from initial displacements up to `reach` [m]."""
     x = np.linspace(-reach, reach, N_STARTS)
     v = x * unit_of(question.omega)[1]
     omega = np.full(N_STARTS, question.omega)
@@ -319,10 +283,10 @@ def _joined(parts: list[Curve]) -> Curve:
 
 
 def settled(oscillator: Oscillator) -> Steady:
-    """When a response counts as steady on the page: when it repeats itself in good time.
+    """Convergence criteria of the page.
 
-    A motion that does not is asked no exponent, which would take longer than all others together:
-    no time that it is given lets so little of a disturbance be left.
+    No Lyapunov exponent is computed for motions that do not repeat, which would take longer than
+    all other results: `_NEVER` is a tolerance that no transient reaches.
     """
     return Steady(
         settle_tol=_NEVER,
@@ -340,13 +304,13 @@ def _atol(oscillator: Oscillator) -> float:
 
 
 def _transient(oscillator: Oscillator) -> float:
-    """How long [s] motions are given to settle."""
+    """Length of transients [s]."""
     bound, rate = NATURAL_PERIODS / oscillator.omega_n, oscillator.settling_rate
     return min(bound, DECAY_TIMES / rate) if rate else bound
 
 
 def decay_times(oscillator: Oscillator) -> float:
-    """Decay times that motions are given to settle; where damping is weak not all `DECAY_TIMES`."""
+    """Length of transients in decay times; less than `DECAY_TIMES` for weak damping."""
     return min(DECAY_TIMES, NATURAL_PERIODS * oscillator.settling_rate / oscillator.omega_n)
 
 
@@ -356,7 +320,7 @@ def _settling(oscillator: Oscillator, omega: float) -> int:
 
 
 def motion(question: Question, label: str) -> Motion:
-    """The motion of a law at the frequency looked at, from the question's start."""
+    """The motion of a law at the frequency and initial condition of the question."""
     oscillator, omega = question.oscillator, question.omega
     first = _settling(oscillator, omega)
     n = first + N_SECTION
@@ -396,13 +360,13 @@ def motion(question: Question, label: str) -> Motion:
 
 
 def nearest(
-    shown: Sequence[Curve | RunPoints], omega: float, x_max: float, scale: tuple[float, float]
-) -> Spot | None:
-    """The response that is nearest to a place in the figure; None if none is shown.
+    shown: Sequence[Curve], omega: float, x_max: float, scale: tuple[float, float]
+) -> tuple[Curve, int] | None:
+    """The curve, and the position on it, nearest to a place in the figure; None without curves.
 
     Parameters
     ----------
-    shown : sequence of Curve or RunPoints
+    shown : sequence of Curve
     omega, x_max : float
         The place [Hz], [m].
     scale : (float, float)
@@ -415,8 +379,5 @@ def nearest(
             continue
         k = int(np.nanargmin(apart))
         if apart[k] < least:
-            least = float(apart[k])
-            label = each.label if isinstance(each, Curve) else str(each.label[k])
-            state = float(each.x_end[k]), float(each.v_end[k])
-            found = Spot(label, float(each.omega[k]), state)
+            least, found = float(apart[k]), (each, k)
     return found

@@ -1,4 +1,4 @@
-"""Basins and maps of the page: peaks over two numbers, the exact law beside an approximation."""
+"""Basins and maps of the page: peaks over two numbers, for the exact law and an approximation."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -75,8 +75,8 @@ class Planes:
         }
         depends_on = {BASINS: question.of_basins, MAP: question.of_map}
         self._titles = {
-            BASINS: f"Peaks by start, {question.omega:.4g} Hz",
-            MAP: f"Peaks from rest over ω and {over.title.split()[-1]}",
+            BASINS: f"Peak by initial condition, {question.omega:.4g} Hz",
+            MAP: f"Peak from rest over ω and {over.title.split()[-1]}",
         }
         self._labels = (EXACT, *question.approximations)[:_SLOTS]
         for (name, slot), shown in self.figures.items():

@@ -1,4 +1,4 @@
-"""What the page asks: one setting of its sliders, and where the sliders start and end."""
+"""A setting of the page's sliders, and the ranges of the sliders."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -30,7 +30,7 @@ class Question:
         Stiffness [N/m] of the upper wall, and of the lower over the upper [-].
     gap : Gap
     approximations : tuple of str
-        Labels of the laws beside the exact one.
+        Labels of the other laws.
     band : (float, float)
         First and last frequency [Hz] of the response.
     omega : float
@@ -40,7 +40,7 @@ class Question:
     fit_range : float
         Half-width [m] of the range on which polynomials are fitted.
     over : str
-        Number of a slider that the map has beside the frequency.
+        Number of a slider on the second axis of the map.
     over_values : tuple of float
         Its values there, in SI units; none: no map.
     """
@@ -59,7 +59,7 @@ class Question:
 
     def __post_init__(self) -> None:
         if not self.oscillator.omega_n:
-            raise ModelError("omega_n = 0: must be > 0 here; of a free mass see gapsweep.respond")
+            raise ModelError("omega_n = 0: must be > 0 here; for a free mass use gapsweep.respond")
         checked("omega", self.omega, low=0.0, strict=True)
         for name, value in zip(("x_0", "v_0"), self.start, strict=True):
             checked(name, value)
@@ -108,7 +108,7 @@ def labels(text: str) -> tuple[str, ...]:
     found = tuple(label for label in found if label != EXACT)
     if len(found) > MAX_APPROXIMATIONS:
         raise ModelError(
-            f"{len(found)} approximations: must be <= {MAX_APPROXIMATIONS}; take some away"
+            f"{len(found)} approximations: must be <= {MAX_APPROXIMATIONS}; remove some"
         )
     return found
 
@@ -150,19 +150,19 @@ class Dial:
 
     @property
     def tick(self) -> str:
-        """JavaScript that says what a place on the slider, `tick`, stands for."""
+        """JavaScript for the value at a place of the slider, `tick`."""
         return f"return String(Number(({'10 ** tick' if self.is_log else 'tick'}).toPrecision(4)))"
 
     def place(self, value: float) -> float:
-        """Where a value in SI units is on the slider."""
+        """The place of a value in SI units on the slider."""
         return self.scaled(value / self.factor)
 
     def scaled(self, shown: float) -> float:
-        """Where a value in the unit shown is on the slider."""
+        """The place of a value in the displayed unit on the slider."""
         return math.log10(shown) if self.is_log else shown
 
     def at(self, place: float) -> float:
-        """What a place on the slider says, in SI units."""
+        """The value at a place of the slider, in SI units."""
         return float(self.factor * (10.0**place if self.is_log else place))
 
     def along(self, n: int) -> tuple[float, ...]:
@@ -255,7 +255,7 @@ def of_model(
     *,
     approximations: Sequence[str] = DEFAULT_APPROXIMATIONS,
 ) -> Question:
-    """The question of an oscillator and a contact; a law that is an approximation is one beside.
+    """The question of an oscillator and a contact; an approximation as law is shown, too.
 
     Raises
     ------
@@ -288,7 +288,7 @@ def refuse_systems(tables: Mapping[str, Any], source: object) -> None:
     """
     if tables.get("system") is not None:
         raise ModelError(
-            f"{source}: a study of systems, and explore takes oscillators only; for systems use "
+            f"{source}: a study of systems; explore accepts oscillators only. For systems use "
             "the report of 'gapsweep run', ds.gapsweep.bifurcation() and map() of gapsweep.open, "
             "gapsweep.respond and gapsweep.simulate"
         )
@@ -332,13 +332,13 @@ def of_study(study: Study) -> tuple[Question, dict[str, tuple[float, float]]]:
 
 
 def not_computed(study: Study) -> str:
-    """What the page says of laws of the user's own: its black line is none of them."""
+    """A note that the page does not compute user-defined laws; empty if there are none."""
     own = [label for label in _plain(study.grid.representations) if ":" in label]
     if not own:
         return ""
     return (
-        f"Not computed here: your own {', '.join(own)}. Squares show what a run has stored; black "
-        "is the exact law of straight walls, with K_c and the gap of the sliders."
+        f"Not computed here: the user-defined {', '.join(own)}. Squares: stored results; black: "
+        "the piecewise-linear law, with K_c and the gap of the sliders."
     )
 
 

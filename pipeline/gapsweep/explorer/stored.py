@@ -1,4 +1,4 @@
-"""The points of a run: which scenes its folder holds, and the responses in each."""
+"""The points of a run: its parameter sets, and the responses of each."""
 
 import json
 from pathlib import Path
@@ -8,7 +8,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from gapsweep.explorer.page_results import RunPoints
+from gapsweep.explorer.page_results import STORED, Curve
 from gapsweep.explorer.question import not_computed, of_study, refuse_systems
 from gapsweep.model.labels import law_of
 from gapsweep.model.oscillator import OSCILLATOR
@@ -18,11 +18,12 @@ from gapsweep.store import netcdf
 from gapsweep.study.schema import written
 from gapsweep.study.study import Study
 
+_SHOWN = ("x_max", "section_x", "section_v", "response_class", "period_multiple")
 _OF_A_POINT = ("representation", "omega", "initial_condition")
 
 
 class StoredRun:
-    """A run that the page shows the points of.
+    """A run whose points the page shows.
 
     Attributes
     ----------
@@ -51,20 +52,17 @@ class StoredRun:
     def _scene(self, name: str) -> xr.Dataset:
         return self._dataset.isel(self._places[name])
 
-    def points(self, name: str) -> RunPoints:
-        """The responses of a scene; those that failed or were not asked for are left out."""
-        scene = self._scene(name)
-        x_max = scene["x_max"].transpose(*_OF_A_POINT)
-        first = scene[["section_x", "section_v"]].isel(section_point=0).transpose(*_OF_A_POINT)
-        label, omega, _ = np.meshgrid(
-            [law_of(text) for text in scene["representation"].values.tolist()],
-            scene["omega"].values,
-            scene["initial_condition"].values,
-            indexing="ij",
-        )
-        is_there = np.isfinite(x_max.values) & np.isfinite(first["section_x"].values)
-        columns = (label, omega, x_max.values, first["section_x"].values, first["section_v"].values)
-        return RunPoints(*(column[is_there] for column in columns))
+    def points(self, name: str) -> list[Curve]:
+        """The stored responses of a scene by label, without those that failed.
+
+        Their states are the first section points.
+        """
+        scene = self._scene(name)[list(_SHOWN)].isel(section_point=0)
+        table = scene.to_dataframe().reset_index().dropna(subset=["x_max", "section_x"])
+        return [
+            Curve(law_of(label), STORED, *(rows[name].to_numpy() for name in ("omega", *_SHOWN)))
+            for label, rows in table.groupby("representation", sort=False)
+        ]
 
     def branches(self, name: str) -> list[tuple[str, bool, NDArray[np.float64]]]:
         """Lines of the branches of a scene [Hz, mm]: label, whether they are stable, points."""
@@ -83,7 +81,7 @@ def _tables(dataset: xr.Dataset) -> dict[str, Any]:
 
 
 def _scenes(dataset: xr.Dataset) -> Any:
-    """Name and place of every scene that a point was asked for in."""
+    """Name and position of every computed parameter set."""
     dims = [dim for dim in dataset["x_max"].dims if dim not in _OF_A_POINT]
     is_there = dataset["x_max"].notnull().any(_OF_A_POINT).transpose(*dims)
     for place in np.argwhere(is_there.values).tolist():

@@ -1,1 +1,1 @@
-"""What people look at: figures and the HTML report, from NetCDF files alone."""
+"""Figures and the HTML report, from NetCDF files only."""

@@ -5,10 +5,10 @@
 """
 
 from collections.abc import Callable
-from contextlib import suppress
 from functools import wraps
 from typing import TYPE_CHECKING, Any, Concatenate, ParamSpec
 
+import numpy as np
 import xarray as xr
 
 from gapsweep.analysis.dimensions import selected
@@ -28,7 +28,6 @@ from gapsweep.variables import to_dataframe
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-_MANY_STARTS = 500  # from here on those that form a grid are a mesh
 _RIM, _DOT = 5.0, 3.0  # points: of the law behind, of the one before it
 
 
@@ -52,7 +51,7 @@ class GapsweepAccessor:
 
     Every plot takes `ax`, the axes to draw into (new ones if None), and selects by coordinate:
     a value, a list, or for numbers a slice that includes both ends. What cannot be drawn is
-    refused with a `gapsweep.DatasetError` that names what is missing. In a notebook,
+    refused with a `gapsweep.DatasetError` that names the missing part. In a notebook,
     ``ds.gapsweep`` by itself shows what the dataset holds and where its points came from.
     """
 
@@ -170,8 +169,8 @@ class GapsweepAccessor:
     ) -> "Axes":
         """Peaks of two representations from all starts, `a` behind `b`.
 
-        What shows of `a` is missed by `b`, what shows of `b` alone is invented. Responses that
-        are not periodic are pale.
+        Visible dots of `a` are missed by `b`; dots of `b` without `a` behind are spurious.
+        Responses that are not periodic are pale.
 
         Parameters
         ----------
@@ -197,12 +196,12 @@ class GapsweepAccessor:
     def attractors(
         self, *, along: str | None = None, ax: "Axes | None" = None, **wanted: Any
     ) -> "Axes":
-        """Which attractors there are.
+        """Attractors.
 
         Of ``attractors.nc``: the peak of every attractor over frequency, the dot as large as its
         basin, hollow if not periodic; at a single frequency the stroboscopic sections. Of
         ``responses.nc`` at a single frequency, and of `gapsweep.basins`: the attractor that every
-        start ends on; more than 500 starts that form a grid are drawn as one mesh.
+        start ends on. ``map("attractor", x="x_0", y="v_0")`` draws many starts as one mesh.
 
         Parameters
         ----------
@@ -245,7 +244,7 @@ class GapsweepAccessor:
         ----------
         variable : str
             A summary, as ``"same_attractor_mean"``: a row per representation with its confidence
-            interval, and the floor of exact against exact as a dashed line. A variable over
+            interval, and the exact law with other settings as a dashed line. A variable over
             `along`, as ``"amplitude_error"``: a curve per representation and start.
         along, ax, **wanted
             As for `frequency_response`; `regime` is ``"all"`` if not given.
@@ -261,7 +260,9 @@ class GapsweepAccessor:
         reference = self._dataset.attrs.get("reference")
         others = value["representation"].values != reference
         if not others.any():
-            raise DatasetError(f"{reference}: what all others are compared with, not itself")
+            raise DatasetError(
+                f"{reference}: the reference of all comparisons; choose another representation"
+            )
         value = value.isel(representation=others)
         interval = _numbers(self._dataset, f"{variable}_ci", ("representation", "bound"), wanted)
         of_all = {name: what for name, what in wanted.items() if name != "representation"}
@@ -309,8 +310,8 @@ class GapsweepAccessor:
     def work_precision(self, *, ax: "Axes | None" = None, **wanted: Any) -> "Axes":
         """Cost of every method over its error, of one scene of ``work_precision.nc``.
 
-        Rings mark the methods that no other beats in both; dotted lines the error of the model
-        itself, which no tolerance mends; failed runs are counted in the legend.
+        Rings mark the methods that no other beats in both; ticks at the bottom the error of the
+        model itself, which no tolerance reduces; crosses at the right failed runs.
 
         Parameters
         ----------
@@ -319,12 +320,12 @@ class GapsweepAccessor:
         **wanted
             Selection by coordinate; one scene must be left.
         """
-        names = ("trajectory_error", "cpu_time", "model_error", "status", "on_front")
-        needed = [name for name in names if name in names[:2] or name in self._dataset]
-        shown = scene(self._dataset, dict.fromkeys(needed, ("method", "tolerance")), wanted)
+        from gapsweep.report.bench_figures import PANEL, panel
+
+        shown = scene(self._dataset, dict.fromkeys(PANEL, ("method", "tolerance")), wanted)
         axes = axes_of(ax)
-        drawing.work_precision(axes, shown)
-        axes.set_xlabel(axis_label(shown["trajectory_error"]))
+        panel(axes, shown)
+        axes.set_xlabel(axis_label(shown["total_error"]))
         axes.set_ylabel(axis_label(shown["cpu_time"]))
         return titled(axes, shown)
 
@@ -342,9 +343,16 @@ def _numbers(
 
 
 def _basins(found: xr.Dataset, ax: "Axes | None") -> "Axes":
+    """A map of the initial conditions; a few attractors have their periods and peaks as names."""
+    names = drawing.attractor_names(found["period_multiple"], found["x_max"])
+    if len(names) <= maps.MOST_KINDS:
+        words = " ".join(name.replace(" ", "_") for name in names)
+        about = {"flag_values": np.arange(len(names)), "flag_meanings": words}
+        found = found.assign(attractor=found["attractor"].assign_attrs(about))
+    picture, shown = maps.picture(found, "attractor", "x_0", "v_0", {})
     axes = axes_of(ax)
-    drawing.basins(axes, found)
-    return _plane(axes, found["x_0"], found["v_0"], found)
+    maps.draw(axes, picture)
+    return titled(axes, shown)
 
 
 def _starts(dataset: xr.Dataset, ax: "Axes | None") -> "Axes":
@@ -357,9 +365,6 @@ def _starts(dataset: xr.Dataset, ax: "Axes | None") -> "Axes":
     dataset = dataset.reset_coords([name for name in ("x_0", "v_0") if name in dataset.coords])
     names = ("attractor", "period_multiple", "x_max", "x_0", "v_0")
     shown = scene(dataset, dict.fromkeys(names, ("initial_condition",)), {})
-    if shown.sizes["initial_condition"] > _MANY_STARTS:
-        with suppress(DatasetError):  # no grid: a mark for each
-            return _basins(maps.as_basins(shown), ax)
     axes = axes_of(ax)
     drawing.starts(axes, shown)
     return _plane(axes, shown["x_0"], shown["v_0"], shown)

@@ -1,26 +1,27 @@
-"""Which approximation may be taken for which contact, and at what price: what a report opens with.
+"""Which approximation is adequate in which case, and its cost: the head of the report.
 
-Judged contact by contact (stiffness and gap), from ``agreement.nc``:
+A case is a stiffness and a gap. Verdicts follow from ``agreement.nc``:
 
 exact here
-    Neither number worse than the exact law against itself: this study cannot tell them apart.
+    Neither number is worse than for the exact law with other settings: this study cannot tell the
+    two apart.
 use
-    95 % of the amplitudes within 5 %, the thickness of a plotted line, and 95 % of the exact
-    attractors found: a diagram drawn with it reads the same.
+    95 % of the amplitudes are within 5 %, the thickness of a plotted line, and 95 % of the exact
+    attractors are found.
 with care
-    Half of both: what is common is right, what is rare may be missing or invented.
+    Half of the amplitudes and half of the attractors: rare responses may be missing or spurious.
 no
-    Less than that.
+    Less.
 
-Each asks what those below it ask, and nothing that the exact law against itself does not reach: of
-the error that 95 % stay below, of that which half stay below, of the share found. Amplitudes are
-those of paired attractors, because start by start a moved basin boundary would count as a wrong
-amplitude. The price is processor time per forcing period, because totals also count how long each
-motion took to settle. The interval of a price covers the choice of frequencies and how far prices
-repeat: what exact against exact is away from 1, over all contacts of the study. A study that does
-not sweep the exact law twice has not measured that: its prices have no interval, and nothing is
-said to save time. ±: the intervals of a law and of exact against exact leave it open on which side
-of a line between "use", "with care" and "no" it lies, or the frequencies are too few for intervals.
+A verdict requires those below it. No threshold is stricter than what the exact law with other
+settings reaches: for the 95th percentile of the error, its median and the share found. Amplitudes
+are those of paired attractors, since for equal initial conditions a moved basin boundary would
+count as an amplitude error. The cost ratio is processor time per forcing period, since total times
+also depend on how long transients last. Its interval covers the choice of frequencies and the
+repeatability of timings: how far the exact law with other settings is from 1, over all cases of
+the study. Without a second sweep of the exact law there is no interval, and no statement on saved
+time. ±: the intervals of a law and of the exact law with other settings include a threshold, or
+there are too few frequencies for intervals.
 """
 
 from collections import Counter
@@ -35,8 +36,8 @@ from numpy.typing import NDArray
 from gapsweep.analysis.datasets.timing import repeatability, widened
 from gapsweep.analysis.dimensions import At, scene_dims, scenes
 from gapsweep.model.labels import AUTO
-from gapsweep.report.scales import Told, plain
-from gapsweep.report.selection import anchor_of, beside, gap_label
+from gapsweep.report.scales import NamedValue, plain
+from gapsweep.report.selection import anchor_of, gap_label, other_parameters
 from gapsweep.report.tables import number
 
 LINE, MOST, HALF = 0.05, 0.95, 0.5
@@ -46,21 +47,21 @@ _SHOWN = {
     "p95": "amplitude_error_paired_p95",
     "found": "recall_pooled",
 }
-_PRICE = "cpu_time_per_period_ratio"
+_COST_RATIO = "cpu_time_per_period_ratio"
 _CONTACTS = "n_contacts_per_period"
 COLUMNS = ("use", "with care", "no")
 _NO_APPROXIMATIONS = ("piecewise-noevents", AUTO)
 # Of each number the estimate, and the best and the worst end of its interval.
 Values = dict[str, NDArray[np.float64]]
 Row = dict[str, Any]  # variables of one law in one contact
-_NEAR = 1.5  # prices whose interval lies within this factor about 1 are called 1
-_WITH = "with this study's solver"  # as a price is the solver's as much as the law's
-MOST_CONTACTS = 16  # that are told one by one
+_NEAR = 1.5  # cost ratios whose interval lies within this factor about 1 are shown as 1
+_WITH = "with this study's solver"  # a cost depends on the solver as much as on the law
+MOST_CONTACTS = 16  # that are listed one by one
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Judged:
-    """A law in a contact: its numbers, and what follows from them.
+    """A law in a case: its numbers, and what follows from them.
 
     `possible` are the columns of the table that its intervals leave open.
     """
@@ -70,14 +71,14 @@ class Judged:
     n_exact: int
     verdict: str
     possible: frozenset[str]
-    price: float
+    cost_ratio: float
     low: float
     high: float
-    periodic_price: float = np.nan  # where the exact law is periodic
+    periodic_cost_ratio: float = np.nan  # where the exact law is periodic
 
     @property
     def is_approximation(self) -> bool:
-        """Unlocated contacts are the exact force, and ``auto`` chooses it where it is needed."""
+        """False for the exact force without located contacts, and for ``auto``."""
         return self.law not in _NO_APPROXIMATIONS
 
     @property
@@ -87,7 +88,7 @@ class Judged:
 
     @property
     def column(self) -> str:
-        """Where it stands in the table."""
+        """The column of the table that lists the law."""
         return _column(self.verdict)
 
     @property
@@ -97,22 +98,22 @@ class Judged:
 
     @property
     def cost(self) -> str:
-        """The price in words; in doubt where it has no interval."""
+        """The cost ratio in words, with a question mark if it has no interval."""
         if np.isnan(self.low):
-            return f"{times(self.price)} ?"
+            return f"{times(self.cost_ratio)} ?"
         if self.low <= 1.0 <= self.high:
             is_near = max(self.high, 1.0 / self.low) <= _NEAR
             return "≈ 1\u00a0×" if is_near else f"{times(self.low)} to {times(self.high)}"
-        return times(self.price)
+        return times(self.cost_ratio)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Contact:
-    """A stiffness [N/m] and a gap [mm], the exact law against itself, and all that stands in.
+    """A case: stiffness [N/m] and gap [mm], and the verdict on every law.
 
-    `swept` are the values of what the study sweeps beside, `at` is its position in the files,
-    `floor_price` what the exact law with other settings costs over itself, `unjudged` why no law
-    can be judged there.
+    `floors` are the errors of the exact law with other settings, `floor_cost_ratio` its cost ratio;
+    `swept` the values of other swept parameters, `at` the position in the files, `unjudged` why
+    no law can be judged.
     """
 
     K_c: float
@@ -120,73 +121,73 @@ class Contact:
     floors: Values
     laws: list[Judged]
     threshold: str
-    swept: Sequence[Told] = ()
-    floor_price: float = np.nan
+    swept: Sequence[NamedValue] = ()
+    floor_cost_ratio: float = np.nan
     at: At = field(default_factory=dict)
     unjudged: str = ""
 
     @property
     def others(self) -> str:
-        """What is swept beside, in words."""
+        """Other swept parameters, in words."""
         return ", ".join(map(str, self.swept))
 
     @property
     def place(self) -> str:
-        """Where it is, in words."""
+        """The parameters of the case, in words."""
         others = f", {self.others}" if self.others else ""
         return f"{plain(self.K_c)} N/m, {self.gap} mm{others}"
 
     @property
     def anchor(self) -> str:
-        """The id of its scene in the page."""
+        """The id of its section in the page."""
         return anchor_of(self.at)
 
     @property
     def columns(self) -> dict[str, list[Judged]]:
-        """All laws by what may be done with them, the cheapest first."""
-        laws = sorted(self.laws, key=lambda one: (np.isnan(one.price), one.price))
+        """All laws by verdict, the cheapest first."""
+        laws = sorted(self.laws, key=lambda one: (np.isnan(one.cost_ratio), one.cost_ratio))
         return {v: [one for one in laws if one.column == v] for v in COLUMNS}
 
     @property
     def picks(self) -> list[Judged]:
-        """The cheapest approximation to use, and those whose price cannot be told from its."""
+        """The cheapest adequate approximation, and those that may cost the same."""
         usable = [one for one in self.columns["use"] if one.is_approximation]
         best = next((one for one in usable if one.is_firm), usable[0] if usable else None)
-        # Without an interval of either nothing says that their prices are alike.
+        # Without an interval of either it is unknown whether they cost the same.
         return [one for one in usable if best and (one is best or one.low <= best.high)]
 
     @property
     def is_sure(self) -> bool:
-        """Whether an approximation may be used beyond doubt."""
+        """Whether an approximation is adequate, with a firm verdict."""
         return any(one.is_firm for one in self.picks)
 
     @property
     def is_open(self) -> bool:
-        """Whether none may be used beyond doubt, and one may be."""
+        """Whether no firm verdict is "use", but one may be."""
         laws = [one for one in self.laws if one.is_approximation]
         return not self.is_sure and any("use" in one.possible for one in laws)
 
     @property
     def is_paying(self) -> bool:
-        """Whether an approximation saves time beyond doubt."""
+        """Whether an adequate approximation is faster, with a firm verdict."""
         return any(one.is_firm and one.high < 1.0 for one in self.picks)
 
     @property
     def least_tanh(self) -> str:
-        """The smallest parameter [1/m] of tanh that was measured and may be used."""
+        """The smallest computed parameter [1/m] of tanh that is adequate."""
         names = [one.name[5:] for one in self.columns["use"] if one.law.startswith("tanh-")]
         return min(names, key=lambda name: float(name.split()[0]), default="none")
 
 
 def contacts(agreement: xr.Dataset, static: xr.Dataset | None = None) -> list[Contact]:
-    """Every contact of a study with what stands in there, the softest and narrowest first.
+    """The verdicts of every case of a study, the softest and narrowest first.
 
     Parameters
     ----------
     agreement, static : Dataset
         As stored in the run's folder; without `static`, thresholds of tanh are not known.
     """
-    names = [*_SHOWN.values(), _PRICE, _CONTACTS]
+    names = [*_SHOWN.values(), _COST_RATIO, _CONTACTS]
     pooled = agreement[[*names, *(f"{n}_ci" for n in names), "n_points"]].sel(regime="all").load()
     pooled["n_exact"] = agreement["n_attractors_exact"].sum("omega")
     exact = str(agreement.attrs["floor_representations"]).split()
@@ -198,9 +199,9 @@ def contacts(agreement: xr.Dataset, static: xr.Dataset | None = None) -> list[Co
     pooled = pooled.transpose("representation", *dims, ...)
     # As arrays: a study may have a thousand contacts.
     tables = {str(name): pooled[name].values for name in pooled}
-    periodic = agreement[_PRICE].sel(regime="periodic")
+    periodic = agreement[_COST_RATIO].sel(regime="periodic")
     tables["periodic"] = periodic.transpose("representation", *dims).values
-    noise = repeatability(tables[_PRICE][[labels.index(label) for label in exact]])
+    noise = repeatability(tables[_COST_RATIO][[labels.index(label) for label in exact]])
     found = []
     for at in scenes(pooled, dims):
         where = {
@@ -215,8 +216,8 @@ def contacts(agreement: xr.Dataset, static: xr.Dataset | None = None) -> list[Co
         floors = _worst([_values(where[label]) for label in exact])
         judged = [_judged(law, where[law], floors, noise) for law in can_be]
         here = pooled.coords.to_dataset().isel(at)
-        gap, swept = gap_label(here), [Told.of(here[name]) for name in beside(here)]
-        known = _threshold(static, here), swept, _floor_price(where, exact), at, unjudged
+        gap, swept = gap_label(here), [NamedValue.of(here[name]) for name in other_parameters(here)]
+        known = _threshold(static, here), swept, _floor_cost_ratio(where, exact), at, unjudged
         contact = Contact(float(here["K_c"]), gap, floors, judged, *known)
         order = float(np.round(here["j_1"] + here["j_2"], 12)), float(here["j_1"])
         found.append((contact.K_c, *order, contact))
@@ -224,7 +225,7 @@ def contacts(agreement: xr.Dataset, static: xr.Dataset | None = None) -> list[Co
 
 
 def verdict(values: Values, floors: Values) -> list[str]:
-    """The first verdict whose demands are met, at each end of the intervals; NaN meets none."""
+    """The best verdict whose thresholds are met, at each end of the intervals; NaN meets none."""
     known, floor = (
         {name: np.where(np.isnan(v), v[0], v) for name, v in some.items()}
         for some in (values, floors)
@@ -250,14 +251,14 @@ def _values(row: Row) -> Values:
     return values
 
 
-def _floor_price(where: Mapping[str, Row], exact: Sequence[str]) -> float:
-    """Price of the exact law's other settings, the farthest from 1; NaN if there are none."""
-    prices = [price for label in exact if np.isfinite(price := float(where[label][_PRICE]))]
-    return max(prices, key=lambda price: abs(np.log(price)), default=np.nan)
+def _floor_cost_ratio(where: Mapping[str, Row], exact: Sequence[str]) -> float:
+    """Cost ratio of the exact law with other settings, the farthest from 1; NaN without."""
+    ratios = [ratio for label in exact if np.isfinite(ratio := float(where[label][_COST_RATIO]))]
+    return max(ratios, key=lambda ratio: abs(np.log(ratio)), default=np.nan)
 
 
 def _worst(exact: Sequence[Values]) -> Values:
-    """What the exact law reaches against itself, at each end; NaN if nothing says that."""
+    """Numbers of the exact law with other settings, at each end; NaN if it was not computed."""
     worst = {}
     for name in _SHOWN:
         measured = [values[name] for values in exact if np.isfinite(values[name][0])]
@@ -267,33 +268,33 @@ def _worst(exact: Sequence[Values]) -> Values:
 
 
 def _unjudged(exact: Row) -> str:
-    """Why no law can be judged by the exact one; empty where all can."""
+    """Why no law can be compared with the exact one; empty where all can."""
     if np.isnan(exact[_SHOWN["found"]]):  # of no attractors
         return "the exact law has no steady response"
     return "" if exact[_CONTACTS] else "the exact law touches no wall"
 
 
 def _is_judged(label: str, row: Row) -> bool:
-    """Whether there is an attractor to find; code of the user's that only fails has a mistake."""
+    """Whether there is an attractor to find; user code that always fails has an error."""
     is_broken = ":" in label and np.isnan(row[_SHOWN["median"]])
     return not is_broken and bool(np.isfinite(row[_SHOWN["found"]]))
 
 
 def _judged(label: str, row: Row, floors: Values, noise: float) -> Judged:
     values = _values(row)
-    # A law at its best against the floor at its worst, and the other way round: their intervals do
-    # not move together, and a law and the exact one that differ by less are not told apart.
+    # The best end of a law with the worst end of the exact law's floor, and the other way round:
+    # their intervals are independent.
     ends = verdict(values, {name: floor[[0, 2, 1]] for name, floor in floors.items()})
     numbers = [*values.values(), *floors.values()]
     is_known = not any(np.isnan(v[1:]).any() and np.isfinite(v[0]) for v in numbers)
     possible = frozenset(map(_column, ends) if is_known else COLUMNS)
-    price = float(row[_PRICE])
-    costs = price, *widened(price, row[f"{_PRICE}_ci"], noise), float(row["periodic"])
+    ratio = float(row[_COST_RATIO])
+    costs = ratio, *widened(ratio, row[f"{_COST_RATIO}_ci"], noise), float(row["periodic"])
     return Judged(label, values, int(row["n_exact"]), ends[0], possible, *costs)
 
 
 def _column(verdict: str) -> str:
-    """Of the table, which does not tell what is exact from what may be used."""
+    """The column of the table, in which "exact here" counts as "use"."""
     return "use" if verdict == "exact here" else verdict
 
 
@@ -308,7 +309,7 @@ def _threshold(static: xr.Dataset | None, here: xr.Dataset) -> str:
 
 
 def in_words(found: Sequence[Contact]) -> list[str]:
-    """What to take, what an approximation costs, and where no law can be judged."""
+    """Which law to use, the cost of approximations, and where no law can be judged."""
     judged = [contact for contact in found if not contact.unjudged]
     said = _said(judged) if judged else []
     for reason, n in Counter(c.unjudged for c in found if c.unjudged).items():
@@ -317,9 +318,8 @@ def in_words(found: Sequence[Contact]) -> list[str]:
 
 
 def how_many(n: int, found: Sequence[Contact]) -> str:
-    """So many of some contacts, in words; settings where more is swept than these."""
-    noun = "contact" if len({contact.others for contact in found}) < 2 else "setting"
-    return f"the only {noun}" if len(found) == 1 else f"{n} of {len(found)} {noun}s"
+    """So many of some cases, in words."""
+    return "the only case" if len(found) == 1 else f"{n} of {len(found)} cases"
 
 
 def _said(found: Sequence[Contact]) -> list[str]:
@@ -328,33 +328,33 @@ def _said(found: Sequence[Contact]) -> list[str]:
     picks = [one for contact in others for one in contact.picks]
     if paying:
         count = how_many(len(paying), found)
-        said = f"An approximation saves time {_WITH} in {count}: {_picked(paying)}"
+        said = f"An approximation is faster {_WITH} in {count}: {_picked(paying)}"
     elif not picks:
         laws = [one for contact in found for one in contact.laws if one.is_approximation]
         is_open = any(contact.is_open for contact in found)
         how = "has been shown to be adequate" if is_open else "is adequate"
-        said = f"Take the exact law: no approximation {how if laws else 'was swept'}"
+        said = f"Use the exact law: no approximation {how if laws else 'was computed'}"
     else:
         is_dearer = all(one.low > 1.0 for one in picks)
-        but = f"cost {_range(picks)} as much" if is_dearer else "none saves time beyond doubt"
-        said = f"Take the exact law: approximations {_adequate(found)}, but {but} {_WITH}"
+        but = f"cost {_range(picks)} as much" if is_dearer else "none is clearly faster"
+        said = f"Use the exact law: approximations {_adequate(found)}, but {but} {_WITH}"
     if not others or not (picks or paying):
         return [f"{said}."]
-    where = "Elsewhere take the exact law; if" if paying else "If"
-    return [f"{said}.", f"{where} it must be an approximation, the cheapest: {_picked(others)}."]
+    where = "Elsewhere use the exact law. Cheapest" if paying else "Cheapest"
+    return [f"{said}.", f"{where} adequate approximation: {_picked(others)}."]
 
 
 def _adequate(found: Sequence[Contact]) -> str:
-    """In how many contacts approximations may be used, in words."""
+    """In how many cases approximations are adequate, in words."""
     n_sure, n_open = sum(c.is_sure for c in found), sum(c.is_open for c in found)
     if not n_sure:
         return f"may be adequate in {how_many(n_open, found)}"
-    more = f" and may be in {n_open} more" * bool(n_open)
+    more = f" ({n_open} undecided)" * bool(n_open)
     return f"are adequate in {how_many(n_sure, found)}{more}"
 
 
 def _picked(found: Sequence[Contact]) -> str:
-    """Which approximations for which contacts, contacts with the same ones together."""
+    """Which approximations for which cases, cases with the same ones together."""
     groups: dict[tuple[str, ...], list[Contact]] = {}
     for contact in found:
         groups.setdefault(tuple(sorted(one.name for one in contact.picks)), []).append(contact)
@@ -370,22 +370,22 @@ def _pick(laws: tuple[str, ...], some: Sequence[Contact]) -> str:
         for (K_c, others), mm in gaps.items()
     )
     if len(some) > MOST_CONTACTS:
-        places = f"{len(some)} contacts"
+        places = f"{len(some)} cases"
     if not laws:
-        none = "none beyond doubt" if any(one.is_open for one in some) else "none of those swept"
+        none = "undecided" if any(one.is_open for one in some) else "none of those computed"
         return f"{none} for {places}"
     names = " or ".join([", ".join(laws[:-1]), laws[-1]] if laws[1:] else laws)
     return f"{names} for {places} ({_range([one for contact in some for one in contact.picks])})"
 
 
 def _range(laws: Sequence[Judged]) -> str:
-    prices = [one.price for one in laws if np.isfinite(one.price)] or [np.nan]
-    return " to ".join(dict.fromkeys(times(price) for price in (min(prices), max(prices))))
+    ratios = [one.cost_ratio for one in laws if np.isfinite(one.cost_ratio)] or [np.nan]
+    return " to ".join(dict.fromkeys(map(times, (min(ratios), max(ratios)))))
 
 
-def times(price: float) -> str:
+def times(cost_ratio: float) -> str:
     """A ratio of processor times, two digits."""
-    if not np.isfinite(price):
+    if not np.isfinite(cost_ratio):
         return "–"
-    digits = ".0f" if price >= 9.95 else ".1f" if price >= 0.95 else ".2g"
-    return f"{price:{digits}}\u00a0×"
+    digits = ".0f" if cost_ratio >= 9.95 else ".1f" if cost_ratio >= 0.95 else ".2g"
+    return f"{cost_ratio:{digits}}\u00a0×"

@@ -1,4 +1,4 @@
-"""What stands behind the points of a figure, and what a caption says of it: walls, and bands."""
+"""Walls and class bands behind the points of a figure, and their captions."""
 
 import json
 from collections.abc import Iterable, Iterator, Mapping
@@ -18,16 +18,16 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _NOT_DRAWN = {
-    ResponseClass.EQUILIBRIUM: "what is at rest",
-    ResponseClass.FAILED: "what has no steady response",
+    ResponseClass.EQUILIBRIUM: "equilibria",
+    ResponseClass.FAILED: "failed points",
 }
 _UNRESOLVED = "unresolved"
 _SYSTEM = "system_json"
 _WALLS = {"j_1": -1.0, "j_2": 1.0}
 
 
-def said_of_walls(scene: xr.Dataset, along: str = "omega", *, of_peaks: bool = False) -> str:
-    """What a caption says of walls, with a blank before: nothing where none is drawn."""
+def caption_of_walls(scene: xr.Dataset, along: str = "omega", *, of_peaks: bool = False) -> str:
+    """The caption of walls, with a leading blank; empty if none is drawn."""
     n = len(list(_walls(scene, along, of_peaks)))
     if n and _SYSTEM in scene.attrs:
         return " Dashed: walls within the axis."
@@ -36,9 +36,9 @@ def said_of_walls(scene: xr.Dataset, along: str = "omega", *, of_peaks: bool = F
 
 
 def walls(axes: "Axes", scene: xr.Dataset, along: str = "omega", *, of_peaks: bool = False) -> None:
-    """Both walls of the gap, or the upper one, where they can be drawn; what moves is a curve.
+    """Draw both walls of the gap, or the upper one; a wall that depends on the axis is a curve.
 
-    Of a system those of the contacts that feel the drawn coordinate alone.
+    For systems, only walls of contacts on the drawn coordinate.
     """
     from matplotlib.lines import Line2D
 
@@ -47,7 +47,7 @@ def walls(axes: "Axes", scene: xr.Dataset, along: str = "omega", *, of_peaks: bo
             axes.plot(drawn(scene[along]), height, label="_wall", **WALL)
         elif _SYSTEM not in scene.attrs:
             axes.axhline(float(height), **WALL)
-        # A wall of a system that no motion comes near, as of gears under load, sets no axis.
+        # A distant wall of a system, as of gears under load, does not set the axis.
         elif height.ndim:
             axes.add_artist(Line2D(drawn(scene[along]), height, label="_wall", **WALL))
         else:
@@ -56,10 +56,10 @@ def walls(axes: "Axes", scene: xr.Dataset, along: str = "omega", *, of_peaks: bo
 
 
 def _walls(scene: xr.Dataset, along: str, of_peaks: bool) -> Iterator[NDArray[np.float64]]:
-    """Heights at which walls are drawn: a number, or of those that move one for every place."""
+    """Heights of walls: one number, or one for every value along the axis."""
     for factor, own in _contacts(scene):
         for name, sign in _WALLS.items():
-            # A wall without stiffness is none.
+            # Without stiffness there is no wall.
             is_none = name == "j_1" and _one("K_ratio", scene, own) == 0.0
             if is_none or (of_peaks and sign * factor < 0.0):
                 continue
@@ -70,16 +70,16 @@ def _walls(scene: xr.Dataset, along: str, of_peaks: bool) -> Iterator[NDArray[np
 
 
 def _one(name: str, scene: xr.Dataset, own: Mapping[str, float]) -> float:
-    """The one value that something has; NaN if it has several, or none is known."""
+    """The only value of a parameter; NaN if it has several or none."""
     if name in own:
         return own[name]
     return float(scene[name]) if name in scene.coords and scene[name].ndim == 0 else np.nan
 
 
 def _contacts(scene: xr.Dataset) -> Iterator[tuple[float, dict[str, float]]]:
-    """What a contact feels of the drawn coordinate, and what it has of its own; of all that do.
+    """Of every contact on the drawn coordinate: the factor of the coordinate, and its own settings.
 
-    Directions are those at the values in ``[parameters]``: of others files say nothing.
+    Directions are those at the values in ``[parameters]``; files hold no others.
     """
     if _SYSTEM not in scene.attrs:
         yield 1.0, {}
@@ -94,7 +94,7 @@ def _contacts(scene: xr.Dataset) -> Iterator[tuple[float, dict[str, float]]]:
     for name, direction in system["contacts"].items():
         factor, table = float(direction[number]), own.get(name, {})
         if not factor or np.count_nonzero(direction) > 1:
-            continue  # it does not feel this coordinate alone
+            continue  # it is not on this coordinate only
         gap = dict(zip(_WALLS, table.get("gap") or (), strict=False))
         ratio = table.get("K_ratio")
         yield factor, gap | ({} if ratio is None else {"K_ratio": ratio})
@@ -103,7 +103,7 @@ def _contacts(scene: xr.Dataset) -> Iterator[tuple[float, dict[str, float]]]:
 def bands(
     axes: "Axes", one: xr.Dataset, along: str = "omega", *, of: Iterable[str] = tuple(BANDS)
 ) -> None:
-    """Pale bands where any response is of one of the classes `of`."""
+    """Pale bands where any response has one of the classes `of`."""
     x = drawn(one[along])
     width = np.gradient(x) if x.size > 1 else np.ones(1)
     kinds = one["response_class"].transpose(along, ...).values.reshape(x.size, -1)
@@ -115,11 +115,11 @@ def bands(
         bars = axes.bar(x[where], 1.0, width[where], transform=axes.get_xaxis_transform(), **look)
         for bar in bars:
             bar.set_label(f"_{kind}")
-            bar.sticky_edges.y.clear()  # they stand in the axis' own units
+            bar.sticky_edges.y.clear()  # their heights are shares of the axis
 
 
 def unresolved(axes: "Axes", scene: xr.Dataset, along: str) -> None:
-    """The bands of what is unresolved, named in the legend, where there is any."""
+    """Bands of unresolved responses, named in the legend, if there are any."""
     if _UNRESOLVED in _has(scene):
         bands(axes, scene, along, of=[_UNRESOLVED])
         look: dict[str, Any] = {"color": BANDS[_UNRESOLVED], "markersize": 8}
@@ -127,13 +127,13 @@ def unresolved(axes: "Axes", scene: xr.Dataset, along: str) -> None:
 
 
 def _has(scene: xr.Dataset) -> list[str]:
-    """The kinds of bands that a scene has."""
+    """The kinds of bands in a parameter set."""
     found = np.unique(scene["response_class"].values)
     return [kind for kind in BANDS if ResponseClass[kind.upper()] in found]
 
 
 def key_of_bands(figure: "Figure", scene: xr.Dataset) -> None:
-    """What the bands of a figure mean, if it has any."""
+    """A legend of the bands of a figure, if it has any."""
     from matplotlib.patches import Patch
 
     handles = [Patch(color=BANDS[kind], label=kind) for kind in _has(scene)]
@@ -141,17 +141,17 @@ def key_of_bands(figure: "Figure", scene: xr.Dataset) -> None:
         figure.legend(handles=handles, loc="outside upper right", ncols=len(handles), fontsize=8)
 
 
-def said_of_bands(scene: xr.Dataset) -> str:
-    """What a caption says of bands, with a blank before."""
+def caption_of_bands(scene: xr.Dataset) -> str:
+    """The caption of bands, with a leading blank."""
     if not (kinds := _has(scene)):
         return ""
-    whose = " from some start" if scene.sizes.get(START, 1) > 1 else ""
-    beyond = " Unresolved ones may lie beyond the axis." if _UNRESOLVED in kinds else ""
+    whose = " from some initial conditions" if scene.sizes.get(START, 1) > 1 else ""
+    beyond = " Unresolved responses may lie beyond the axis." if _UNRESOLVED in kinds else ""
     return f" Bands: the response{whose} is {' or '.join(kinds)}.{beyond}"
 
 
-def said_of_missing(scene: xr.Dataset) -> str:
-    """What a caption says of responses that have no extrema, with a blank before."""
+def caption_of_missing(scene: xr.Dataset) -> str:
+    """The caption of responses without extrema, with a leading blank."""
     found = np.unique(scene["response_class"].values)
     missing = [words for kind, words in _NOT_DRAWN.items() if kind in found]
-    return f" Not drawn: {', or '.join(missing)}." if missing else ""
+    return f" Not drawn: {', '.join(missing)}." if missing else ""

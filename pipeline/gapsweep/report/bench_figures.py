@@ -17,7 +17,11 @@ _WIDTH = 9.5  # inches, the report's column
 _COLUMNS = 3
 _MARKERS = ("o", "s", "^", "D", "v")
 _ERRORS = (1e-14, 1e2)
-# From best to worst: what a cell of the atlas shows is the worst of its runs.
+PANEL = (
+    *("total_error", "cpu_time", "cpu_time_q25", "cpu_time_q75"),
+    *("model_error", "status", "on_front", "at_reference_floor"),
+)
+# From best to worst: a cell of the atlas shows the worst of its runs.
 _SEVERITY = (
     CellOutcome.NOT_REQUESTED,
     CellOutcome.RIGHT,
@@ -53,7 +57,7 @@ _QUANTITIES = {
 
 
 def work_precision_figure(bench: xr.Dataset) -> Figure:
-    """Total error against cost, a panel per scene.
+    """Cost over total error, a panel per scenario.
 
     Parameters
     ----------
@@ -66,14 +70,17 @@ def work_precision_figure(bench: xr.Dataset) -> Figure:
     panels = figure.subplots(n_rows, columns, squeeze=False, sharex=True, sharey=True)
     labels = bench["method"].values.tolist()
     for axes, s in zip(panels.flat, range(bench.sizes["scene"]), strict=False):
-        _panel(axes, bench.isel(scene=s), labels)
+        one = bench.isel(scene=s)
+        panel(axes, one)
+        title = f"{one['gap'].item()} mm, {float(one['omega']):g} Hz"
+        axes.set_title(title, fontsize=9, loc="left")
     _widen(panels[0, 0])
     for axes in panels.flat[bench.sizes["scene"] :]:
         axes.set_visible(False)
     for axes in panels[:, 0]:
         axes.set_ylabel("processor time per\nsimulated second")
     for axes in panels[-1]:
-        axes.set_xlabel("error against the exact law")
+        axes.set_xlabel("error compared with the exact law")
     figure.legend(
         [panels[0, 0].lines[i] for i in range(len(labels))],
         labels,
@@ -84,7 +91,15 @@ def work_precision_figure(bench: xr.Dataset) -> Figure:
     return figure
 
 
-def _panel(axes: Axes, scene: xr.Dataset, labels: list[str]) -> None:
+def panel(axes: Axes, scene: xr.Dataset) -> None:
+    """Cost over error of every method in one scene, a point per tolerance.
+
+    Parameters
+    ----------
+    scene : Dataset
+        The variables `PANEL`, over method and tolerance.
+    """
+    labels = scene["method"].values.tolist()
     styles, marks = lines(labels), by_colour(labels, _MARKERS)
     axes.set_xscale("log")
     axes.set_yscale("log")
@@ -109,7 +124,7 @@ def _panel(axes: Axes, scene: xr.Dataset, labels: list[str]) -> None:
         )
         ring: dict[str, Any] = {"markerfacecolor": "none", "markeredgecolor": "#D55E00"}
         axes.plot(x[front], y[front], "o", markersize=9, zorder=3, label=named, **ring)
-        model = float(one["model_error"])
+        model = float(one["model_error"].max())
         if model > 0.0:
             edge: dict[str, Any] = {"ymax": 0.06, "color": shade, "linewidth": 1.4}
             axes.axvline(min(model, _ERRORS[1]), label=f"_{label}, its own error", **edge)
@@ -120,17 +135,15 @@ def _panel(axes: Axes, scene: xr.Dataset, labels: list[str]) -> None:
             crosses = axes.plot(np.ones(failed.sum()), y[failed], "x", **look)
             crosses[0].set_in_layout(False)
     axes.grid(which="minor", visible=False)
-    title = f"{scene['gap'].item()} mm, {float(scene['omega']):g} Hz"
-    axes.set_title(title, fontsize=9, loc="left")
     said = _failed_words(scene, labels)
     if said:
         axes.text(0.98, 0.97, said, transform=axes.transAxes, ha="right", va="top", fontsize=7)
 
 
 def _widen(axes: Axes) -> None:
-    """Show a decade about values that are all one.
+    """Show a decade about a single value.
 
-    Error bars make of one value two, a rounding apart, and so narrow would be the axis.
+    Error bars split one value into two that differ by rounding, which sets a too narrow axis.
     """
     for (low, high), set_limits in (
         (axes.get_xlim(), axes.set_xlim),
@@ -141,7 +154,7 @@ def _widen(axes: Axes) -> None:
 
 
 def _failed_words(scene: xr.Dataset, labels: list[str]) -> str:
-    """Which methods failed, and how, a line each."""
+    """Failed methods and their status, one per line."""
     found = []
     for label in labels:
         status = np.unique(scene["status"].sel({"method": label}).values).tolist()
@@ -151,7 +164,7 @@ def _failed_words(scene: xr.Dataset, labels: list[str]) -> str:
 
 
 def tolerance_figure(bench: xr.Dataset) -> Figure:
-    """Solver errors against the tolerance asked for, medians over the scenes."""
+    """Solver errors over the tolerance, medians over the scenarios."""
     figure = Figure(figsize=(_WIDTH, 4.2), layout="constrained")
     panels = figure.subplots(1, len(_QUANTITIES))
     labels = bench["method"].values.tolist()

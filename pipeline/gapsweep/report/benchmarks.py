@@ -1,4 +1,4 @@
-"""What the report and the command line say about benchmarks, from the two datasets alone."""
+"""Sections and sentences on benchmarks, from their two datasets."""
 
 import math
 from collections.abc import Iterator, Mapping
@@ -28,20 +28,20 @@ _NAMED = (
     CellOutcome.UNDECIDED,
     CellOutcome.SILENT_WRONG,
 )
-# Errors from here on are those that a chart is looked at for.
+# Errors up to here matter in practice.
 _USEFUL = 1e-2
 
 
 @dataclass(frozen=True, slots=True)
 class Conclusions:
-    """A dataset in sentences, and the numbers behind them."""
+    """Sentences on a dataset, and their numbers."""
 
     sentences: list[str]
     numbers: dict[str, Any]
 
 
 def bench_parts(work_precision: xr.Dataset | None, stability: xr.Dataset | None) -> Iterator[Part]:
-    """Sections on the datasets that there are."""
+    """Sections on the given datasets."""
     if work_precision is not None:
         yield _work_precision_part(work_precision.load())
     if stability is not None:
@@ -49,7 +49,7 @@ def bench_parts(work_precision: xr.Dataset | None, stability: xr.Dataset | None)
 
 
 def conclusions(dataset: xr.Dataset) -> Conclusions:
-    """What a dataset of ``gapsweep bench`` says."""
+    """Conclusions from a dataset of ``gapsweep bench``."""
     dataset = dataset.load()
     return _atlas_conclusions(dataset) if "outcome" in dataset else _front_conclusions(dataset)
 
@@ -58,12 +58,12 @@ def conclusions(dataset: xr.Dataset) -> Conclusions:
 
 
 def _is_exact(label: str) -> bool:
-    """Whether a method is labelled as the exact law, whatever its solver makes of contacts."""
+    """Whether a method has the label of the exact law, with or without located contacts."""
     return law_of(label) == EXACT
 
 
 def beaten(bench: xr.Dataset) -> dict[str, list[str]]:
-    """Scenes in which another method is on the front at an error of 1e-2 or below, and which."""
+    """Scenarios with other methods on the Pareto front at errors of 1e-2 or below, and which."""
     shown = bench["on_front"].astype(bool) & (bench["total_error"] <= _USEFUL)
     found = {}
     for scene in bench["scene"].values.tolist():
@@ -77,19 +77,19 @@ def beaten(bench: xr.Dataset) -> dict[str, list[str]]:
 
 def _front_conclusions(bench: xr.Dataset) -> Conclusions:
     exceptions, rows = beaten(bench), _cheapest(bench)
-    sentences = [*_on_front(bench, exceptions), *map(_price, rows)]
+    sentences = [*_on_front(bench, exceptions), *map(_cost, rows)]
     return Conclusions(sentences, {"cheapest": rows, "not_exact_on_front": exceptions})
 
 
 def _on_front(bench: xr.Dataset, exceptions: dict[str, list[str]]) -> list[str]:
-    """What is on the front, and what failed."""
+    """The methods on the Pareto front, and the failed runs."""
     n = bench.sizes["scene"]
     sentences = [
-        f"Exact with located contacts makes the whole front at errors of 1e-2 and below in "
-        f"{n - len(exceptions)} of {n} scenes."
+        "The exact law with located contacts is the whole Pareto front at errors of 1e-2 and below "
+        f"in {n - len(exceptions)} of {n} scenarios."
     ]
     sentences += [
-        f"In {scene}, {', '.join(others)} {'is' if len(others) == 1 else 'are'} on it too."
+        f"In {scene}, {', '.join(others)} {'is' if len(others) == 1 else 'are'} on the front, too."
         for scene, others in exceptions.items()
     ]
     failed = _failures(bench)
@@ -98,7 +98,7 @@ def _on_front(bench: xr.Dataset, exceptions: dict[str, list[str]]) -> list[str]:
     return sentences
 
 
-def _price(row: Mapping[str, Any]) -> str:
+def _cost(row: Mapping[str, Any]) -> str:
     """The cheapest method of a corner at a target error."""
     corner = f"K_c = {plain(row['K_c'])} N/m, {row['gap']} mm, error {row['error']:.0e}"
     if not row["method"]:
@@ -151,7 +151,7 @@ def _cheapest_table(bench: xr.Dataset) -> Table:
             text += f" ({row['next']} {row['ratio']:.2g}×)" if row["next"] else " (no other law)"
         cells.setdefault((row["K_c"], row["gap"]), {})[row["error"]] = text
     return Table(
-        "Cheapest method per simulated second (next law and its factor)",
+        "Cheapest method per simulated second (next law and its cost ratio)",
         ["K_c [N/m], gap [mm]", *(f"error {target:.0e}" for target in TARGETS)],
         [
             [f"{plain(K_c)}, {gap}", *(by_target[target] for target in TARGETS)]
@@ -164,11 +164,11 @@ def _work_precision_part(bench: xr.Dataset) -> Part:
     figures = [
         Figured(
             work_precision_figure(bench.isel(scene=bench["K_c"].values == K_c)),
-            f"K_c = {plain(K_c)} N/m. Error against the exact law and processor time per simulated "
-            "second, every point a tolerance. Filled and ringed: on the front, nothing is both "
-            "cheaper and closer. Ticks at the bottom: model error of each law, which no tolerance "
-            "betters. Crosses on the right: runs that failed. Bars: quartiles. Points closer to "
-            "the truth than ten distances of the two references are left out.",
+            f"K_c = {plain(K_c)} N/m. Error compared with the exact law and processor time per "
+            "simulated second, one point per tolerance. Filled and ringed: on the Pareto front "
+            "(no other method is both cheaper and more accurate). Ticks at the bottom: model error "
+            "of each law, a limit for every tolerance. Crosses on the right: failed runs. Bars: "
+            "quartiles. Errors below ten times the difference of the two references are left out.",
             f"Work-precision diagrams, K_c = {plain(K_c)} N/m",
         )
         for K_c in np.unique(bench["K_c"].values).tolist()
@@ -176,22 +176,22 @@ def _work_precision_part(bench: xr.Dataset) -> Part:
     figures.append(
         Figured(
             tolerance_figure(bench),
-            "Tolerance asked for and error got against the same law's own solution, medians over "
-            "the scenes: displacement and velocity at period ends, contact times, steady "
-            "amplitude. Dashed: error equal to tolerance.",
-            "Tolerance asked for and error got",
+            "Error over tolerance, compared with the accurate solution of the same law, medians "
+            "over the scenarios: displacement and velocity at period ends, contact times, steady "
+            "amplitude. Dashed: error equal to the tolerance.",
+            "Error over tolerance",
         )
     )
     machine = (
         f"Measured on {bench.attrs['processor']} ({bench.attrs['machine']}), "
-        f"load {bench.attrs['load_average']:.2g} from elsewhere; "
+        f"load average {bench.attrs['load_average']:.2g} from other processes; "
         f"{int(bench['n_lanes'].max())} points per compiled call, one for scipy; medians of up to "
-        f"{bench.attrs['n_repeats']} rounds, methods in turns. First calls, which compile or load "
-        f"code, took up to {float(bench['first_call_time'].max()):.2g} s and are left out."
+        f"{bench.attrs['n_repeats']} rounds, methods interleaved. First calls, which compile or "
+        f"load code, took up to {float(bench['first_call_time'].max()):.2g} s and are left out."
     )
     return Part(
         "work-precision",
-        "Work and precision",
+        "Work-precision diagrams",
         [*_on_front(bench, beaten(bench)), machine],
         [_cheapest_table(bench)],
         figures,
@@ -205,7 +205,7 @@ def _atlas_conclusions(stability: xr.Dataset) -> Conclusions:
     outcome, tight = stability["outcome"], stability["rtol"] <= stability.attrs["tight_rtol"] * 1.01
     numbers: dict[str, Any] = {"n_silent_wrong": int(stability.attrs["n_silent_wrong"])}
     sentences = [
-        f"Silent wrong answers at rtol {stability.attrs['tight_rtol']:g} or tighter: "
+        f"Wrong results with status ok at rtol {stability.attrs['tight_rtol']:g} or tighter: "
         f"{numbers['n_silent_wrong']}."
     ]
     for name, where in (("tight", tight), ("loose", ~tight & stability["rtol"].notnull())):
@@ -224,7 +224,7 @@ def _atlas_conclusions(stability: xr.Dataset) -> Conclusions:
     numbers["silent_wrong"] = silent
     if silent:
         listed = "; ".join(f"{w['scene']} {w['method']} {w['rtol']:.0e}" for w in silent)
-        sentences.append(f"Silent and wrong: {listed}.")
+        sentences.append(f"Wrong with status ok: {listed}.")
     return Conclusions(sentences, numbers)
 
 
@@ -240,9 +240,10 @@ def _where(stability: xr.Dataset, outcome: CellOutcome) -> Iterator[tuple[str, s
 def _stability_part(stability: xr.Dataset) -> Part:
     letters = ", ".join(f"{letter} {name}" for name, letter in STATUS_LETTERS.items())
     legend = (
-        "R right; M its own law is solved, but its answer is not the exact one; ? wrong by no more "
-        "than its tolerance grown by the motion, or the references disagree; ! wrong and says ok. "
-        f"Ended with a status: {letters}. A cell shows the worst outcome of its tolerances."
+        "R: correct. M: model error; the law is solved accurately, but differs from the exact law. "
+        "?: undecided; the error is within the tolerance times the growth of perturbations, or the "
+        "references disagree. !: wrong with status ok. "
+        f"Failed runs: {letters}. A cell shows the worst outcome of its tolerances."
     )
     figures = [
         Figured(
@@ -255,7 +256,7 @@ def _stability_part(stability: xr.Dataset) -> Part:
     ]
     return Part(
         "stability",
-        "Stability where methods fail",
+        "Failures of methods",
         _atlas_conclusions(stability).sentences,
         [_scene_table(stability), _law_table(stability)],
         figures,
@@ -263,7 +264,7 @@ def _stability_part(stability: xr.Dataset) -> Part:
 
 
 def _scene_table(stability: xr.Dataset) -> Table:
-    """What came of all methods on each scene at tight tolerances."""
+    """Outcomes of all methods in each scenario at tight tolerances."""
     outcome = worst(stability, tight=True)
     rows = []
     for scene in stability["scene"].values.tolist():
@@ -279,16 +280,16 @@ def _scene_table(stability: xr.Dataset) -> Table:
                 *named,
             ]
         )
-    header = ["Scene", "Known by", "Stiffness ratio", "Growth", "Right"]
+    header = ["Scenario", "Reference", "Stiffness ratio", "Growth", "Correct"]
     return Table(
         "Outcomes at tolerances of 1e-6 and tighter",
-        [*header, "Model error", "Failed", "Undecided", "Silent wrong"],
+        [*header, "Model error", "Failed", "Undecided", "Wrong with status ok"],
         rows,
     )
 
 
 def _law_table(stability: xr.Dataset) -> Table:
-    """What could have been known of each law without integrating, over all scenes."""
+    """Properties of each law without integration, over all scenarios."""
     rows = []
     for label in stability["method"].values.tolist():
         one = stability.sel({"method": label})
@@ -303,8 +304,8 @@ def _law_table(stability: xr.Dataset) -> Table:
                 _range(layer),
             ]
         )
-    header = ["Method", "Scenes with false wells", "In-gap frequency [Hz]", "Layer / step"]
-    return Table("Known before integrating", header, rows)
+    header = ["Method", "Scenarios with false wells", "In-gap frequency [Hz]", "Layer / step"]
+    return Table("Properties of the laws", header, rows)
 
 
 def _range(values: Any) -> str:

@@ -38,8 +38,6 @@ _FONT = 8.0  # points
 _LETTERS = 2.1, 1.1  # width and height of a symbol of two letters, in sizes of its font
 _WAYS = np.array([(1, 1), (1, -1), (-1, 1), (-1, -1), (1, 0), (-1, 0)])
 _MOST_SYMBOLS = 100  # special points of a figure, beyond which markers must do
-_CELL = 0.3  # of a symbol's size: a third of what it hides
-_FINE = 8  # places on a step of a branch that a symbol should not hide
 
 
 def shown(found: xr.Dataset, names: Sequence[str], wanted: Mapping[str, Any]) -> xr.Dataset:
@@ -117,8 +115,8 @@ def behind(
         name_points(axes, branches, along, heights[0])
 
 
-def said(found: xr.Dataset | None, here: xr.Dataset, along: str) -> str:
-    """What a caption says of branches, with a blank before; nothing where none is drawn."""
+def caption(found: xr.Dataset | None, here: xr.Dataset, along: str) -> str:
+    """The caption of branches, with a leading blank; empty if none is drawn."""
     branches = of_scene(found, here, along)
     if branches is None:
         return ""
@@ -196,7 +194,7 @@ def _looks(branches: xr.Dataset) -> list[tuple[str, str]]:
 
 
 def lines(branches: xr.Dataset, along: str, height: str) -> Iterator[tuple[int, bool, Array]]:
-    """Of every branch its number and the points of the unstable or the stable part, with gaps."""
+    """Number of every branch and the points of its unstable or stable part, with gaps."""
     columns = of_orbits(branches, along, height, "stable", "special")
     for number, (x, y, stable, special) in enumerate(zip(*columns, strict=True)):
         there = np.isfinite(x) & np.isfinite(y)
@@ -212,9 +210,9 @@ def lines(branches: xr.Dataset, along: str, height: str) -> Iterator[tuple[int, 
 
 
 def name_points(axes: "Axes", branches: xr.Dataset, along: str, height: str) -> None:
-    """Symbols next to special points where there is room; called when all else is drawn.
+    """Symbols next to special points where they overlap no other; called when all else is drawn.
 
-    The rarest kind comes first. A symbol stands where it hides the least of the branches.
+    The rarest kind comes first.
     """
     x, y, special = of_orbits(branches, along, height, "special")
     there = np.isfinite(x) & np.isfinite(y)
@@ -222,29 +220,17 @@ def name_points(axes: "Axes", branches: xr.Dataset, along: str, height: str) -> 
         return
     axes.autoscale_view()
     at = axes.transData.transform(np.stack([x, y], axis=2).reshape(-1, 2)).reshape(*x.shape, 2)
-    parts = np.linspace(0.0, 1.0, _FINE, endpoint=False)[:, None, None, None]
-    covered = (at[:, :-1] + parts * np.diff(at, axis=1)).reshape(-1, 2)
-    covered = np.concatenate([covered, *[at[special > 0]] * _FINE])
     size = _FONT * axes.figure.dpi / 72.0 * np.array(_LETTERS)
-    low, high = np.array(axes.bbox.min) - 2.0 * size, np.array(axes.bbox.max) + 2.0 * size
-    covered = covered[((covered > low) & (covered < high)).all(axis=1)]
-    cells = np.ceil((high - low) / (_CELL * size)).astype(int)
-    # How much lies in each cell of a grid as fine as a part of a symbol.
-    crowd = np.zeros(cells)
-    np.add.at(crowd, tuple(((covered - low) / (high - low) * cells).astype(int).T), 1.0)
-    crowd = np.lib.stride_tricks.sliding_window_view(np.pad(crowd, 1), (3, 3)).sum(axis=(2, 3))
+    is_inside = axes.bbox.padded(-0.5 * size[1]).contains
     taken = np.empty((0, 2))
     for kind in sorted(KINDS, key=lambda kind: int((special == kind).sum())):
         for branch, step in np.argwhere(there & (special == kind)):
             centres = at[branch, step] + 0.5 * _WAYS * size
-            is_free = axes.bbox.padded(-0.5 * size[1]).contains
-            cell = np.clip(((centres - low) / (high - low) * cells).astype(int), 0, cells - 1)
-            hidden = crowd[tuple(cell.T)]
-            overlaps = (np.abs(centres[:, None] - taken) < size).all(axis=2).any(axis=1)
-            overlaps |= [not is_free(*centre) for centre in centres]
-            if overlaps.all():
+            is_free = ~(np.abs(centres[:, None] - taken) < size).all(axis=2).any(axis=1)
+            is_free &= [is_inside(*centre) for centre in centres]
+            if not is_free.any():
                 continue
-            best = int(np.where(overlaps, np.inf, hidden).argmin())
+            best = int(is_free.argmax())
             taken = np.vstack([taken, centres[best]])
             right, up = _WAYS[best]
             axes.text(

@@ -1,10 +1,9 @@
-"""What the report's figures and the accessor share: functions that draw into given axes.
+"""Functions that draw into given axes, for the report's figures and the accessor.
 
 Every function takes matplotlib axes and a dataset that holds the dimensions it names. matplotlib
 itself comes with the axes, so that importing this module is cheap.
 """
 
-import math
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
@@ -14,18 +13,15 @@ from numpy.typing import NDArray
 
 from gapsweep.analysis.agreement.jumps import breaks
 from gapsweep.model.labels import EXACT
-from gapsweep.report.mesh import mesh
-from gapsweep.report.scales import drawn, factor, shown_unit
+from gapsweep.report.scales import drawn, shown_unit
 from gapsweep.report.style import WALL, colour, lines
 from gapsweep.response.result import ResponseClass
-from gapsweep.status import Status
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 MANY = 60  # points as vectors would make a file heavy
-_MOST_NAMES = 24  # that fit beside a colour bar
 _SPARE = 0.5  # room around the exact law, in widths of its range
 _DOT = 12.0  # points², of an attractor whose basin is not known
 
@@ -139,11 +135,14 @@ def peaks(
     outside(axes, places[above], high, "^", label)
 
 
-def said_of_marks(figure: "Figure") -> str:
-    """What a caption says of pale dots and of triangles, with blanks before; of those there are."""
+def caption_of_marks(figure: "Figure") -> str:
+    """The caption of pale dots and triangles, with leading blanks; empty if there are none."""
     lines = [line for axes in figure.axes for line in axes.lines]
     labels = {str(line.get_label()) for line in lines if np.size(line.get_xdata())}
-    kinds = {"not periodic": " Pale: not periodic.", "outside": " Triangles: outside the frame."}
+    kinds = {
+        "not periodic": " Pale: not periodic.",
+        "outside": " Triangles: outside the axes.",
+    }
     return "".join(v for kind, v in kinds.items() if any(name.endswith(kind) for name in labels))
 
 
@@ -212,14 +211,14 @@ def attractor_peaks(axes: "Axes", one: xr.Dataset, along: str) -> None:
         )
 
 
-def said_of_peaks(found: xr.Dataset) -> str:
-    """What a caption says of the dots of attractors, with a blank before."""
+def caption_of_peaks(found: xr.Dataset) -> str:
+    """The caption of the dots of attractors, with a leading blank."""
     has_peak = np.isfinite(found["x_max"].values)
     kinds = {*np.unique(found["response_class"].values[has_peak]).tolist()}
-    rest = ", or at rest" if ResponseClass.EQUILIBRIUM in kinds else ""
+    rest = " or in equilibrium" if ResponseClass.EQUILIBRIUM in kinds else ""
     said = []
     if np.isfinite(found["basin_share"].values).any():
-        said.append("The area of a dot is the share of the starts that end on it")
+        said.append("Dot area: share of the initial conditions that lead to the attractor")
     if kinds - {ResponseClass.PERIODIC}:
         said.append(f"{'hollow' if said else 'Hollow'}: not periodic{rest}")
     return f" {'; '.join(said)}." if said else ""
@@ -262,27 +261,8 @@ def starts(axes: "Axes", one: xr.Dataset) -> None:
         axes.plot(x[here], v[here], "o", color=shades(n), markersize=4, label=name)
 
 
-def basins(axes: "Axes", found: xr.Dataset) -> None:
-    """Attractor of every start of a grid; white where there is none.
-
-    Parameters
-    ----------
-    found : Dataset
-        As `gapsweep.basins` returns it.
-    """
-    found = found.sortby(["x_0", "v_0"])
-    names = attractor_names(found["period_multiple"], found["x_max"])
-    n = max(len(names), 1)
-    ids = found["attractor"].transpose("v_0", "x_0")
-    look = {"cmap": _shades(n), "vmin": -0.5, "vmax": n - 0.5}
-    made = mesh(axes, found["x_0"], found["v_0"], ids.where(ids >= 0).values, **look)
-    shown = range(0, len(names), math.ceil(n / _MOST_NAMES))
-    bar = axes.figure.colorbar(made, ax=axes, ticks=list(shown))
-    bar.ax.set_yticklabels([names[i] for i in shown])
-
-
 def attractor_names(period_multiple: xr.DataArray, x_max: xr.DataArray) -> list[str]:
-    """What each attractor is, in words."""
+    """Period and peak of each attractor, in words."""
     unit = shown_unit(x_max)[1]
     pairs = zip(period_multiple.values, drawn(x_max), strict=True)
     return [f"{f'P{n}' if n else 'chaotic'}, peak {x:.4g} {unit}" for n, x in pairs]
@@ -303,7 +283,7 @@ def summary(
     interval : DataArray, optional
         Over representation and bound.
     floor : DataArray, optional
-        One number: exact against exact.
+        One number: of the exact law with other settings.
     """
     labels = [str(label) for label in value["representation"].values]
     numbers = drawn(value)
@@ -313,45 +293,9 @@ def summary(
             axes.plot(ends, [row, row], color=colour(label), linewidth=1.2)
         axes.plot([number], [row], "o", color=colour(label), markersize=5)
     if floor is not None and np.isfinite(floor):
-        axes.axvline(float(drawn(floor)), **WALL, label="exact against exact")
+        axes.axvline(float(drawn(floor)), **WALL, label="exact law, other settings")
     axes.set_yticks(range(len(labels)), labels)
     axes.set_ylim(len(labels) - 0.5, -0.5)
-
-
-def work_precision(axes: "Axes", scene: xr.Dataset) -> None:
-    """Cost over error, a line per method; rings on the front, dots where the model itself is off.
-
-    Parameters
-    ----------
-    scene : Dataset
-        ``trajectory_error(method, tolerance)``, ``cpu_time``; where there are any ``model_error``,
-        ``on_front`` and ``status``.
-    """
-    methods = [str(name) for name in scene["method"].values]
-    styles = lines(methods)
-    for position, name in enumerate(methods):
-        one = scene.isel({"method": position})  # sel(method=...) is xarray's own keyword
-        error, cost = drawn(one["trajectory_error"]), drawn(one["cpu_time"])
-        shown = np.isfinite(error) & np.isfinite(cost) & (error > 0.0)
-        status = (
-            one["status"].values if "status" in one else np.where(shown, Status.OK, Status.ERROR)
-        )
-        shown &= status == Status.OK
-        # Methods have ladders of different lengths: what was not asked for is no failure.
-        lost = int(np.sum((status != Status.OK) & (status != Status.NOT_REQUESTED)))
-        style: dict[str, Any] = {"color": colour(name), "markersize": 4}
-        words = f"{name} ({lost} failed)" if lost else name
-        axes.plot(error[shown], cost[shown], f"o{styles[name]}", label=words, **style)
-        if "on_front" in one:
-            best = shown & (one["on_front"].values == 1)
-            axes.plot(
-                error[best], cost[best], "o", color=colour(name), markersize=9, fillstyle="none"
-            )
-        if "model_error" in one and np.nanmax(one["model_error"], initial=0.0) > 0.0:
-            worst = factor(one["model_error"]) * float(np.nanmax(one["model_error"]))
-            axes.axvline(worst, color=colour(name), linestyle=":", linewidth=1.0)
-    axes.set_xscale("log")
-    axes.set_yscale("log")
 
 
 def _label(one: xr.Dataset) -> str:
@@ -359,14 +303,14 @@ def _label(one: xr.Dataset) -> str:
 
 
 def _broadcast(one: xr.Dataset, name: str, along: str) -> Iterator[NDArray[np.float64]]:
-    """Where along the axis, and the values; both of the shape (along, initial_condition, ...)."""
+    """Places along the axis, and values; both of shape (along, initial_condition, ...)."""
     values = drawn(one[name].transpose(along, "initial_condition", ...))
     places = drawn(one[along]).reshape(-1, *[1] * (values.ndim - 1))
     return iter((np.broadcast_to(places, values.shape), values))
 
 
 def with_setting(scene: xr.Dataset, name: str) -> xr.Dataset:
-    """A scene with a variable `SETS`: which values of another one set the axis, of all its laws."""
+    """A scene with a variable `SETS`: which values of a variable set the axis, for all laws."""
     return scene.assign({SETS: sets_axis(scene[name], scene["response_class"])})
 
 

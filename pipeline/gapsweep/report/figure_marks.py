@@ -1,4 +1,4 @@
-"""What a figure shows, as data: CSV for people, JSON for the page that draws it again."""
+"""The data of a figure: CSV for people, JSON for the page that draws it interactively."""
 
 import base64
 import csv
@@ -85,7 +85,7 @@ def as_json(figure: Figure) -> str:
     """The same, with all that a page needs to draw it: places, scales and looks.
 
     Numbers of marks are single precision, little-endian, in base64. Empty as `as_csv` is, and where
-    panels are no rectangles beside each other (polar ones, insets, a second axis).
+    panels do not form a grid of rectangles (polar ones, insets, a second axis).
     """
     panels: list[Any] = _panels(figure)
     places = [str(axes.get_subplotspec()) for axes in panels if axes.get_subplotspec()]
@@ -106,7 +106,7 @@ def _panels(figure: Figure) -> list[Axes]:
 
 
 def _labels(axes: Axes) -> tuple[str, str]:
-    """Those of both axes, or what the whole figure says."""
+    """Labels of both axes, or those of the whole figure."""
     figure: Any = axes.figure
     common = figure.get_supxlabel(), figure.get_supylabel()
     x, y = (label_of(axes, n) or alone for n, alone in zip("xy", common, strict=True))
@@ -114,7 +114,7 @@ def _labels(axes: Axes) -> tuple[str, str]:
 
 
 def _marks(axes: Axes) -> Iterator[Marks]:
-    """Everything that lies where the data say, and levels."""
+    """All marks in data coordinates, and levels."""
     for line in axes.lines:
         yield from _line(axes, line)
     for found in axes.collections:
@@ -189,7 +189,7 @@ def _rows(marks: Marks) -> Iterator[Row]:
 
 
 def _text(value: Any) -> str:
-    """A number, nothing for none, or one of the words of an axis of words."""
+    """A number (empty if there is none), or a word on a categorical axis."""
     if isinstance(value, str):
         return _cell(value)
     return f"{float(value):.6g}" if np.isfinite(value) else ""
@@ -201,7 +201,7 @@ def _cell(text: str) -> str:
 
 
 def _series(artist: Any) -> str:
-    """What an artist's label says; matplotlib's own say nothing, others may start like them."""
+    """The label of an artist; empty for names that matplotlib made."""
     label = str(artist.get_label())
     return "" if re.fullmatch(r"_child\d+|_nolegend_", label) else label.removeprefix("_")
 

@@ -2,24 +2,20 @@
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any
 
 import numpy as np
 import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from gapsweep.model.labels import EXACT
 from gapsweep.report import backdrop, branch_lines, drawing
 from gapsweep.report.drawing import labels_of
 from gapsweep.report.maps import MapImage, draw
 from gapsweep.report.scales import axis_label, drawn, is_log
-from gapsweep.report.style import colour
 from gapsweep.status import Status
 
 _WIDTH = 9.5  # inches, the report's column
 _FEW = 60  # frequencies, whose dots may be larger
-_MANY = 4  # names along an axis, of which more are turned
 
 
 def frequency_response(responses: xr.Dataset, along: str = "omega") -> Figure:
@@ -86,38 +82,7 @@ def attractors(
     return _grid(found, along, axis_label(found["x_max"], "peak"), peaks)
 
 
-def by_contact(contacts: Mapping[str, xr.Dataset]) -> Figure:
-    """Peak at one frequency in every contact, a dot per representation and start.
-
-    Parameters
-    ----------
-    contacts : mapping of str to Dataset
-        What to call each contact; its peaks and their classes, dimensions representation and
-        initial_condition.
-    """
-    figure = Figure(figsize=(_WIDTH, 4.2), layout="constrained")
-    axes: Any = figure.subplots()
-    peaks = {  # a motion that was still growing when it was left would set the axis
-        name: one["x_max"].where(drawing.sets_axis(one["x_max"], one["response_class"]))
-        for name, one in contacts.items()
-    }
-    axes.xaxis.update_units(list(peaks))  # in this order
-    for label in dict.fromkeys(label for one in contacts.values() for label in labels_of(one)):
-        ours = {name: one for name, one in peaks.items() if label in one["representation"]}
-        ys = [drawn(one.sel(representation=label)) for one in ours.values()]
-        words = np.repeat(list(ours), [y.size for y in ys])
-        size, order = (7.0, 1) if label == EXACT else (3.5, 2)
-        (line,) = axes.plot(words, np.concatenate(ys), "o", label=label, color=colour(label))
-        line.set(markersize=size, zorder=order)
-    axes.set_ylabel(axis_label(next(iter(peaks.values())), "peak"))
-    axes.set_ylim(bottom=0)
-    axes.tick_params("x", rotation=30 if len(peaks) > _MANY else 0)
-    if len(axes.lines) > 1:
-        axes.legend(ncols=2)
-    return figure
-
-
-def beside_exact(scene: xr.Dataset, exact: str, titles: Mapping[str, str]) -> Figure:
+def compared_with_exact(scene: xr.Dataset, exact: str, titles: Mapping[str, str]) -> Figure:
     """Peaks of some laws over those of the exact one, black where it is missed, a panel per law.
 
     Parameters
@@ -147,26 +112,10 @@ def beside_exact(scene: xr.Dataset, exact: str, titles: Mapping[str, str]) -> Fi
 
 
 def _where_asked(law: xr.Dataset, scene: xr.Dataset, exact: str) -> xr.Dataset:
-    """The exact law where another one was asked too: from fewer starts it could not do more."""
+    """The exact law at the points where another law was requested, too."""
     theirs, asked = scene.sel(representation=exact), law["status"] != Status.NOT_REQUESTED
     known = {"x_max": np.nan, "status": int(Status.NOT_REQUESTED)}
     return theirs.assign({name: theirs[name].where(asked, other) for name, other in known.items()})
-
-
-def basins(found: xr.Dataset) -> Figure:
-    """Attractor of every start, as returned by `gapsweep.basins`; white where there is none.
-
-    Parameters
-    ----------
-    found : Dataset
-        ``attractor(v_0, x_0)`` and what each attractor is.
-    """
-    figure = Figure(figsize=(0.75 * _WIDTH, 4.2), layout="constrained")
-    axes = figure.subplots()
-    drawing.basins(axes, found)
-    axes.set_xlabel(axis_label(found["x_0"]))
-    axes.set_ylabel(axis_label(found["v_0"]))
-    return figure
 
 
 def maps(pictures: Sequence[MapImage]) -> Figure:

@@ -1,4 +1,4 @@
-"""What the numbers of a run say, in sentences computed from its datasets."""
+"""The main findings of a run, in sentences computed from its datasets."""
 
 import json
 from collections import Counter
@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 from gapsweep.analysis.dimensions import REPRESENTATION, in_metres
 from gapsweep.analysis.unit_check import doubtful_numbers, never_reached
 from gapsweep.model.labels import EXACT
-from gapsweep.report.answer import Contact, Judged, how_many
+from gapsweep.report.answer import Contact
 from gapsweep.report.drawing import labels_of
+from gapsweep.report.inputs import Inputs
 from gapsweep.report.scales import drawn, shown_unit
 from gapsweep.report.tables import VERDICTS, condensed, percent
 from gapsweep.response.result import ResponseClass
@@ -21,46 +22,31 @@ from gapsweep.status import Status
 from gapsweep.study.grid import CONTACT, COORDINATE, START
 
 
-def findings(
-    responses: xr.Dataset,
-    found: Sequence[Contact],
-    decided: Mapping[str, Any] | None,
-    advice: xr.Dataset | None = None,
-    *,
-    attractors: xr.Dataset | None = None,
-    agreement: xr.Dataset | None = None,
-) -> list[str]:
+def findings(inputs: Inputs, found: Sequence[Contact]) -> list[str]:
     """The main findings of a run.
 
     Parameters
     ----------
-    responses : Dataset
-        As stored in ``responses.nc``.
+    inputs : Inputs
     found : sequence of Contact
-        What stands in where, judged; empty without the exact law.
-    decided : mapping, optional
-        What stands in ``claims.json``.
-    advice : Dataset, optional
-        As stored in ``advice.nc``.
-    attractors, agreement : Dataset, optional
-        As stored in the run's folder; of systems, whose approximations are not judged, how far
-        these agree is said in numbers.
+        The verdicts of every contact; empty without the exact law, and for systems, of which the
+        agreement is stated in numbers.
     """
-    # First, as it says that nothing else here is about contacts.
-    far = said_of_far_walls(responses)
+    responses = inputs.responses
+    # First, because without contacts all other findings are about the linear system.
+    far = unreached_walls(responses)
     sentences = [*_doubtful(responses), *filter(None, [far])]
     sentences.append(outcomes(responses))
     sentences += _along(responses)
-    if attractors is not None:
-        sentences += _coexisting(attractors)
-    if agreement is not None and not in_metres(responses):
-        sentences += _agreeing(agreement)
-    sentences += _closest(found)
-    sentences += _prices(found)
-    if advice is not None:
-        sentences.append(_choices(advice))
-    if decided is not None:
-        sentences.append(_verdicts(decided))
+    if inputs.attractors is not None:
+        sentences += _coexisting(inputs.attractors)
+    if inputs.agreement is not None and not in_metres(responses):
+        sentences += _agreeing(inputs.agreement)
+    sentences += _costs(found)
+    if inputs.advice is not None:
+        sentences.append(_choices(inputs.advice))
+    if inputs.claims is not None:
+        sentences.append(_verdicts(inputs.claims))
     return sentences
 
 
@@ -75,11 +61,11 @@ def _doubtful(responses: xr.Dataset) -> list[str]:
 
 
 _CURVE = 10  # values that make a curve
-_SAID = 3  # stretches of it that are said
+_SAID = 3  # intervals of it that are listed
 
 
-def said_of_far_walls(responses: xr.Dataset) -> str:
-    """In which cases motions reach no wall, or which contacts of a system; empty if none."""
+def unreached_walls(responses: xr.Dataset) -> str:
+    """The cases, or the contacts of a system, in which no motion reaches a wall; empty if none."""
     if in_metres(responses):
         dims = [str(dim) for dim in responses["status"].dims]
         said = never_reached(lambda name: responses[name].values, dims, labels_of(responses))
@@ -99,11 +85,14 @@ def said_of_far_walls(responses: xr.Dataset) -> str:
     )
 
 
-_OF_SYSTEMS = {ResponseClass.QUASIPERIODIC: "quasiperiodic", ResponseClass.EQUILIBRIUM: "at rest"}
+_OF_SYSTEMS = {
+    ResponseClass.QUASIPERIODIC: "quasiperiodic",
+    ResponseClass.EQUILIBRIUM: "in equilibrium",
+}
 
 
 def outcomes(responses: xr.Dataset) -> str:
-    """How many sweep points came out how, and why some did not."""
+    """Counts of sweep points by class, and the reasons of failures."""
     status, kind = (responses[n].values for n in ("status", "response_class"))
     asked = status != Status.NOT_REQUESTED
     counts = _counted(kind[asked])
@@ -141,7 +130,7 @@ def _counted(values: NDArray[np.integer]) -> Counter[int]:
 
 
 def _along(responses: xr.Dataset) -> Iterator[str]:
-    """Where on the one curve of a run some start is not periodic, of the exact law if swept."""
+    """Where on the only curve of a run a response is not periodic, for the exact law if any."""
     kinds = responses["response_class"]
     long = [dim for dim in kinds.dims if kinds.sizes[dim] > 1]
     dims = [dim for dim in long if dim not in (REPRESENTATION, START)]
@@ -149,7 +138,7 @@ def _along(responses: xr.Dataset) -> Iterator[str]:
         return
     x, label = responses[dims[0]], _exact_if_swept(responses)
     of_law = kinds.sel(representation=label).transpose(dims[0], ...).values.reshape(x.size, -1)
-    some = " from some start" if START in long else ""
+    some = " from some initial conditions" if START in long else ""
     for kind in (ResponseClass.CHAOTIC, *_OF_SYSTEMS):
         ranges = _ranges((of_law == kind).any(axis=1), drawn(x))
         if ranges:
@@ -160,7 +149,7 @@ def _along(responses: xr.Dataset) -> Iterator[str]:
 
 
 def _ranges(is_so: NDArray[np.bool_], x: NDArray[np.float64]) -> str:
-    """The widest stretches of a grid on which something is so, in words."""
+    """The widest intervals of a grid on which a condition holds, in words."""
     edges = np.flatnonzero(np.diff(is_so, prepend=False, append=False)).reshape(-1, 2) - (0, 1)
     widest = sorted(sorted(edges.tolist(), key=lambda edge: edge[0] - edge[1])[:_SAID])
     said = [f"{x[a]:.4g}{f' to {x[b]:.4g}' if b > a else ''}" for a, b in widest]
@@ -175,7 +164,7 @@ def _exact_if_swept(dataset: xr.Dataset) -> str:
 
 
 def _coexisting(attractors: xr.Dataset) -> Iterator[str]:
-    """In how many places several attractors were found, of the exact law if that was swept."""
+    """At how many points several attractors coexist, for the exact law if computed."""
     label = _exact_if_swept(attractors)
     n = attractors["n_attractors"].sel(representation=label).values
     n_places, n_several = int((n > 0).sum()), int((n > 1).sum())
@@ -186,7 +175,7 @@ def _coexisting(attractors: xr.Dataset) -> Iterator[str]:
 
 
 def _agreeing(agreement: xr.Dataset) -> Iterator[str]:
-    """What every approximation keeps of the exact law, in the coordinate where it keeps least."""
+    """Agreement of every approximation with the exact law, for the worst coordinate."""
     floors = str(agreement.attrs["floor_representations"]).split()
     error, recall, n = "amplitude_error_p95", "recall_pooled", "n_compared"
     of_scenes = agreement[[error, recall, n]].sel(regime="all").load()
@@ -200,56 +189,16 @@ def _agreeing(agreement: xr.Dataset) -> Iterator[str]:
         if label in (EXACT, *floors) or not np.isfinite(row[error]):
             continue
         worst, n_scenes = float(rows[recall].where(rows[n] > 0).min()), int((rows[n] > 0).sum())
-        over = f", medians over {n_scenes} scenes" if n_scenes > 1 else ""
-        over += f"; in one {percent(worst)}" if worst < row[recall] else ""
+        over = f", medians over {n_scenes} parameter sets" if n_scenes > 1 else ""
+        over += f"; lowest {percent(worst)}" if worst < row[recall] else ""
         yield (
             f"{label} keeps 95 % of the amplitudes within {percent(float(row[error]))} of the "
             f"exact law's and finds {percent(float(row[recall]))} of its attractors{over}."
         )
 
 
-def _closest(found: Sequence[Contact]) -> Iterator[str]:
-    """Which laws are closest beyond doubt, among those that stand in the same contact."""
-    several = [contact for contact in found if len(_models(contact)) > 1]
-    counts = Counter(_closest_in(contact) for contact in several)
-    undecided = counts.pop("", 0)
-    if not counts:
-        if several and all(_is_unknown(contact) for contact in several):
-            yield "Closest approximation: undecided, because there are too few frequencies."
-        elif several:
-            yield "In no contact is one approximation clearly closest in amplitude."
-        return
-    pairs = [*counts.most_common(), *([("no single one", undecided)] if undecided else [])]
-    # The last number is part of how many they are of.
-    *others, (last, n) = pairs
-    parts = [*(f"{name} in {k}" for name, k in others), f"{last} in {how_many(n, several)}"]
-    said = ", ".join(parts)
-    yield f"Closest in amplitude beyond the 95 % intervals: {said} with several approximations."
-
-
-def _closest_in(contact: Contact) -> str:
-    first, *others = sorted(_models(contact), key=lambda one: one.values["median"][0])
-    bounds = [one.values["median"] for one in others]
-    # What lies below the floor cannot be told from rounding, nor from each other.
-    told = all(
-        first.values["median"][2] < best and not e <= contact.floors["median"][0]
-        for e, best, _ in bounds
-    )
-    return first.law if told else ""
-
-
-def _is_unknown(contact: Contact) -> bool:
-    """Whether no approximation's error has an interval."""
-    return all(np.isnan(one.values["median"][1:]).all() for one in _models(contact))
-
-
-def _models(contact: Contact) -> list[Judged]:
-    """The approximations with any amplitudes."""
-    return [o for o in contact.laws if o.is_approximation and np.isfinite(o.values["median"][0])]
-
-
-def _prices(found: Sequence[Contact]) -> Iterator[str]:
-    laws = [o for c in found for o in c.laws if o.is_approximation and np.isfinite(o.price)]
+def _costs(found: Sequence[Contact]) -> Iterator[str]:
+    laws = [o for c in found for o in c.laws if o.is_approximation and np.isfinite(o.cost_ratio)]
     dearer, cheaper = sum(one.low > 1.0 for one in laws), sum(one.high < 1.0 for one in laws)
     if laws and all(np.isnan(one.low) for one in laws):
         yield (
@@ -260,21 +209,21 @@ def _prices(found: Sequence[Contact]) -> Iterator[str]:
     elif laws:
         pairs = f"{len(laws)} pair{'s' * (len(laws) > 1)}"
         yield (
-            f"Of {pairs} of contact and approximation, {dearer} cost more CPU time per forcing "
+            f"Of {pairs} of case and approximation, {dearer} cost more CPU time per forcing "
             f"period than the exact law with this study's solver, {cheaper} less; "
             f"{len(laws) - dearer - cheaper} undecided."
         )
 
 
 def _choices(advice: xr.Dataset) -> str:
-    """What representation ``auto`` has taken."""
+    """Which laws representation ``auto`` uses."""
     flags = advice["model"].attrs
     names = dict(zip(np.ravel(flags["flag_values"]), flags["flag_meanings"].split(), strict=True))
     chosen, counts = np.unique(advice["model"].values, return_counts=True)
     parts = [f"{n} {names[m]}" for m, n in zip(chosen, counts, strict=True) if m >= 0]
     return (
-        f"For an error of {advice.attrs['error']:g}, auto takes as the least model that "
-        f"{counts[chosen >= 0].sum()} scenes and starts need: {', '.join(parts)}."
+        f"For an error of {advice.attrs['error']:g}, auto uses the simplest adequate model of "
+        f"{counts[chosen >= 0].sum()} parameter sets and initial conditions: {', '.join(parts)}."
     )
 
 

@@ -28,20 +28,21 @@ from gapsweep.report.answer import (
     in_words,
     times,
 )
-from gapsweep.report.backdrop import said_of_walls
+from gapsweep.report.backdrop import caption_of_walls
 from gapsweep.report.benchmarks import bench_parts
-from gapsweep.report.drawing import labels_of, said_of_marks
-from gapsweep.report.figures import beside_exact, by_contact
-from gapsweep.report.findings import findings, outcomes, said_of_far_walls
-from gapsweep.report.heat import GROUPS, MANY, heads, heat, swept_columns
+from gapsweep.report.drawing import caption_of_marks, labels_of
+from gapsweep.report.figures import compared_with_exact
+from gapsweep.report.findings import findings, outcomes, unreached_walls
+from gapsweep.report.heat import GROUPS, MANY, cell, heads, heat, swept_columns
+from gapsweep.report.inputs import Inputs
 from gapsweep.report.maps import numbered_as
 from gapsweep.report.model import model
 from gapsweep.report.overview import along_axis, is_wide, maps_of, overview, plane_of
 from gapsweep.report.parts import HERO, Figured, Part, for_page, pictured, rendered, shown
 from gapsweep.report.provenance import provenance
 from gapsweep.report.scales import named, plain
-from gapsweep.report.scenes import Scenes, said_of_starts, starts_of, swept
-from gapsweep.report.selection import anchor_of, beside, gap_label
+from gapsweep.report.scenes import Scenes, caption_of_starts, starts_of, swept
+from gapsweep.report.selection import anchor_of, gap_label, other_parameters
 from gapsweep.report.style import MATPLOTLIB, colour
 from gapsweep.report.tables import (
     VERDICTS,
@@ -64,60 +65,27 @@ _TEMPLATES = Path(__file__).parent / "templates"
 _FEW = 5  # frequencies, which a caption names
 
 
-def write_report(
-    path: Path,
-    responses: xr.Dataset,
-    agreement: xr.Dataset | None,
-    timing: xr.Dataset,
-    *,
-    attractors: xr.Dataset | None = None,
-    advice: xr.Dataset | None = None,
-    static: xr.Dataset | None = None,
-    claims: Mapping[str, Any] | None = None,
-    own_parts: Sequence[Mapping[str, Any]] = (),
-    work_precision: xr.Dataset | None = None,
-    stability: xr.Dataset | None = None,
-    branches: xr.Dataset | None = None,
-    made_from: str = "",
-) -> Path:
+def write_report(path: Path, inputs: Inputs, made_from: str = "") -> Path:
     """Write the report: the files of its figures, and the page last.
 
     Parameters
     ----------
     path : Path
         The HTML file.
-    responses, agreement, timing : Dataset
-        As stored in the run's folder; `agreement` is None if the exact law was not swept.
-    attractors : Dataset, optional
-        As stored in the run's folder; drawn where there are several starts.
-    advice : Dataset, optional
-        As stored in the run's folder, where ``auto`` is a representation.
-    static : Dataset, optional
-        As stored in the run's folder; says from where tanh has no false well.
-    claims : mapping, optional
-        What stands in ``claims.json``.
-    own_parts : sequence of mapping
-        The sections that stand in ``sections.json``.
-    work_precision, stability : Dataset, optional
-        As stored in the run's folder, for the sections of the benchmark.
-    branches : Dataset, optional
-        As stored in the run's folder; drawn behind the attractors.
+    inputs : Inputs
     made_from : str
         Kept in a meta element, so that the report is made again only if that changes.
     """
-    drawn = sections(responses, agreement, timing, attractors, branches, work_precision, stability)
-    own = [part for part in own_parts if part["anchor"] != ANSWER]
-    top = head(
-        responses, agreement, attractors=attractors, advice=advice, static=static, claims=claims,
-        own_answer=[line for part in own_parts if part not in own for line in part["sentences"]],
-    )  # fmt: skip
+    responses, claims = inputs.responses, inputs.claims
+    own = [part for part in inputs.own_parts if part["anchor"] != ANSWER]
+    drawn, top = sections(inputs), head(inputs)
     parts = for_page([*own, *rendered(drawn)], MOST_FIGURES, FIGURES)
     hero = _hero(responses, top["contacts"])
     environment = _environment()
     shared = {
         "parts": [part | {"is_own": i < len(own)} for i, part in enumerate(parts)],
-        "measured_on": timing.attrs["measured_on"],
-        "is_compared": agreement is not None,
+        "measured_on": inputs.timing.attrs["measured_on"],
+        "is_compared": inputs.agreement is not None,
         "has_protocols": any("@" in label for label in labels_of(responses)),
     }
     page = environment.get_template("report.html").render(
@@ -151,58 +119,39 @@ def write_report(
     return path
 
 
-def sections(
-    responses: xr.Dataset,
-    agreement: xr.Dataset | None,
-    timing: xr.Dataset,
-    attractors: xr.Dataset | None = None,
-    branches: xr.Dataset | None = None,
-    work_precision: xr.Dataset | None = None,
-    stability: xr.Dataset | None = None,
-) -> Iterator[Part]:
-    """The sections of a report, except those of the study; datasets as for `write_report`."""
-    files = (responses, agreement, timing, attractors, branches)
-    yield from bench_parts(work_precision, stability)
-    yield from [overview(*files)] if is_wide(responses) else _scenes(*files)
+def sections(inputs: Inputs) -> Iterator[Part]:
+    """The sections of a report, except those of the study."""
+    yield from bench_parts(inputs.work_precision, inputs.stability)
+    yield from [overview(inputs)] if is_wide(inputs.responses) else _scenes(inputs)
 
 
-def head(
-    responses: xr.Dataset,
-    agreement: xr.Dataset | None,
-    *,
-    attractors: xr.Dataset | None = None,
-    advice: xr.Dataset | None = None,
-    static: xr.Dataset | None = None,
-    claims: Mapping[str, Any] | None = None,
-    own_answer: Sequence[str] = (),
-) -> dict[str, Any]:
-    """The texts of a report that stand outside its sections, as its template names them.
-
-    Parameters
-    ----------
-    own_answer : sequence of str
-        Sentences of the study that come first; other parameters as for `write_report`.
-    """
+def head(inputs: Inputs) -> dict[str, Any]:
+    """The texts of a report outside its sections, as its template names them."""
+    responses = inputs.responses
     # The rules of the answer are for one displacement between two walls.
     is_judged = in_metres(responses)
-    found = contacts(agreement, static) if agreement is not None and is_judged else []
+    found = (
+        contacts(inputs.agreement, inputs.static)
+        if inputs.agreement is not None and is_judged
+        else []
+    )
     told, said = found[:MOST_CONTACTS], in_words(found)
+    own_answer = [part["sentences"] for part in inputs.own_parts if part["anchor"] == ANSWER]
+    own = [sentence for sentences in own_answer for sentence in sentences]
     return {
         "title": responses.attrs["title"],
         "study": responses.attrs["study"],
-        "findings": findings(
-            responses, found, claims, advice, attractors=attractors, agreement=agreement
-        ),
+        "findings": findings(inputs, found),
         "contacts": told,
-        "far": said_of_far_walls(responses) if is_judged else "",
-        "headline": own_answer or said[:1],
-        "answer": said[0 if own_answer else 1 :],
+        "far": unreached_walls(responses) if is_judged else "",
+        "headline": own or said[:1],
+        "answer": said[0 if own else 1 :],
         "signs": SIGNS,
         "groups": GROUPS,
         "verdicts": VERDICTS,
         "stiffnesses": heads(contact.K_c for contact in told),
         "gaps": heads((contact.K_c, contact.gap) for contact in told),
-        "beside": swept_columns(told) if any(contact.swept for contact in told) else None,
+        "swept": swept_columns(told) if any(contact.swept for contact in told) else None,
         "is_many": len(told) > MANY,
         "has_own_starts": any(len({law.n_exact for law in one.laws}) > 1 for one in told),
         "heat": heat(told),
@@ -229,7 +178,7 @@ def _environment() -> jinja2.Environment:
         lstrip_blocks=True,
     )
     filters = {"number": number, "percent": percent, "times": times, "colour": colour}
-    found.filters.update(**filters, plain=plain, digest=_digest)
+    found.filters.update(**filters, cell=cell, plain=plain, digest=_digest)
     return found
 
 
@@ -252,7 +201,7 @@ def _files(
 
 
 def _script(name: str) -> Markup:
-    """A file of our own, without anything of the user's."""
+    """A script of the package, without user texts."""
     return Markup((_TEMPLATES / f"{name}.js").read_text(encoding="utf-8"))
 
 
@@ -277,7 +226,7 @@ def _remove_others(folder: Path, written: Collection[str]) -> None:
 
 
 def _hero(responses: xr.Dataset, found: Sequence[Contact]) -> dict[str, Any] | None:
-    """What the verdicts look like, where they differ most; None without frequencies."""
+    """Figure of the case with the most different verdicts; None without frequencies."""
     if not found or responses.sizes["omega"] < 2:
         return None
     contact = max(found, key=lambda one: (len(list(filter(None, one.columns.values()))), one.K_c))
@@ -286,18 +235,18 @@ def _hero(responses: xr.Dataset, found: Sequence[Contact]) -> dict[str, Any] | N
     if scene is None or not laws:
         return None
     said = (
-        f"Peak displacement at {contact.place}: contact laws (coloured) over the exact law (larger "
-        "dots), for the same initial conditions"
+        f"Peak displacement at {contact.place}: contact laws (coloured) and the exact law (larger "
+        "dots behind), for the same initial conditions"
     )
     with matplotlib.rc_context(MATPLOTLIB):
-        figure = beside_exact(swept(scene.sel(representation=[EXACT, *laws])), EXACT, laws)
-        looks = f"{said_of_walls(scene, of_peaks=True)}{said_of_marks(figure)}"
+        figure = compared_with_exact(swept(scene.sel(representation=[EXACT, *laws])), EXACT, laws)
+        looks = f"{caption_of_walls(scene, of_peaks=True)}{caption_of_marks(figure)}"
         made = pictured(Figured(figure, f"{said}.{looks}", said))
     return {**shown(made), "id": HERO}
 
 
 def _telling(contact: Contact) -> list[Judged]:
-    """Of each verdict the cheapest approximation, firm if any is; best and worst if all alike."""
+    """The cheapest approximation of each verdict, firm if any; best and worst if all are alike."""
     columns = ([one for one in laws if one.is_approximation] for laws in contact.columns.values())
     shown = [next((one for one in laws if one.is_firm), laws[0]) for laws in columns if laws]
     if len(shown) > 1:
@@ -325,56 +274,44 @@ def _place(place: str, names: Mapping[str, str], parts: Sequence[Mapping[str, An
 
 
 def _begins(text: str, start: str) -> bool:
-    """Whether a name begins with another one, of the same number."""
+    """Whether a name begins with another one that ends before a number does."""
     return text.startswith(start) and not text[len(start) : len(start) + 1].isdigit()
 
 
 def _digest(script: str) -> str:
-    """SHA-256 by which the page allows its own script, and no other."""
+    """SHA-256 by which the page allows only its own script."""
     return base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
 
 
 def _is_ours(path: Path) -> bool:
-    """Whether the file there is a report, sound or changed, which may be replaced."""
+    """Whether the file is a report, sound or changed, which may be replaced."""
     return (
         is_recorded(path)
         or '<meta name="generator" content="gapsweep">' in path.read_text(errors="replace")[:1000]
     )
 
 
-def _scenes(
-    responses: xr.Dataset,
-    agreement: xr.Dataset | None,
-    timing: xr.Dataset,
-    attractors: xr.Dataset | None,
-    branches: xr.Dataset | None,
-) -> Iterator[Part]:
-    """Everything about one scene after the other; what would be columns of dots, in one figure."""
-    scenes = Scenes(responses)
-    columns = list(_columns(scenes, responses)) if responses.sizes["omega"] == 1 else []
-    is_joint = len(columns) > 1
-    if is_joint:
-        yield _at_one_frequency(scenes, columns, f"{responses['omega'].item():g} Hz")
-    for at, here in _found(scenes, responses):
+def _scenes(inputs: Inputs) -> Iterator[Part]:
+    """Everything about one parameter set after the other."""
+    responses = inputs.responses
+    for at, here in _found(Scenes(responses), responses):
         labels = labels_of(here)
         title = _title(here)
-        compared = None if agreement is None else agreement.isel(at)
+        compared = None if inputs.agreement is None else inputs.agreement.isel(at)
         yield Part(
             anchor_of(at),
             title,
             [outcomes(here)],
             [
-                *scene_tables(compared, timing.isel(at), labels),
-                *special_points(branches, here, "omega"),
+                *scene_tables(compared, inputs.timing.isel(at), labels),
+                *special_points(inputs.branches, here, "omega"),
             ],
-            ()
-            if is_joint and at in columns
-            else _scene_figures(_without_protocols(here), attractors, branches, at, title),
+            _scene_figures(inputs, _without_protocols(here), at, title),
         )
 
 
 def _found(scenes: Scenes, responses: xr.Dataset) -> Iterator[tuple[At, xr.Dataset]]:
-    """Every scene that was swept, and where it is."""
+    """Every computed parameter set, with its position."""
     for at in all_scenes(responses, scene_dims(responses["status"].dims)):
         here = scenes.at(at)
         if here is not None:
@@ -382,47 +319,12 @@ def _found(scenes: Scenes, responses: xr.Dataset) -> Iterator[tuple[At, xr.Datas
 
 
 def _title(scene: xr.Dataset) -> str:
-    return ", ".join(_said(scene))
+    """The values that a scene has one of, in words."""
+    others = [named(scene[name]) for name in other_parameters(scene)]
+    return ", ".join([named(scene["K_c"]), f"gap {gap_label(scene)} mm", *others])
 
 
-def _said(scene: xr.Dataset) -> list[str]:
-    """What a scene has one value of."""
-    others = [named(scene[name]) for name in beside(scene)]
-    return [named(scene["K_c"]), f"gap {gap_label(scene)} mm", *others]
-
-
-def _columns(scenes: Scenes, responses: xr.Dataset) -> Iterator[At]:
-    """Scenes of one frequency whose starts form no plane to be drawn."""
-    return (at for at, here in _found(scenes, responses) if not plane_of(here))
-
-
-def _at_one_frequency(scenes: Scenes, columns: Sequence[At], omega: str) -> Part:
-    """One figure in place of one of a single column of dots for each scene."""
-    said, peaks = [], []
-    for at in columns:  # one after the other in memory
-        scene = scenes.at(at)
-        assert scene is not None, "a column is of a scene that was swept"
-        said.append(_said(scene))
-        names = ["x_max", "response_class"]
-        peaks.append(_without_protocols(scene)[names].isel(omega=0).load())
-    differs = [len(set(column)) > 1 for column in zip(*said, strict=True)]
-    names = [", ".join(word for word, d in zip(each, differs, strict=True) if d) for each in said]
-    told = [  # of what differs by less than is printed, the first, the second, ...
-        f"{name} ({names[: i + 1].count(name)})" if names.count(name) > 1 else name
-        for i, name in enumerate(names)
-    ]
-    caption = "Peak displacement of the steady response, one dot per initial condition."
-    figure = Figured(by_contact(dict(zip(told, peaks, strict=True))), caption, f"Peaks at {omega}")
-    return Part("contacts", f"All contacts at {omega}", [], (), [figure])
-
-
-def _scene_figures(
-    scene: xr.Dataset,
-    attractors: xr.Dataset | None,
-    branches: xr.Dataset | None,
-    at: At,
-    title: str,
-) -> Iterator[Figured]:
+def _scene_figures(inputs: Inputs, scene: xr.Dataset, at: At, title: str) -> Iterator[Figured]:
     if scene.sizes["omega"] == 1 and (plane := plane_of(scene)):
         at_once = scene.isel(omega=0)
         exact = at_once.sel(representation=EXACT) if EXACT in labels_of(scene) else None
@@ -432,10 +334,10 @@ def _scene_figures(
                 one = numbered_as(one, exact)
             yield from maps_of([(one, "attractor"), (one, "x_max")], plane, f"{label}, {where}")
         return
-    found = _attractors(attractors, scene, at)
+    found = _attractors(inputs.attractors, scene, at)
     yield from along_axis(
-        scene, found, branches, "omega", title, has_curve=found is None,
-        of_starts=said_of_starts(scene),
+        scene, found, inputs.branches, "omega", title, has_curve=found is None,
+        of_starts=caption_of_starts(scene),
         of_attractors="" if found is None else _where_few(found, scene),
     )  # fmt: skip
 
@@ -455,7 +357,7 @@ def _attractors(attractors: xr.Dataset | None, scene: xr.Dataset, at: At) -> xr.
 
 
 def _where_few(found: xr.Dataset, scene: xr.Dataset) -> str:
-    """At which few of its frequencies a scene was swept from several starts, in words."""
+    """The few frequencies with several initial conditions, in words."""
     omega = found["omega"].values
     if omega.size > min(_FEW, scene.sizes["omega"] - 1):
         return ""
@@ -463,6 +365,6 @@ def _where_few(found: xr.Dataset, scene: xr.Dataset) -> str:
 
 
 def _without_protocols(scene: xr.Dataset) -> xr.Dataset:
-    """The representations as they are; those of other solver settings if there is nothing else."""
+    """Representations without other solver settings; all if there are no others."""
     plain = [i for i, label in enumerate(scene["representation"].values) if "@" not in str(label)]
     return swept(scene.isel(representation=plain)) if plain else scene

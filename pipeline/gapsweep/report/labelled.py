@@ -1,4 +1,4 @@
-"""What figures of one axes have in common: where they are drawn, over what, and their labels."""
+"""Axes, horizontal coordinate and labels, common to all plots of the accessor."""
 
 import textwrap
 from collections.abc import Mapping
@@ -59,7 +59,7 @@ def scene_along(
 
 
 def finished(axes: "Axes", shown: xr.Dataset, along: str) -> "Axes":
-    """Label the horizontal axis, and say what the plot shows."""
+    """Label the horizontal axis, and title the plot."""
     axes.set_xlabel(axis_label(shown[along]))
     # Also where nothing is drawn.
     axes.update_datalim(np.column_stack([drawn(shown[along])] * 2), updatey=False)
@@ -70,7 +70,7 @@ def finished(axes: "Axes", shown: xr.Dataset, along: str) -> "Axes":
 
 
 def titled(axes: "Axes", shown: xr.Dataset) -> "Axes":
-    """Say what is what, and what the plot shows one value of."""
+    """Add a legend, and a title with all parameters that have one value."""
     if axes.get_legend() is None and axes.get_legend_handles_labels()[0]:
         n = len(axes.get_legend_handles_labels()[0])
         axes.legend(fontsize=8, ncols=2 if n > _COLUMN else 1)

@@ -1,5 +1,6 @@
 """Maps: one variable over two numeric axes, every cell a colour of one mesh."""
 
+import math
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -13,7 +14,6 @@ from gapsweep.analysis.agreement.law_tables import CHAOTIC, CLASSES, class_numbe
 from gapsweep.analysis.dimensions import selected
 from gapsweep.errors import DatasetError
 from gapsweep.model.labels import EXACT
-from gapsweep.report.mesh import edges, mesh
 from gapsweep.report.scales import axis_label, drawn, is_crowded_low, is_log
 from gapsweep.report.selection import missing_variable, scene
 from gapsweep.report.style import BLANK, CLASS_COLOURS, sequence
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 _START = "initial_condition"
-_MOST_KINDS = 8  # colours that can be told apart; whole numbers beyond have a colour bar
+MOST_KINDS = 8  # colours that can be told apart; whole numbers beyond have a colour bar
 _TAIL = 0.005  # share of the numbers at either end that may lie beyond the colour bar
 _ALIKE = 0.05  # of the peak: attractors of two laws that one would call the same in a diagram
 # Colours of attractors, which no order of lightness may seem to rank (Okabe & Ito, 2008).
@@ -32,6 +32,7 @@ _NAMED = ("#56B4E9", "#E69F00", "#009E73", "#CC79A7", "#0072B2", "#D55E00", "#F0
 _FAILED = "failed"
 _NO_PICTURE = ("unresolved", _FAILED)
 _HATCH = "////"
+_FINENESS = 2000  # cells of one width along an axis of uneven ones
 
 
 @dataclass
@@ -70,7 +71,7 @@ class MapImage:
 def picture(
     dataset: xr.Dataset, variable: str, x: str, y: str | None, wanted: Mapping[str, Any]
 ) -> tuple[MapImage, xr.Dataset]:
-    """What a map of a variable shows, and the part of the dataset that it is of.
+    """A map of a variable, and the part of the dataset that it shows.
 
     Parameters
     ----------
@@ -120,57 +121,23 @@ def on_grid(starts: xr.Dataset, y: str = "v_0", x: str = "x_0") -> xr.Dataset:
         If the fixed starts do not form a full grid.
     """
     here = starts.isel({_START: np.isfinite(starts[x].values) & np.isfinite(starts[y].values)})
-    rows, columns = np.unique(here[y].values), np.unique(here[x].values)
-    order = np.lexsort((here[x].values, here[y].values))
-    pairs = np.stack(np.meshgrid(rows, columns, indexing="ij"), axis=-1).reshape(-1, 2)
-    found = np.column_stack([here[y].values, here[x].values])[order]
-    if not order.size or pairs.shape != found.shape or not np.array_equal(pairs, found):
+    others = [name for name, held in here.coords.items() if held.ndim and name not in (x, y)]
+    table = here.set_coords([x, y]).drop_vars(others).set_index(initial_condition=[y, x])
+    index: Any = table.indexes[_START]
+    if not index.size or index.has_duplicates or math.prod(index.levshape) != index.size:
         raise DatasetError(
-            f"{x}, {y}: the {order.size} fixed starts are no full grid of the two; attractors() "
+            f"{x}, {y}: the {index.size} fixed starts are no full grid of the two; attractors() "
             "draws a mark for each"
         )
-    shape = rows.size, columns.size
-    return xr.Dataset(
-        {
-            name: ((y, x), here[name].values[order].reshape(shape), here[name].attrs)
-            for name in here.data_vars
-        },
-        {y: (y, rows, here[y].attrs), x: (x, columns, here[x].attrs)}
-        | {name: c for name, c in here.coords.items() if c.ndim == 0},
-        starts.attrs,
-    )
-
-
-def as_basins(starts: xr.Dataset) -> xr.Dataset:
-    """Starts that form a grid in the form in which `gapsweep.basins` returns them.
-
-    Parameters
-    ----------
-    starts : Dataset
-        ``attractor(initial_condition)``, ``period_multiple``, ``x_max``, ``x_0`` and ``v_0``.
-
-    Raises
-    ------
-    DatasetError
-        If they form none.
-    """
-    starts = starts.isel({_START: np.isfinite(starts["x_0"].values)})
-    ids, first = np.unique(starts["attractor"].values, return_index=True)
-    known = first[ids >= 0]
-    what = starts[["period_multiple", "x_max"]].isel({_START: known})
-    grid = on_grid(starts.set_coords(["x_0", "v_0"])[["attractor"]])
-    numbers = np.searchsorted(ids[ids >= 0], grid["attractor"].values)
-    grid["attractor"] = grid["attractor"].copy(data=np.where(grid["attractor"] >= 0, numbers, -1))
-    return grid.assign(
-        {name: ("attractor_number", what[name].values, what[name].attrs) for name in what}
-    )
+    grid = table.unstack(_START)
+    return grid.assign_coords({name: grid[name].assign_attrs(here[name].attrs) for name in (y, x)})
 
 
 def numbered_as(starts: xr.Dataset, exact: xr.Dataset) -> xr.Dataset:
-    """The starts of a law, its attractors numbered as those of the exact law that they are like.
+    """Number the attractors of a law as the matching attractors of the exact law.
 
-    Alike are those of one period whose peaks are within `_ALIKE`, the closest pair first; what is
-    like none is counted on after the exact law's.
+    Two attractors match if their periods are equal and their peaks within `_ALIKE`; the closest
+    pair is matched first. Attractors without a match have numbers after those of the exact law.
 
     Parameters
     ----------
@@ -250,13 +217,11 @@ def _hatch(axes: "Axes", shown: MapImage) -> None:
 
 
 def _key(axes: "Axes", names: Sequence[str], colours: Sequence[str], title: str) -> None:
-    """A legend under the axes, where it hides nothing."""
+    """A legend below the axes."""
     from matplotlib.patches import Patch
-    from matplotlib.transforms import ScaledTranslation
 
     if not names:
         return
-    below = ScaledTranslation(0.0, -34.0 / 72.0, axes.figure.dpi_scale_trans)
     patches = [
         Patch(facecolor=shade, edgecolor="#888888", linewidth=0.4, label=name)
         for name, shade in zip(names, colours, strict=True)
@@ -266,17 +231,12 @@ def _key(axes: "Axes", names: Sequence[str], colours: Sequence[str], title: str)
     axes.legend(
         handles=patches,
         loc="upper left",
-        bbox_to_anchor=(0.0, 0.0),
-        bbox_transform=axes.transAxes + below,
+        bbox_to_anchor=(0.0, -0.16),
         ncols=4,
         title=title,
         alignment="left",
         fontsize=8,
         title_fontsize=8,
-        handlelength=1.0,
-        handletextpad=0.4,
-        columnspacing=1.0,
-        borderpad=0.0,
         frameon=False,
     )
 
@@ -291,7 +251,7 @@ def _check_axis(part: xr.Dataset, name: str) -> None:
 
 
 def _companions(part: xr.Dataset, variable: str) -> list[str]:
-    """What tells why a cell has no number, where it is stored cell by cell."""
+    """Variables that explain missing numbers, if they are stored for every cell."""
     needed = ("status", "response_class")
     dims = set(part[variable].dims)
     return [n for n in needed if n in part and n != variable and dims == set(part[n].dims)]
@@ -336,7 +296,7 @@ def _mark_whole_numbers(made: MapImage, values: xr.DataArray) -> None:
     there = np.unique(whole[whole >= first]).tolist()
     flags = np.ravel(attributes.get("flag_values", [])).tolist()
     known = dict(zip(flags, str(attributes.get("flag_meanings", "")).split(), strict=False))
-    if not known and len(there) > _MOST_KINDS:
+    if not known and len(there) > MOST_KINDS:
         made.numbers = made.numbers.where(whole >= first)
         return
     # Those of attractors are names: one number has one colour in the maps of all laws.
@@ -364,3 +324,70 @@ def _norm(numbers: NDArray[np.float64]) -> tuple[Any, str]:
     within = numbers[(numbers >= low) & (numbers <= high)]
     norm = LogNorm if is_crowded_low(within) else Normalize
     return norm(low, high), extend.get(beyond, "neither")
+
+
+def edges(values: NDArray[np.float64], *, log: bool) -> NDArray[np.float64]:
+    """Edges of the cells of an axis, halfway between its values.
+
+    Parameters
+    ----------
+    values : ndarray, shape (n,)
+        Ascending.
+    log : bool
+        Whether halfway on a logarithmic axis.
+
+    Returns
+    -------
+    ndarray, shape (n + 1,)
+    """
+    at = np.log(values) if log else values
+    if at.size == 1:
+        half = 0.05 if log else 0.05 * abs(float(at[0])) or 0.5
+        ends = np.array([at[0] - half, at[0] + half])
+    else:
+        inner = 0.5 * (at[1:] + at[:-1])
+        ends = np.concatenate([[2.0 * at[0] - inner[0]], inner, [2.0 * at[-1] - inner[-1]]])
+        if at[0] > 0.0 and not log:
+            ends[0] = max(ends[0], 0.0)  # what is positive has no cells below zero
+    return np.exp(ends) if log else ends
+
+
+def mesh(axes: "Axes", x: xr.DataArray, y: xr.DataArray, cells: NDArray[Any], **style: Any) -> Any:
+    """Cells whose edges lie halfway between the values, as one image; logarithmic by `is_log`.
+
+    Parameters
+    ----------
+    cells : ndarray, shape (n_y, n_x, ...)
+        What `matplotlib.axes.Axes.imshow` takes.
+    """
+    scaled: dict[int, NDArray[np.float64]] = {}
+    for axis, coordinate in ((1, x), (0, y)):
+        ends = edges(drawn(coordinate), log=is_log(coordinate))
+        which = "yx"[axis]
+        axes.set(**{f"{which}scale": "log" if is_log(coordinate) else "linear"})
+        axes.set(**{f"{which}lim": (ends[0], ends[-1])})
+        scaled[axis] = getattr(axes, f"{which}axis").get_transform().transform(ends)
+        cells = _even(cells, scaled[axis], axis)
+    limits = axes.get_xlim(), axes.get_ylim()
+    # Evenly spaced on the scale, not in the data: matplotlib would stretch it a second time.
+    look = {"transform": axes.transLimits + axes.transAxes, "interpolation": "none", **style}
+    extent = *scaled[1][[0, -1]].tolist(), *scaled[0][[0, -1]].tolist()
+    made = axes.imshow(cells, extent=extent, origin="lower", aspect="auto", **look)
+    axes.set(xlim=limits[0], ylim=limits[1])
+    axes.grid(visible=False)
+    return made
+
+
+def _even(cells: NDArray[Any], ends: NDArray[np.float64], axis: int) -> NDArray[Any]:
+    """Cells of one width along an axis: as they are, or repeated to fit their edges.
+
+    Parameters
+    ----------
+    ends : ndarray, shape (n + 1,)
+        The edges on the scale of the axis.
+    """
+    even = np.linspace(ends[0], ends[-1], ends.size)
+    if np.allclose(ends, even, rtol=0.0, atol=0.01 * (even[1] - even[0])):
+        return cells
+    middles = np.linspace(ends[0], ends[-1], 2 * _FINENESS + 1)[1::2]
+    return np.take(cells, np.searchsorted(ends, middles, side="right") - 1, axis=axis)

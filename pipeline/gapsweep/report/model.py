@@ -1,4 +1,4 @@
-"""The model of a run, as a report tells it: its equation, its numbers, the forces of its laws."""
+"""The model section of a report: the equation, its numbers and the forces of the laws."""
 
 import json
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -15,7 +15,7 @@ from gapsweep.report.scales import plain, shortened
 _EQUATION = (
     "ẍ + (2ζω_n + c / m) ẋ + ω_n² x + (α x³ + F) / m = (p₀ + p cos ωt) / m, with ω and ω_n in rad/s"
 )
-# Its numbers, in the order in which they are told: symbol and unit.
+# Its numbers in the order of the section: symbol and unit.
 _NUMBERS = {
     "zeta": ("ζ", ""),
     "omega_n": ("ω_n", "Hz"),
@@ -25,12 +25,12 @@ _NUMBERS = {
     "mean_load": ("p₀", "N"),
     "c": ("c", "N s/m"),
     "K_c": ("K_c", "N/m"),
-    "K_ratio": ("r", "(lower wall's stiffness over K_c)"),
+    "K_ratio": ("r", "(stiffness of the lower wall / K_c)"),
     "omega": ("ω", "Hz"),
 }
 _FORCES = {
-    "piecewise": "K_c (x − j₂) for x > j₂, r K_c (x + j₁) for x < −j₁, 0 between; of -noevents "
-    "too, whose contacts are not located",
+    "piecewise": "K_c (x − j₂) for x > j₂, r K_c (x + j₁) for x < −j₁, 0 between; also of "
+    "piecewise-noevents, which does not locate contacts",
     "poly": "polynomial of the degree in its name, a least-squares fit",
     "ratpoly": "quotient of polynomials of the degrees in its name, a least-squares fit",
     "tanh": "½ K_c [r (1 − s₁) (x + j₁) + (1 + s₂) (x − j₂)], s₁ = tanh ε(x + j₁), "
@@ -41,13 +41,13 @@ _FORCES = {
     "s₂ = (2/π) arctan γ(x − j₂), γ [1/m] in its name",
 }
 _RATIO = _NUMBERS["K_ratio"]
-# What a contact may have of its own.
+# Settings that a contact may have separately.
 _OWN = {"representation": "", "K_c": "K_c", "gap": "j₁/j₂", "K_ratio": "r"}
 _EQUATION_OF_SYSTEMS = "M q̈ + C q̇ + K q + Σ α (a·q)³ a + Σ F(b·q) b = loads"
 _EQUATION_OF_LAGS = " − D z, ż = E q̇ + G q + H z"
 _MATRICES = {"mass": "M", "damping": "C", "stiffness": "K"}
 _OF_LAGS = {"force": "D", "of_speed": "E", "of_place": "G", "of_lags": "H"}
-_MANY = 5  # values of a number, of which more are told by their ends
+_MANY = 5  # values of a number; of more, the ends are shown
 
 
 def model(responses: xr.Dataset) -> list[tuple[str, str]]:
@@ -78,7 +78,7 @@ def model(responses: xr.Dataset) -> list[tuple[str, str]]:
 
 
 def _system(responses: xr.Dataset) -> list[tuple[str, str]]:
-    """Of systems the one at the values in [parameters]; the walls of its contacts in their unit."""
+    """The system at the values in [parameters]; walls of its contacts in their unit."""
     held, study = (json.loads(responses.attrs[f"{name}_json"]) for name in ("system", "study"))
     at = ", ".join(f"{name} = {plain(value)}" for name, value in study["parameters"].items())
     told = [
@@ -109,7 +109,7 @@ def _system(responses: xr.Dataset) -> list[tuple[str, str]]:
 def _numbers_of_contacts(
     responses: xr.Dataset, own: Mapping[str, Mapping[str, Any]]
 ) -> Iterator[tuple[str, str]]:
-    """What the sweep gives to all contacts of a system, and what some have of their own."""
+    """Swept settings of all contacts of a system, and separate settings of some."""
     for name, symbol in {"K_c": "K_c", "j_1": "j₁", "j_2": "j₂"}.items():
         if name in responses.dims:
             yield symbol, _told(responses[name].values)
@@ -125,7 +125,7 @@ def _numbers_of_contacts(
             for name, symbol in _OWN.items()
             if table.get(name) is not None
         )
-        yield f"Of {contact} alone", ", ".join(told)
+        yield f"Only {contact}", ", ".join(told)
 
 
 def _written(value: Any) -> str:
@@ -136,7 +136,7 @@ def _written(value: Any) -> str:
 
 
 def _turning(term: Any) -> str:
-    """The cosine that a load or a modulation is multiplied by; of a constant one nothing."""
+    """The cosine factor of a load or a modulation; empty if it is constant."""
     angle = [f"{_rate(term)}t"] if term["k"] else []
     angle += [plain(term["phase"])] if term["phase"] else []
     return f" cos({' + '.join(angle)})" if angle else ""
@@ -155,7 +155,7 @@ def _rows(numbers: Any) -> str:
 
 
 def _walls(responses: xr.Dataset) -> str:
-    """Where the walls are; their distances stand in place of the gap where these are swept."""
+    """The walls: the gap, or both distances where these are swept."""
     if "gap" in responses:
         gaps = _listed([shortened(str(gap)) for gap in responses["gap"].values])
         return f"walls at −j₁ and j₂: {gaps} mm"
@@ -172,7 +172,7 @@ def _listed(texts: Sequence[str]) -> str:
 
 
 def _laws(responses: xr.Dataset, labels: Iterable[str]) -> list[tuple[str, str]]:
-    """What the force is, under the name of each law's family or of what the user wrote."""
+    """The force of each law, under the name of its family or of the user's function."""
     tables = json.loads(responses.attrs.get("tables_json", "{}"))
     is_length = in_metres(responses)
     found = {}
@@ -180,20 +180,20 @@ def _laws(responses: xr.Dataset, labels: Iterable[str]) -> list[tuple[str, str]]
         law = family(law_of(label))
         if law is None:
             table = tables.get(law_of(label))
-            said = _table(table, is_length) if table else "the user's own"
+            said = _table(table, is_length) if table else "user-defined"
             found[f"F of {law_of(label)}"] = said
         else:
-            # What a length of a system is, its user alone knows.
+            # The length unit of a system is the user's choice.
             unit = "[1/m]" if is_length else "[1/unit of x]"
             found[f"F of {law.family}"] = _FORCES[law.family].replace("[1/m]", unit)
     return list(found.items())
 
 
 def _table(table: Mapping[str, Any], is_length: bool) -> str:
-    """Of a measured force how many points there are, and from where to where."""
+    """Number and range of the points of a measured force."""
     scale, unit = (1e3, " mm") if is_length else (1.0, "")
     low, high = (plain(scale * table[end]).replace("-", "−") for end in ("low", "high"))
     return (
-        f"a table of {table['points']} points from {low} to {high}{unit}, a monotone cubic between "
-        "them"
+        f"a table of {table['points']} points from {low} to {high}{unit}, monotone cubic "
+        "interpolation"
     )

@@ -38,31 +38,31 @@ class _Picture(Figure):
 def plot(run: Trajectory, coordinate: str | None = None, *, start: float | None = None) -> Figure:
     """Draw a motion: its history, phase portrait, stroboscopic section and amplitude spectrum.
 
-    Dashed are the walls that it comes near: of a system, of contacts that feel that coordinate
-    alone.
+    Dashed: the walls; for systems, only those of contacts on that coordinate.
 
     Parameters
     ----------
     run : Trajectory
         One motion, simulated with ``dense_output=True``.
     coordinate : str, optional
-        Of a system; its first one if None. The name of a contact: its relative displacement.
+        Name of a coordinate of a system (None: the first), or of a contact for its relative
+        displacement.
     start : float, optional
-        Time [s] from which on it is shown, the last 256 periods at most; the middle of the run if
-        None, so that what dies out at first is mostly left out. The history shows the last sixteen
-        periods, the spectrum is over whole ones: forcing periods, or mean times between maxima of
-        the first coordinate where nothing forces it; of less than two, over all that is shown.
+        First time [s] that is shown, at most the last 256 periods; the middle of the run if None,
+        to leave out most of the transient. The history shows the last sixteen periods. The
+        spectrum is over whole periods: forcing periods, or of unforced systems mean times between
+        maxima of the first coordinate; with fewer than two, over the whole time shown.
 
     Returns
     -------
     matplotlib.figure.Figure
-        ``.savefig("motion.pdf")`` keeps it; a notebook shows it.
+        ``.savefig("motion.pdf")`` stores it; a notebook shows it.
 
     Raises
     ------
     ModelError
-        If `run` is an array of motions or kept no dense output, there is no such coordinate, or
-        `start` lies outside the run.
+        If `run` is an array of motions or has no dense output, the coordinate does not exist, or
+        `start` is outside the run.
 
     Examples
     --------
@@ -88,7 +88,7 @@ def plot(run: Trajectory, coordinate: str | None = None, *, start: float | None 
         figure = _Picture(figsize=(9.0, 6.0))
         (history, phase), (section, lines) = figure.subplots(2, 2)
         history.plot(t[at_end], x[at_end], color="black", linewidth=0.8)
-        ended = "" if t[at_end][0] <= run.t_0 else ", its end"
+        ended = "" if t[at_end][0] <= run.t_0 else " (end)"
         history.set(xlabel="time [s]", ylabel=labels[0], title=f"Time history{ended}")
         phase.plot(x, v, color="black", linewidth=0.5)
         phase.set(xlabel=labels[0], ylabel=labels[1], title="Phase portrait")
@@ -115,7 +115,7 @@ def plot(run: Trajectory, coordinate: str | None = None, *, start: float | None 
 
 
 def _periods(run: Trajectory, start: float) -> tuple[float, int]:
-    """A period [s], and how many whole ones are shown from `start` on; what is shorter is one."""
+    """A period [s], and the number of whole periods from `start` on, at least one."""
     shown = run.t_end - start
     times = run.t_section[run.t_section >= start]
     if times.size < 2:
@@ -125,12 +125,12 @@ def _periods(run: Trajectory, start: float) -> tuple[float, int]:
 
 
 def _quantity(run: Trajectory, coordinate: str | None) -> tuple[Array, str, float, str]:
-    """What is drawn as weights of the coordinates, its name, and its scale and unit."""
+    """Weights of the coordinates in the drawn quantity, its name, scale and unit."""
     if not isinstance(run, Trajectory) or run.shape:
-        raise ModelError(f"run = {run!r:.80}: must be one motion, as gapsweep.simulate gives it")
+        raise ModelError(f"run = {run!r:.80}: must be one motion, as gapsweep.simulate returns it")
     if not isinstance(run, SystemTrajectory):
         if coordinate is not None:
-            raise ModelError(f"coordinate = {coordinate!r}: an oscillator has one: leave it out")
+            raise ModelError(f"coordinate = {coordinate!r}: an oscillator has one; leave it out")
         return np.ones(1), "displacement", _MM, " [mm]"
     own = dict(zip(run.system.coordinates, np.eye(run.system.n), strict=True))
     known = {**run.system.contacts, **own}
@@ -155,7 +155,7 @@ def _walls(run: Trajectory, along: Array) -> list[float]:
 
 
 def _both(factor: float, law: ContactLaw) -> list[float]:
-    """Where a coordinate meets the walls of a contact that feels it times a factor."""
+    """Values of a coordinate at the walls of a contact on a multiple of it."""
     places = (-law.gap.j_1, law.K_c * law.K_ratio), (law.gap.j_2, law.K_c)
     return [place / factor for place, stiffness in places if stiffness]  # else there is none
 

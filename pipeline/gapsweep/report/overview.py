@@ -1,8 +1,8 @@
-"""The section of the report in place of one per scene, where these would be too many.
+"""One section of the report in place of one per parameter set, if there are too many sets.
 
-Everything is drawn over two axes, the others at one value: neither the page nor the memory grows
-with the number of scenes. Over two long axes it is meshes; over one, or for each of a few values of
-the other, curves.
+Figures are over two axes, with all other parameters at one value, so that neither the page nor the
+memory grows with the number of sets: meshes over two long axes; curves over one axis, or for each
+of a few values of the second.
 """
 
 from collections.abc import Iterator, Sequence
@@ -22,11 +22,12 @@ from gapsweep.analysis.dimensions import (
 )
 from gapsweep.errors import DatasetError
 from gapsweep.model.labels import EXACT
-from gapsweep.report.backdrop import said_of_bands, said_of_missing, said_of_walls
-from gapsweep.report.branch_lines import said as said_of_branches
-from gapsweep.report.drawing import said_of_peaks
+from gapsweep.report.backdrop import caption_of_bands, caption_of_missing, caption_of_walls
+from gapsweep.report.branch_lines import caption as caption_of_branches
+from gapsweep.report.drawing import caption_of_peaks
 from gapsweep.report.figures import attractors as attractors_figure
 from gapsweep.report.figures import bifurcation, frequency_response, maps
+from gapsweep.report.inputs import Inputs
 from gapsweep.report.maps import MapImage, numbered_as, numeric_axes, on_grid, picture
 from gapsweep.report.parts import Figured, Part
 from gapsweep.report.scales import long_name, named, shown_unit
@@ -36,14 +37,14 @@ from gapsweep.status import Status
 from gapsweep.study.grid import COORDINATE
 
 MOST_SCENES, MOST_POINTS = 16, 200_000
-_TOLD_APART = ("K_c", "gap")  # by these alone scenes have always had a figure each
+_TOLD_APART = ("K_c", "gap")  # parameters whose sets have separate sections
 _START = SWEPT[1]
 _STATE = ("x_0", "v_0")
 _FEW_STARTS = 500
 _OF_ATTRACTORS = ("x_max", "basin_share", "response_class")
-_LEAST = 5  # values of an axis of a map; of fewer, each has curves of its own
-_NOISE = 1e-4  # of numbers, relative: colours of what differs by less would show nothing
-# What maps show, in the words of a caption.
+_LEAST = 5  # values of an axis of a map; with fewer, every value has curves
+_NOISE = 1e-4  # relative differences that colours do not show
+# Variables of maps, as captions name them.
 _WORDS = {
     "response_class": "class",
     "period_multiple": "period",
@@ -55,7 +56,7 @@ _WORDS = {
 
 
 def is_wide(responses: xr.Dataset) -> bool:
-    """Whether a representation has too many scenes, or points, or parameters for figures of each.
+    """Whether there are too many parameter sets, points or parameters for figures of every set.
 
     Parameters
     ----------
@@ -72,20 +73,9 @@ def is_wide(responses: xr.Dataset) -> bool:
     )
 
 
-def overview(
-    responses: xr.Dataset,
-    agreement: xr.Dataset | None,
-    timing: xr.Dataset,
-    attractors: xr.Dataset | None,
-    branches: xr.Dataset | None = None,
-) -> Part:
-    """What stands in the report in place of its scenes.
-
-    Parameters
-    ----------
-    responses, agreement, timing, attractors, branches : Dataset
-        As for `gapsweep.report.html.write_report`.
-    """
+def overview(inputs: Inputs) -> Part:
+    """The section of the report in place of one for each of its scenes."""
+    responses, attractors, branches = inputs.responses, inputs.attractors, inputs.branches
     asked = responses["status"].load() != Status.NOT_REQUESTED
     n_points = asked.sum([dim for dim in asked.dims if dim != REPRESENTATION])
     labels = [str(label) for label in asked[REPRESENTATION].values[n_points.values > 0]]
@@ -97,24 +87,25 @@ def overview(
     each = f", for each of {len(cuts)} values of {one_by_one[0]}" if few else ""
     others = {REPRESENTATION, _START, *axes, *few}
     is_part = any(size > 1 for dim, size in asked.sizes.items() if dim not in others)
-    of_all = ", of all else at one value, in place of figures of each scene" if is_part else ""
+    of_all = ", with all other parameters at one value" if is_part else ""
     is_one_line = len(axes) == 1 and not few and not is_part
     sentence = (
-        f"{n_scenes} scene{'s' * (n_scenes > 1)} with {int(n_points.sum())} sweep points"
-        f"{': pictures over ' * bool(names)}{both}{each}{of_all}. "
-        "ds.gapsweep.map() and bifurcation() draw any other."
+        f"{n_scenes} parameter set{'s' * (n_scenes > 1)} with {int(n_points.sum())} sweep points"
+        f"{': figures over ' * bool(names)}{both}{each}{of_all}. "
+        "ds.gapsweep.map() and bifurcation() draw others."
     )
     n_of_each = asked.any(swept(asked)).sum(scene_dims(asked.dims)).sel({REPRESENTATION: labels})
     is_alike = bool((n_of_each == n_scenes).all())
-    over = f", median over {'' if is_alike else 'those that a law has of '}{n_scenes} scenes"
+    over = f", median over {'' if is_alike else 'the computed ones of '}{n_scenes} parameter sets"
     over = over if n_scenes > 1 else ""
     plain = [label for label in labels if "@" not in label] or labels
+    title = "All parameter sets" if n_scenes > 1 else "Results"
     return Part(
         "overview",
-        " over ".join(["All scenes" if n_scenes > 1 else "The scene", *([both] if both else [])]),
+        f"{title} over {both}" if both else title,
         [sentence],
         [
-            *scene_tables(agreement, timing, labels, over, _apart(asked, n_scenes)),
+            *scene_tables(inputs.agreement, inputs.timing, labels, over, _apart(asked, n_scenes)),
             *(special_points(branches, responses, axes[0]) if is_one_line else []),
         ],
         (
@@ -136,7 +127,7 @@ def overview(
 
 
 def _apart(asked: xr.DataArray, n_scenes: int) -> list[tuple[str, At]]:
-    """Scenes that are few enough to be told one by one, in the words that tell them apart."""
+    """Parameter sets that are few enough to be listed, by the parameters that differ."""
     if not 1 < n_scenes <= MOST_SCENES:
         return []
     dims = [dim for dim in scene_dims(asked.dims) if asked.sizes[dim] > 1]
@@ -149,10 +140,10 @@ def _apart(asked: xr.DataArray, n_scenes: int) -> list[tuple[str, At]]:
 
 
 def _axes(responses: xr.Dataset) -> tuple[list[str], list[str]]:
-    """What pictures are over, frequency the horizontal axis; and the axis drawn value by value.
+    """The axes of figures, frequency the horizontal one; and the axis drawn value by value.
 
-    The two longest axes, or the longest one for each of the few values of the second; states that
-    many starts form, if there are no two.
+    These are the two longest axes, or the longest one for each of the few values of the second. If
+    there are no two, the plane of many initial conditions.
     """
     axes = numeric_axes(responses["status"].to_dataset())[:2]
     if len(axes) < 2 and responses.sizes[_START] > _FEW_STARTS and (plane := plane_of(responses)):
@@ -163,7 +154,7 @@ def _axes(responses: xr.Dataset) -> tuple[list[str], list[str]]:
 
 
 def plane_of(responses: xr.Dataset) -> list[str]:
-    """The two states that the starts form a grid of; none if they form none worth a map."""
+    """The two states of which the initial conditions form a grid; empty without a grid."""
     if COORDINATE in responses.dims:
         return []
     try:
@@ -181,13 +172,13 @@ def _figures(
     label: str,
     axes: list[str],
 ) -> Iterator[Figured]:
-    """Pictures of a representation, of the other axes at the values with the most points."""
+    """Figures of a representation, with other axes at the values with the most points."""
     at = _most(asked, label, [_START] if axes[0] in _STATE else axes)
     here = responses.isel(at)
     found = None if attractors is None else attractors.isel(at, missing_dims="ignore")
     n_starts = responses.sizes[_START]
     is_one = n_starts > 1 and here[_START].ndim == 0
-    start = f", {_said_of_start(here)} of {n_starts}" if is_one else ""
+    start = f", {_start_in_words(here)} of {n_starts}" if is_one else ""
     where = ", ".join([label, *_where(responses, here)])
     if len(axes) > 1:
         exact = responses[REPRESENTATION].values == EXACT
@@ -212,16 +203,16 @@ def _figures(
         )
 
 
-def _said_of_start(here: xr.Dataset) -> str:
+def _start_in_words(here: xr.Dataset) -> str:
     kind = str(here["start"].values)
     swept_from = "" if kind == "fixed" else f" ({kind.replace('_', ' ')} over frequency)"
-    return f"start {int(here[_START]) + 1}{swept_from}"
+    return f"initial condition {int(here[_START]) + 1}{swept_from}"
 
 
 def _maps(
     here: xr.Dataset, found: xr.Dataset | None, axes: list[str], where: str
 ) -> Iterator[Figured]:
-    """Class, period and attractors, which all coordinates share, and the amplitude of each."""
+    """Class, period and attractors, common to all coordinates, and the amplitude of each."""
     parts = [(here, "response_class"), (here, "period_multiple")]
     if axes[0] in _STATE:
         parts.append((here, "attractor"))
@@ -234,7 +225,7 @@ def _maps(
 def maps_of(
     parts: Sequence[tuple[xr.Dataset, str]], axes: list[str], where: str
 ) -> Iterator[Figured]:
-    """One figure of maps; a kind that is everywhere is said in its caption.
+    """One figure of maps; a value that is the same everywhere is stated in its caption.
 
     Parameters
     ----------
@@ -251,13 +242,13 @@ def maps_of(
     drawn = dict.fromkeys(_WORDS[name] for name, _ in shown)
     said = f"{', '.join(drawn)}: {where}."
     if "attractor" in drawn and any("numbered_as" in part[name].attrs for part, name in parts):
-        said += " Attractors have the numbers and colours of the exact law's that they are like."
+        said += " Attractors have the numbers and colours of matching ones of the exact law."
     said += "".join(f" {_WORDS[name].capitalize()}: {value} everywhere." for name, value in alike)
     yield Figured(maps([one for _, one in shown]), said[0].upper() + said[1:], f"Maps, {where}")
 
 
 def _everywhere(one: MapImage) -> str:
-    """What a map would show in every cell; empty if there are several things."""
+    """The only value of a map; empty if there are several."""
     values = one.numbers.values
     if len(one.names) == 1 and (one.kind == 0).all():
         return one.names[0]
@@ -298,24 +289,25 @@ def along_axis(
         caption = "Amplitude (half the range) of the steady response, broken at jumps"
         figure = frequency_response(scene, along)
         yield Figured(figure, f"{caption}: {where}.", f"Amplitude, {where}")
-    behind = said_of_branches(branches, scene, along)
+    behind = caption_of_branches(branches, scene, along)
     yield Figured(
         bifurcation(scene, along, branches),
-        f"Steady displacements at zero velocity{of_starts}: {where}.{said_of_bands(scene)}"
-        f"{said_of_missing(scene)}{said_of_walls(scene, along)}{behind}",
+        f"Extrema of the steady response{of_starts}: {where}.{caption_of_bands(scene)}"
+        f"{caption_of_missing(scene)}{caption_of_walls(scene, along)}{behind}",
         f"Bifurcation diagram, {where}",
     )
     if attractors is not None:
         yield Figured(
             attractors_figure(attractors, along, branches),
             f"Peak displacement of every attractor{of_attractors}: {where}."
-            f"{said_of_peaks(attractors)}{said_of_walls(scene, along, of_peaks=True)}{behind}",
+            f"{caption_of_peaks(attractors)}"
+            f"{caption_of_walls(scene, along, of_peaks=True)}{behind}",
             f"Attractors and their basins, {where}",
         )
 
 
 def _most(asked: xr.DataArray, label: str, over: list[str]) -> dict[str, int]:
-    """Where a representation has the most points over some dimensions; the first such place."""
+    """The position at which a representation has the most points over some dimensions."""
     r = asked[REPRESENTATION].values.tolist().index(label)
     counts = asked.isel({REPRESENTATION: r}).sum(over)
     place = np.unravel_index(int(counts.values.argmax()), counts.shape)
@@ -325,7 +317,7 @@ def _most(asked: xr.DataArray, label: str, over: list[str]) -> dict[str, int]:
 
 
 def _where(responses: xr.Dataset, here: xr.Dataset) -> list[str]:
-    """The values that a part is of, and among how many they are."""
+    """The parameters of a part, and the number of values of each."""
     words = []
     for name in places(here):
         if here[name].ndim == 0:

@@ -9,21 +9,14 @@ import sys
 import zlib
 from collections.abc import Iterable, Mapping
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from itertools import chain, count
 from typing import Any
 
 import matplotlib
 from matplotlib.figure import Figure
 
-from gapsweep.report.pictures import (
-    PACKED,
-    address,
-    is_picture,
-    pictures,
-    size,
-    unpacked,
-)
+from gapsweep.report.pictures import PACKED, is_picture, pictures, size, unpacked
 from gapsweep.report.style import MATPLOTLIB
 
 _LONGEST = 64  # characters of an id
@@ -49,7 +42,7 @@ class Table:
 
 @dataclass(frozen=True, slots=True)
 class Figured:
-    """A figure with its caption, what a screen reader says, and what claims call it.
+    """A figure with its caption, its description for screen readers, and its name in claims.
 
     A claim whose place is the name, such as "Fig. 8b", leads to the figure.
     """
@@ -109,7 +102,7 @@ def _check_texts(name: str, texts: Any) -> None:
 
 
 def rendered(parts: Iterable[Part]) -> list[dict[str, Any]]:
-    """Parts as texts and SVG, in the report's style, without those that hold nothing."""
+    """Parts as texts and SVG in the report's style, without empty ones."""
     if not isinstance(parts, Iterable):
         raise TypeError(f"must give sections, as a list or by yield, not {parts!r:.40}")
     with matplotlib.rc_context(MATPLOTLIB):
@@ -128,10 +121,7 @@ def _rendered(part: Part) -> dict[str, Any]:
         "anchor": part.anchor,
         "title": part.title,
         "sentences": list(part.sentences),
-        "tables": [
-            {"title": t.title, "header": list(t.header), "rows": [list(row) for row in t.rows]}
-            for t in part.tables
-        ],
+        "tables": [asdict(table) for table in part.tables],
         "figures": [pictured(each) for each in part.figures],
     }
 
@@ -190,13 +180,13 @@ def _unused(kind: str, name: str, used: set[str]) -> str:
 
 
 def shown(figure: Mapping[str, str]) -> dict[str, Any]:
-    """A figure for the page: pictures, files, and the data of a page of its own, maybe none."""
-    picture = {"src": address(figure["svg"]), **size(figure["svg"])}
+    """A figure for the page: its size, its files, and the data of its own page, maybe none."""
     files = {"svg": figure["svg"].encode()}
     for kind in PACKED:
         with suppress(KeyError, ValueError, zlib.error):  # not there, or not as it was packed
             files[kind] = unpacked(figure[kind])
-    return {**figure, "picture": picture, "data": files.pop("json", b"").decode(), "files": files}
+    data = files.pop("json", b"").decode()
+    return {**figure, **size(figure["svg"]), "data": data, "files": files}
 
 
 def _is_sound(figure: Mapping[str, str]) -> bool:

@@ -1,4 +1,4 @@
-"""Figures as SVG with text as text.
+"""Figures as SVG files with text as text.
 
 In a page they stand as images, not as elements of their own: a study has tens of thousands of
 points, and a browser lays out none of them. As images they cannot run scripts either.
@@ -8,16 +8,12 @@ import base64
 import io
 import re
 import zlib
-from collections import Counter
 from typing import Any
-from urllib.parse import quote
 from xml.etree import ElementTree
 
-from markupsafe import Markup
 from matplotlib import rc_context
 from matplotlib.figure import Figure
 from matplotlib.text import Text
-from PIL import Image
 
 from gapsweep.report.figure_marks import as_csv, as_json
 
@@ -28,25 +24,9 @@ _DRAWING = {
     "tspan",
 }  # fmt: skip
 _SMALLEST = 8.5  # points of a font, 11 pixels
-_COLOURS = 64  # of points drawn as pixels
-_PIXELS = re.compile("data:image/png;base64,([^\"']*)")
-# Hundredths of a point are enough, but not of the numbers in texts.
-_TAG, _DIGITS = re.compile("<[^>]*>"), re.compile(r"([1-9]\d*\.\d\d)\d+")
-_VALUE = re.compile('="([^"\']*)"')
 _SIZE = re.compile(r'width="([\d.]+)pt" height="([\d.]+)pt"')
 _AS_TEXT: dict[Any, Any] = {"svg.fonttype": "none", "savefig.dpi": 130}
-# What says nothing: rotations by zero, fonts that nobody has, names that nothing refers to.
-_IDLE = re.compile(
-    r" transform=\"rotate\(-0 [^\"]*\"|, 'Bitstream[^;]*(?=, sans-serif)|<metadata>.*</metadata>"
-    r"|<!--.*?-->| id=\"[a-zA-Z.]+[a-z0-9]*_[0-9]+\"| (?=/?>)"
-)
-_GROUP = re.compile(r"<g>((?:(?!</?g\b).)*)</g>")  # that says nothing of what is in it
-_NAME = re.compile('(?<= id=")[a-z][0-9a-f]{10}(?=")')
-_PATH, _BLANKS = re.compile(' d="([^"]*)"'), re.compile(" ?[A-Za-z] ?| $")
-_LINES = re.compile(r"L [-\d.]+ [-\d.]+(?: L [-\d.]+ [-\d.]+)+")
-_STYLE = re.compile(' style="([^"]*)"')
-# What need not be escaped in an address between double quotes, where a blank would end it.
-_PLAIN = "<>/:;=,.'()!*+-_~@[]{}|^`$?"
+_NO_METADATA = dict.fromkeys(("Creator", "Date", "Format", "Type"))
 
 
 def pictures(figure: Figure) -> dict[str, str]:
@@ -79,49 +59,11 @@ def unpacked(text: str) -> bytes:
 
 
 def svg(figure: Figure) -> str:
-    """A figure as SVG: no longer than it must be, the same for the same data."""
+    """A figure as SVG: the same for the same data."""
     buffer = io.StringIO()
     with rc_context(_AS_TEXT):
-        figure.savefig(buffer, format="svg", metadata={"Date": None})
-    text = buffer.getvalue()
-    text = _IDLE.sub("", " ".join(text[text.index("<svg") :].split())).replace("> <", "><")
-    text = _PATH.sub(_shortened, _TAG.sub(lambda m: _DIGITS.sub(r"\1", m[0]), text))
-    while (fewer := _GROUP.sub(r"\1", text)) != text:
-        text = fewer
-    for i, name in enumerate(dict.fromkeys(_NAME.findall(text))):
-        text = text.replace(name, f"n{i}")
-    return _PIXELS.sub(_fewer_colours, _with_classes(text))
-
-
-def _shortened(found: re.Match[str]) -> str:
-    """The same path without needless letters and blanks."""
-    lines = _LINES.sub(lambda m: m[0].replace(" L ", " "), found[1])
-    return f' d="{_BLANKS.sub(lambda m: m[0].strip(), lines).replace(" ", ",")}"'
-
-
-def _with_classes(text: str) -> str:
-    """The same picture, every style that is used again said once."""
-    used = Counter(_STYLE.findall(text))
-    again = [style for style, n in used.items() if n > 1]
-    names = {style: f"s{i}" for i, style in enumerate(again)}
-    rules = "".join(f".{name}{{{style}}}" for style, name in names.items())
-    text = _STYLE.sub(lambda m: f' class="{names[m[1]]}"' if m[1] in names else m[0], text)
-    return text.replace("</style>", f"{rules}</style>", 1)
-
-
-def _fewer_colours(found: re.Match[str]) -> str:
-    """The same pixels of some colours only, a third as long."""
-    buffer = io.BytesIO()
-    with Image.open(io.BytesIO(base64.b64decode(found[1]))) as pixels:
-        few = pixels.convert("RGBA").quantize(_COLOURS, method=Image.Quantize.FASTOCTREE)
-        few.save(buffer, "png", optimize=True)
-    return f"data:image/png;base64,{base64.b64encode(buffer.getvalue()).decode()}"
-
-
-def address(picture: str) -> Markup:
-    """A picture as an address between double quotes, for an image in the page itself."""
-    single = _VALUE.sub(r"='\1'", picture)
-    return Markup(f"data:image/svg+xml,{quote(single, safe=_PLAIN)}")
+        figure.savefig(buffer, format="svg", metadata=_NO_METADATA)
+    return buffer.getvalue()
 
 
 def size(picture: str) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""Where a report comes from: the study, its solver, the machine, what it took."""
+"""Provenance of a report: the study, its solver, the machine, the processor time."""
 
 import json
 from collections.abc import Mapping

@@ -1,4 +1,4 @@
-"""Values as they are drawn and said: units, labels, and whether an axis is logarithmic.
+"""Values in figures and texts: units, labels, and whether an axis is logarithmic.
 
 Units come from the dataset; lengths are drawn in millimetres.
 """
@@ -21,7 +21,7 @@ _IN_MILLIMETRES = {"m": "mm", "m s-1": "mm/s"}
 
 
 def factor(variable: xr.DataArray) -> float:
-    """What values are multiplied with to be drawn: lengths in metres are drawn in millimetres."""
+    """The factor of drawn values: lengths in metres are drawn in millimetres."""
     return shown_unit(variable)[0]
 
 
@@ -49,16 +49,16 @@ def axis_label(variable: xr.DataArray, words: str = "") -> str:
 
 
 @dataclass(frozen=True, slots=True)
-class Told:
-    """A coordinate's one value as it is said, with its name and its unit, empty if it has none."""
+class NamedValue:
+    """The only value of a coordinate as text, with its name and its unit (may be empty)."""
 
     name: str
     value: str
     unit: str
 
     @classmethod
-    def of(cls, coordinate: xr.DataArray) -> "Told":
-        """Of a coordinate that has one value."""
+    def of(cls, coordinate: xr.DataArray) -> "NamedValue":
+        """From a coordinate with one value."""
         held = coordinate.values
         value = plain(drawn(coordinate).item()) if is_numeric(held) else str(held.item())
         if coordinate.name == "gap":
@@ -74,7 +74,7 @@ class Told:
 
 def named(coordinate: xr.DataArray) -> str:
     """A coordinate's one value with its name and unit, as ``K_c = 14000 N/m``."""
-    return str(Told.of(coordinate))
+    return str(NamedValue.of(coordinate))
 
 
 def plain(value: float) -> str:
@@ -83,7 +83,7 @@ def plain(value: float) -> str:
 
 
 def shortened(label: str) -> str:
-    """A label without rows of zeros: of a gap whose one wall is out of reach, ``1e6/1``."""
+    """A label without rows of zeros: ``1e6/1`` for a gap with one distant wall."""
     return re.sub(r"(?<![\d.])(\d)(0{5,})(?![\d.])", lambda m: f"{m[1]}e{len(m[2])}", label)
 
 

@@ -1,4 +1,4 @@
-"""The scenes of ``responses.nc``: what was swept at one stiffness, gap, ..., in memory."""
+"""The parameter sets of ``responses.nc``: all points at one stiffness, gap, ..., in memory."""
 
 import numpy as np
 import xarray as xr
@@ -76,7 +76,7 @@ class Scenes:
 
 
 def _without_padding(slab: xr.Dataset) -> xr.Dataset:
-    """A slab without the end of its ragged lists that is empty throughout."""
+    """A slab without the empty end of its ragged lists."""
     if _PADDED not in slab.dims:
         return slab
     others = [dim for dim in slab["extrema"].dims if dim != _PADDED]
@@ -87,7 +87,7 @@ def _without_padding(slab: xr.Dataset) -> xr.Dataset:
 
 
 def swept(scene: xr.Dataset) -> xr.Dataset:
-    """Only the representations, frequencies and starts that were asked for here."""
+    """Only the representations, frequencies and initial conditions that were requested here."""
     asked = scene["status"] != Status.NOT_REQUESTED
     for dim in asked.dims:
         others = [other for other in asked.dims if other != dim]
@@ -95,15 +95,15 @@ def swept(scene: xr.Dataset) -> xr.Dataset:
     return scene
 
 
-def said_of_starts(scene: xr.Dataset) -> str:
-    """From how many starts each law of a scene was asked; empty where that is one for all."""
+def caption_of_starts(scene: xr.Dataset) -> str:
+    """Numbers of initial conditions of each law; empty if every law has one."""
     asked = (scene["status"] != Status.NOT_REQUESTED).transpose("representation", "omega", ...)
     groups: dict[str, list[str]] = {}
     for label, of_law in zip(labels_of(scene), asked.values, strict=True):
         groups.setdefault(_many(of_law), []).append(label)
     commonest, *others = sorted(groups, key=lambda said: -len(groups[said]))
     if not others:
-        return "" if commonest == "1 start" else f" from {commonest}"
+        return "" if commonest == "1 initial condition" else f" from {commonest}"
     said = [f"of {', '.join(groups[one])} from {one}" for one in others]
     laws = groups[commonest]
     rest = "the other laws" if len(laws) > 1 else laws[0]
@@ -111,7 +111,7 @@ def said_of_starts(scene: xr.Dataset) -> str:
 
 
 def starts_of(responses: xr.Dataset, label: str, at: At) -> str:
-    """From how many starts a law was asked at each frequency of a scene, in short: ``1–19``."""
+    """Numbers of initial conditions of a law at each frequency, in short: ``1–19``."""
     status = responses["status"].sel(representation=label).isel(at).transpose("omega", ...)
     counts = (status.values != Status.NOT_REQUESTED).sum(axis=1)
     several = np.unique(counts[counts > 0]).tolist()
@@ -119,12 +119,12 @@ def starts_of(responses: xr.Dataset, label: str, at: At) -> str:
 
 
 def _many(asked: NDArray[np.bool_]) -> str:
-    """Starts at each frequency, in words; `asked` has shape (n_omega, n_starts)."""
+    """Initial conditions at each frequency, in words; `asked` has shape (n_omega, n_starts)."""
     counts = asked.sum(axis=1)[asked.any(axis=1)]
     if not counts.size:
         return "none"
     least, most, all_in_all = counts.min(), counts.max(), asked.any(axis=0).sum()
-    noun = f"start{'s' * int(all_in_all > 1)}"
+    noun = f"initial condition{'s' * int(all_in_all > 1)}"
     if least == most == all_in_all:
         return f"{most} {noun}"
     of_all = f" of {all_in_all}" if all_in_all > most else ""

@@ -54,7 +54,7 @@ def scene(
     shown = xr.Dataset(
         {name: _over(part, name, dims) for name, dims in variables.items()}, attrs=part.attrs
     ).load()
-    # Nobody asks which start it is where there is no other.
+    # A single initial condition needs no name.
     return shown.drop_vars(START, errors="ignore") if dataset.sizes.get(START) == 1 else shown
 
 
@@ -67,7 +67,7 @@ def _over(part: xr.Dataset, name: str, dims: Sequence[str]) -> xr.DataArray:
 
 
 def places(dataset: xr.Dataset) -> list[str]:
-    """Coordinates that say where a dataset's points are, representation and start apart."""
+    """Names of the parameters of a dataset, without representation and initial condition."""
     # The label of a gap holds both distances.
     walls = ("j_1", "j_2") if "gap" in dataset.coords else ()
     ours = [name for name in _PLACE if name in dataset.coords and name not in walls]
@@ -80,8 +80,8 @@ def _is_parameter(coordinate: xr.DataArray) -> bool:
     return str(coordinate.attrs.get("long_name", "")).startswith(f"{PARAMETER} ")
 
 
-def beside(scene: xr.Dataset) -> list[str]:
-    """What a scene has one value of, beside its stiffness and gap."""
+def other_parameters(scene: xr.Dataset) -> list[str]:
+    """Parameters with one value, except stiffness and gap."""
     own = {"K_c", "gap", "j_1", "j_2"}
     return [name for name in places(scene) if name not in own and scene[name].ndim == 0]
 
@@ -109,7 +109,7 @@ def missing_variable(dataset: xr.Dataset, name: str) -> str:
 _FILES = {
     "responses.nc": ("amplitude", "x_max", "extrema", "response_class", "period_multiple"),
     "attractors.nc": ("n_attractors", "basin_share", "section_x", "section_v"),
-    "work_precision.nc": ("trajectory_error", "cpu_time"),
+    "work_precision.nc": ("total_error", "trajectory_error", "cpu_time"),
 }
 
 

@@ -1,4 +1,4 @@
-"""What a dataset holds, in a few lines: as text and as HTML."""
+"""Contents of a dataset in a few lines: as text and as HTML."""
 
 import html
 from collections.abc import Iterator

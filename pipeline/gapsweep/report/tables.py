@@ -20,7 +20,7 @@ Row = dict[str, Any]
 
 _COUNTS = ("nfev", "n_steps", "n_rejected", "n_contacts")
 _MOST_ROWS = 40  # of special points
-# Worst first: what a reader looks for.
+# The worst first.
 VERDICTS = ("refuted", "partly", "confirmed", "undecidable")
 
 
@@ -31,20 +31,20 @@ def scene_tables(
     over: str = "",
     apart: Sequence[tuple[str, At]] = (),
 ) -> list[Table]:
-    """How far representations agree with the exact law, if that was swept, and what they cost.
+    """Agreement of representations with the exact law, if that was computed, and their cost.
 
     Parameters
     ----------
     agreement, timing : Dataset
-        One scene of the files of a run, or more: then medians over scenes, without intervals.
+        One parameter set of the files of a run; of several, medians without intervals are shown.
     labels : list of str
-        Representations swept there.
+        Representations computed there.
     over : str
         Added to the titles.
     apart : sequence of (str, position)
-        Scenes, in words, whose agreement has rows of its own.
+        Parameter sets, in words, whose agreement has separate rows.
     """
-    labels = sorted(labels, key=lambda label: "@" in label)  # protocols apart from laws
+    labels = sorted(labels, key=lambda label: "@" in label)  # laws first, then protocols
     tables = []
     if agreement is not None and agreement.attrs["reference"] in labels:
         for part, suffix in by_coordinate(agreement):
@@ -57,13 +57,13 @@ def scene_tables(
             tables.append(Table(title, _AGREEMENT, rows))
     rows = list(_timing_rows(timing, labels))
     tables.append(
-        Table(f"Cost per sweep point (medians of each law's own points){over}", _TIMING, rows)
+        Table(f"Cost per sweep point (medians over the points of each law){over}", _TIMING, rows)
     )
     return [table for table in tables if table.rows]
 
 
 def _agreement_rows(agreement: xr.Dataset, labels: list[str]) -> Iterator[list[str]]:
-    """A row per representation, and the floors at the end."""
+    """A row per representation, and at the end the exact law with other settings."""
     pooled = condensed(agreement[list(_SHOWN)].sel(regime="all").load())
     floors = str(agreement.attrs["floor_representations"]).split()
     for label in labels:
@@ -74,15 +74,15 @@ def _agreement_rows(agreement: xr.Dataset, labels: list[str]) -> Iterator[list[s
             compared = f"{row['n_compared'].item()} of {row['n_points'].item()}"
             yield [label, *_agreement(row), compared]
     if floors and pooled["n_points"].sel(representation=floors).sum() > 0:
-        yield ["exact against exact", *_agreement(pooled, floor="_floor"), ""]
+        yield ["exact law, other settings", *_agreement(pooled, floor="_floor"), ""]
 
 
 _AGREEMENT = [
     "Representation",
-    "Amplitude error, start by start, median (95 % interval)",
+    "Amplitude error for equal initial conditions, median (95 % interval)",
     "95th percentile",
-    "Attractors found",
-    "Attractors right",
+    "Attractors found (recall)",
+    "Attractors correct (precision)",
     "Same class",
     "Basin distance",
     "Points compared",
@@ -90,7 +90,7 @@ _AGREEMENT = [
 _TIMING = [
     "Representation",
     "Processor time [ms]",
-    "Right-hand sides",
+    "Right-hand-side evaluations",
     "Steps",
     "Rejected",
     "Contacts",
@@ -137,17 +137,17 @@ def _timing_rows(timing: xr.Dataset, labels: list[str]) -> Iterator[list[str]]:
 
 
 def special_points(found: xr.Dataset | None, here: xr.Dataset, along: str) -> Iterator[Table]:
-    """Special points of branches by kind and parameter, and those of laws against the exact ones.
+    """Special points of branches by kind and parameter, and of laws compared with the exact law.
 
-    Orbits that are each other's mirror images share a row. The first table has the points of the
-    exact law alone where the second one has the others.
+    Mirror images of an orbit share a row. If the second table has the points of approximations,
+    the first one has only those of the exact law.
 
     Parameters
     ----------
     found : Dataset or None
         ``branches.nc``.
     here : Dataset
-        The scene.
+        The parameter set.
     along : str
         The parameter.
     """
@@ -182,7 +182,7 @@ def special_points(found: xr.Dataset | None, here: xr.Dataset, along: str) -> It
         for law, kind, n, *values in zip(laws, *columns, strict=True)
     ]
     if rows:
-        title = f"Special points against those of the exact law, {of_axis(part[along])}"
+        title = f"Special points compared with the exact law, {of_axis(part[along])}"
         yield _cut(title, [*head, "Exact law", "Approximation", "Difference"], rows)
 
 
@@ -191,32 +191,31 @@ def _kind(kind: float) -> str:
 
 
 def _cut(title: str, header: list[str], rows: list[list[str]]) -> Table:
-    """A table of different rows, no more than a reader looks at."""
+    """A table of distinct rows, at most `_MOST_ROWS`."""
     rows = [list(row) for row in dict.fromkeys(map(tuple, rows))]
     n = f", {_MOST_ROWS} of {len(rows)}: all are in branches.nc" if len(rows) > _MOST_ROWS else ""
     return Table(title + n, header, rows[:_MOST_ROWS])
 
 
 def condensed(dataset: xr.Dataset) -> xr.Dataset:
-    """Medians over scenes, and sums of what is counted; one scene as it is.
+    """Medians over parameter sets, and sums of counts; a single set as it is.
 
-    Of agreement, over those in which something is compared: where nothing has a steady response all
-    agree, and say nothing.
+    Medians of agreement leave out sets without a compared point: there every metric is trivial.
     """
     dims = [dim for dim in scene_dims(dataset.dims) if dim != BOUND]
     if not dims:
         return dataset
     counted = [name for name, variable in dataset.items() if variable.dtype.kind == "i"]
-    # The median of intervals would be none.
+    # A median of intervals is no interval.
     intervals = {name: np.nan * dataset[name] for name in dataset if str(name).endswith("_ci")}
     measured = dataset.drop_vars(counted).assign(intervals)
     if "n_compared" in counted:
         n = dataset["n_compared"]
-        # Floors are of no law.
+        # Floors have no representation.
         own = [name for name in measured if set(n.dims) <= set(measured[name].dims)]
         measured = measured.assign(measured[own].where(n > 0))
     with warnings.catch_warnings():
-        # numpy warns where no scene has a number: NaN is what we want there.
+        # numpy warns where no set has a number: NaN is correct there.
         warnings.simplefilter("ignore", RuntimeWarning)
         middle = measured.median(dims)
     return middle.assign(dataset[counted].sum(dims))
@@ -243,15 +242,15 @@ def claim_rows(decided: Mapping[str, Any]) -> Iterator[Row]:
 
 
 def _open(tests: Sequence[Mapping[str, Any]]) -> str:
-    """How many tests of a claim are open where others hold: then none of it needs to be wrong."""
+    """How many tests of a claim are undecided, if no other test fails."""
     outcomes = [test["holds"] for test in tests]
     if {None, True} != set(outcomes):
         return ""
-    return f"{outcomes.count(None)} of {len(outcomes)} tests open, none failed"
+    return f"{outcomes.count(None)} of {len(outcomes)} tests undecided, none failed"
 
 
 def outcome(test: Mapping[str, Any]) -> str:
-    """What came of a test of ``claims.json``, in a few words."""
+    """The outcome of a test of ``claims.json``, in a few words."""
     value, threshold = (
         "no finite number" if test[name] is None else number(test[name])
         for name in ("value", "threshold")
@@ -260,8 +259,8 @@ def outcome(test: Mapping[str, Any]) -> str:
     if test["holds"] is not None:
         return f"{value} {wanted} holds" if test["holds"] else f"{value}, not {wanted}"
     if None in (test["value"], test["threshold"]):
-        return f"open: {value}, asked for {wanted}"
-    return f"open: {value} is within its floor of {wanted}"
+        return f"undecided: {value}, required {wanted}"
+    return f"undecided: {value} is within its uncertainty of {wanted}"
 
 
 _SHOWN_AS = {"<=": "≤", ">=": "≥"}
@@ -269,7 +268,7 @@ _SIGNS = {"confirmed": "✓", "refuted": "✗", "partly": "◐", "undecidable": 
 
 
 def number(value: float) -> str:
-    """Three significant digits, of whole numbers all; exponents only where they help."""
+    """Three significant digits, all digits of large whole numbers; exponents where shorter."""
     if not np.isfinite(value):
         return "–"
     if value == 0.0 or 1e-3 <= abs(value) < 1e5:
