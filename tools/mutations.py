@@ -5,6 +5,8 @@
 A mutation flips a comparison, changes a number, swaps and/or, swaps two arguments of a call, or
 deletes a statement. Its tests are the files that name the mutated function, or what calls it, the
 nearest and rarest names first; they run in a copy until one fails or the limit [s] is reached.
+Of several folders of tests, as those of an older commit and the present ones, each runs only if
+the one before it has caught the mutation. ``--only 3 7`` tries only these numbers of the draw.
 """
 
 import argparse
@@ -17,6 +19,7 @@ import shutil
 import subprocess
 import sys
 import tempfile
+import time
 from collections import Counter
 from pathlib import Path
 
@@ -80,22 +83,39 @@ def ranked(stem, names, functions, tests):
     return [file for file, value in score.most_common(10) if value > 0.0]
 
 
+def caught_by(folder, copy, mutation, functions, limit):
+    """The first failed test of a folder of tests, or the reason why none failed; seconds."""
+    path, names = mutation
+    shutil.rmtree(copy / "tests", ignore_errors=True)
+    shutil.copytree(folder, copy / "tests")
+    texts = {file: file.read_text() for file in sorted((copy / "tests").rglob("test_*.py"))}
+    tests = {file: {*WORDS.findall(text)} for file, text in texts.items()}
+    python_path = os.pathsep.join([str(copy / "pipeline"), str(copy)])
+    begin, files = time.monotonic(), ranked(path.stem, names, functions, tests)
+    command = ["timeout", str(limit), sys.executable, "-B", "-m", "pytest", "-q", "-x", "-n", "0"]
+    done = subprocess.run(
+        [*command, *files], cwd=copy, env=os.environ | {"PYTHONPATH": python_path},
+        capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    failed = re.search(r"^(FAILED|ERROR) (\S+)", done.stdout, re.MULTILINE)
+    survived = "-: limit" if done.returncode == 124 else "-"
+    return failed[2] if failed else survived, time.monotonic() - begin
+
+
 def main():
     parser = argparse.ArgumentParser()
     for name, default in (("seed", 1), ("draw", 40), ("limit", 90), ("kernels", 2)):
         parser.add_argument(f"--{name}", type=int, default=default)
-    parser.add_argument("--tests", type=Path, default=ROOT / "tests")
+    parser.add_argument("--tests", type=Path, nargs="+", default=[ROOT / "tests"])
+    parser.add_argument("--only", type=int, nargs="+")
     asked = parser.parse_args()
     copy = Path(tempfile.mkdtemp()) / "clone"
     shutil.copytree(ROOT, copy, ignore=shutil.ignore_patterns(".git", ".venv", "tests"))
-    shutil.copytree(asked.tests, copy / "tests")
     package = copy / "pipeline" / "gapsweep"
     sources = {path: path.read_text() for path in sorted(package.rglob("*.py"))}
     nodes = [node for text in sources.values() for node in ast.walk(ast.parse(text))]
     defined = [node for node in nodes if isinstance(node, ast.FunctionDef)]
     functions = [(each.name, {*WORDS.findall(ast.unparse(each))}) for each in defined]
-    files = sorted((copy / "tests").rglob("test_*.py"))
-    tests = {path: {*WORDS.findall(path.read_text())} for path in files}
     places = [(path, *site) for path, text in sources.items() for site in sites(text)]
     draw, drawn = random.Random(asked.seed), []
     while len(drawn) < asked.draw:
@@ -104,19 +124,21 @@ def main():
         n_kernels = sum(KERNELS in path.parts for path, *_ in drawn)
         if KERNELS not in place[0].parts or n_kernels < asked.kernels:
             drawn.append(place)
-    path = os.pathsep.join([str(copy / "pipeline"), str(copy)])
-    how = {"cwd": copy, "env": os.environ | {"PYTHONPATH": path}, "capture_output": True}
-    for path, kind, number, names in drawn:
-        text, line = mutated(sources[path], number)
+    print("| seed | place | function | kind |", *(f" {each} | s |" for each in asked.tests), sep="")
+    print("|---" * (4 + 2 * len(asked.tests)), "|", sep="")
+    for number in asked.only or range(1, asked.draw + 1):
+        path, kind, node, names = drawn[number - 1]
+        text, line = mutated(sources[path], node)
         path.write_text(text)
-        files = ranked(path.stem, names, functions, tests)
-        command = ["timeout", str(asked.limit), sys.executable, "-B", "-m", "pytest", "-q", "-x"]
-        done = subprocess.run([*command, "-n", "0", *files], **how, text=True, check=False)
-        failed = re.search(r"^(FAILED|ERROR) (\S+)", done.stdout, re.MULTILINE)
-        survived = "reached the limit" if done.returncode == 124 else "survived"
-        found = f"caught by {failed[2]}" if failed else survived
+        where = f"{path.relative_to(package)}:{line}"
+        print(f"| {asked.seed}.{number} | {where} | {'.'.join(names)} | {kind} |", end="")
+        for folder in asked.tests:
+            found, seconds = caught_by(folder, copy, (path, names), functions, asked.limit)
+            print(f" {found} | {seconds:.0f} |", end="", flush=True)
+            if found.startswith("-"):
+                break
+        print(flush=True)
         path.write_text(sources[path])
-        print(kind, f"{path.relative_to(package)}:{line}", *names, found, flush=True)
 
 
 if __name__ == "__main__":

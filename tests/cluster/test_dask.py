@@ -105,8 +105,7 @@ def test_cluster_started_by_hand_computes_the_study(tables, tmp_path):
 
 
 def with_other_numerics(folder):
-    ignored = shutil.ignore_patterns("__pycache__")
-    copy = shutil.copytree(SOURCES, folder / "other" / "gapsweep", ignore=ignored)
+    copy = shutil.copytree(SOURCES, folder / "other" / "gapsweep")
     status = copy / "status.py"
     status.write_text(
         status.read_text().replace("NOT_REQUESTED = 1", "NOT_REQUESTED = 1\n    X = 12")

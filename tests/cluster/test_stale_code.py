@@ -171,25 +171,26 @@ OF_SYSTEM = {
 }
 
 
-@pytest.mark.parametrize("what", ["law", "table", "system"])
-def test_workers_need_no_file_of_the_study(of_mine, tmp_path, mine, stranger, what):
+def test_workers_need_no_file_of_the_study(of_mine, tmp_path, mine, stranger):
     folder, hidden = mine.parent, tmp_path / "hidden"
     (folder / "measured.py").write_text(TABLE)
     (folder / "machine.py").write_text(SYSTEM)
-    tables = OF_SYSTEM | {"steady": of_mine["steady"]} if what == "system" else of_mine
-    if what == "table":
-        tables["sweep"][0]["representation"] = ["measured:wall"]
-    study = gs.Study.from_dict(tables, str(folder / "study.toml"))
+    table = of_mine | {"sweep": [of_mine["sweep"][0] | {"representation": ["measured:wall"]}]}
+    several = table, OF_SYSTEM | {"steady": of_mine["steady"]}, of_mine
+    studies = [gs.Study.from_dict(tables, str(folder / "study.toml")) for tables in several]
 
-    def hide(progress):  # the plan is made, no worker has been sent anything
+    def hide(progress):  # the plan is made, no worker has been sent any file of this study
         if progress.stage.startswith("joining") and folder.exists():
             folder.rename(hidden)
 
+    theirs = []
     with scheduler() as (address, _), stranger(address):
-        theirs = asked(study, tmp_path, scheduler=address, on_progress=hide)
-    assert not folder.exists()
-    hidden.rename(folder)
-    assert asked(study, tmp_path / "ours") == (theirs[0], 0)
+        for study in studies:
+            theirs.append(asked(study, tmp_path, scheduler=address, on_progress=hide))
+            assert not folder.exists()
+            hidden.rename(folder)
+    for study, (peak, _) in zip(studies, theirs, strict=True):
+        assert asked(study, tmp_path / "ours") == (peak, 0)
 
 
 @pytest.mark.parametrize(("library", "runs"), [("llvmlite", "runs"), ("scipy_like", "a process")])
@@ -239,30 +240,36 @@ t_end = 2.0
 """
 
 
-def test_an_edited_helper_and_edited_numerics_remake_the_files_of_a_run(tmp_path, mine):
-    copy = tmp_path / "package" / "gapsweep"
-    shutil.copytree(SOURCES, copy, ignore=shutil.ignore_patterns("__pycache__"))
+def test_an_edited_helper_and_edited_numerics_remake_the_files_of_a_run(
+    run_command, tmp_path, mine
+):
     (mine.parent / "s.toml").write_text(STUDY)
+    command = ["run", str(mine.parent / "s.toml"), "--out", "out", "--cache", "c-cache"]
+    copy = tmp_path / "package" / "gapsweep"
     made = []
 
-    def run():
-        done = subprocess.run(
-            [sys.executable, "-c", "from gapsweep.cli import main; main()", "run",
-             str(mine.parent / "s.toml"), "--out", "out", "--cache", "c-cache"],
+    def in_the_copy(*arguments):
+        return subprocess.run(
+            [sys.executable, "-c", "from gapsweep.cli import main; main()", *arguments],
             cwd=tmp_path, env=os.environ | {"PYTHONPATH": str(copy.parent)},
             capture_output=True, text=True,
         )  # fmt: skip
+
+    def check(done):
         assert done.returncode == 0, done.stderr
         assert "0 from the cache, 1 computed" in done.stdout
         with gs.open(tmp_path / "out" / "histories.nc") as ds:
             made.append((ds["x"].max().item(), ds.attrs["created"]))
 
-    run()
+    check(run_command(tmp_path, *command))
     replaced(mine / "made.py", "factor=1.0", "factor=3.0")
-    run()
+    check(run_command(tmp_path, *command))
     assert made[1][0] != made[0][0]
+    shutil.copytree(SOURCES, copy)  # with __pycache__, which costs seconds to make
+    planned = in_the_copy("plan", *command[1:], "--json")
+    assert json.loads(planned.stdout)["missing"] == 0, "a copy has the same numerics"
     windows = copy / "response" / "windows.py"  # of the numerics, but no kernel to compile again
     windows.write_text(windows.read_text() + "_EDITED = True\n")
-    run()
+    check(in_the_copy(*command))
     assert made[2][0] == made[1][0]
     assert made[2][1] > made[1][1]

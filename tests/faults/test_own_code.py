@@ -96,8 +96,12 @@ GOES = """
 import os
 os.chdir("sub")
 """
-MASS = """
+MACHINE = """
 import gapsweep as gs
+
+
+def law(x):
+    return 1e4 * x
 
 
 def make():
@@ -105,13 +109,28 @@ def make():
     matrices = {"mass": [[1.0]], "stiffness": [[40.0]], "damping": [[2.0]]}
     return gs.System(**matrices, contacts={"c": [1.0]}, forcing=forcing)
 """
+MOVING = """
+[study]
+name = "own"
+[system]
+function = "goes:make"
+[[sweep]]
+representation = "goes:law"
+K_c = 10.0
+gap = [1.0, 1.0]
+omega = [1.0]
+[solver]
+engine = "scipy"
+[report]
+module = "sections.py"
+"""
 
 
 def test_code_that_changes_the_current_folder_takes_no_file_with_it(tmp_path):
     (tmp_path / "sub").mkdir()
-    (tmp_path / "goes.py").write_text(GOES + "def law(x):\n    return 1e4 * x\n")
+    (tmp_path / "goes.py").write_text(GOES + MACHINE)
     (tmp_path / "sections.py").write_text(GOES + "def sections(run):\n    return []\n")
-    study(tmp_path, SWEEP + '[report]\nmodule = "sections.py"\n', "goes:law")
+    (tmp_path / "own.toml").write_text(MOVING)
     for n_computed in (1, 0):
         done = in_a_process(tmp_path, "run", "own.toml")
         assert done.returncode == 0, done.stderr
@@ -124,19 +143,6 @@ def test_code_that_changes_the_current_folder_takes_no_file_with_it(tmp_path):
     assert done.returncode == 0, done.stderr
     assert (tmp_path / "q.nc").is_file()
     assert (tmp_path / "c-cache").is_dir()
-    assert not list((tmp_path / "sub").iterdir())
-
-
-def test_a_system_whose_module_changes_the_current_folder_takes_no_file_with_it(tmp_path):
-    (tmp_path / "sub").mkdir()
-    (tmp_path / "goes.py").write_text(GOES + MASS)
-    (tmp_path / "own.toml").write_text(
-        '[study]\nname = "own"\n[system]\nfunction = "goes:make"\n[[sweep]]\n'
-        'representation = "piecewise"\nK_c = 10.0\ngap = [1.0, 1.0]\nomega = [1.0]\n'
-    )
-    done = in_a_process(tmp_path, "run", "own.toml")
-    assert done.returncode == 0, done.stderr
-    assert (tmp_path / "data" / "runs" / "own" / "run.json").is_file()
     assert not list((tmp_path / "sub").iterdir())
 
 
@@ -170,8 +176,8 @@ def test_a_law_that_would_end_the_client_is_one_line(gapsweep, tmp_path, code, r
 
 def test_benchmarks_too_try_laws_out_elsewhere(gapsweep, tmp_path):
     (tmp_path / "fatal.py").write_text(AT_ZERO.format("os._exit(7)"))
-    method = '[[bench.method]]\nlabel = "fatal:law"\nrtol = [1e-4]\n'
-    study(tmp_path, SWEEP.replace("{laws}", '["piecewise"]') + BENCH + method)
+    bench = MEASURED + METHOD.format("fatal:law")
+    study(tmp_path, SWEEP.replace("{laws}", '["piecewise"]') + bench)
     done = gapsweep(tmp_path, "bench", "own.toml", "--out", "out")
     assert done.returncode == 1
     assert "own.toml: calling fatal:law at x = 0: its process ended" in done.stderr
@@ -236,32 +242,22 @@ def test_histories_survive_any_law_and_say_what_failed(gapsweep, tmp_path, monke
     assert again.returncode == 3, "what failed stays failed"
 
 
-BENCH = """
-[bench]
-repeats = 1
-lanes = 1
-horizon = 2
+SCENE = """
 [[bench.scene]]
-name = "measured"
+name = "{}"
 K_c = 1.4e4
 gap = [0.4e-3, 0.4e-3]
 omega = 12.0
-[[bench.scene]]
-name = "stated"
-K_c = 1.4e4
-gap = [0.4e-3, 0.4e-3]
-omega = 12.0
-expected = "reference"
-[[bench.method]]
-label = "piecewise"
-rtol = [1e-4]
 """
+MEASURED = "[bench]\nrepeats = 1\nlanes = 1\nhorizon = 2\n" + SCENE.format("measured")
+STATED = SCENE.format("stated") + 'expected = "reference"\n'
+METHOD = '[[bench.method]]\nlabel = "{}"\nrtol = [1e-4]\n'
 
 
 def test_benchmarks_survive_any_law_and_say_what_failed(gapsweep, tmp_path):
     poisons = labels("leaving", "spinning")
-    methods = [f'[[bench.method]]\nlabel = "{label}"\nrtol = [1e-4]\n' for label in poisons]
-    study(tmp_path, SWEEP.replace("{laws}", '["piecewise"]') + BENCH + "".join(methods))
+    methods = "".join(map(METHOD.format, ["piecewise", *poisons]))
+    study(tmp_path, SWEEP.replace("{laws}", '["piecewise"]') + MEASURED + STATED + methods)
     # To refuse to compile a law takes processor time, too: two seconds where others run beside.
     done = gapsweep(tmp_path, "bench", "own.toml", "--out", "out", "--timeout", "5")
     assert done.returncode == 3, done.stderr
@@ -282,8 +278,8 @@ def test_motions_run_the_code_that_the_study_has_read(tmp_path, what):
     """An edit after the study has read the law waits for the next run."""
     law = tmp_path / "edited.py"
     law.write_text("def law(x):\n    return 0.0\n")
-    method = '[[bench.method]]\nlabel = "edited:law"\nrtol = [1e-4]\n'
-    study(tmp_path, SWEEP + HISTORY + BENCH + method, "edited:law")
+    bench = MEASURED + "".join(map(METHOD.format, ["piecewise", "edited:law"]))
+    study(tmp_path, SWEEP + HISTORY + bench, "edited:law")
     loaded = gs.Study.load(tmp_path / "own.toml")
     loaded.own_law("edited:law")
     law.write_text("raise SystemExit\n")

@@ -719,10 +719,8 @@ def test_far_from_the_freeplay_cycles_approach_the_linear_flutter_speed():
         return np.linalg.eigvals(matrix).real.max()
 
     flutter = brentq(growth, 22.0, 26.0, xtol=1e-10)
-    start = gs.respond(SYSTEMS.typical_section(12.0), law, q_0=[0.01, 0.0, 0.0])
-    ds = gs.branches(
-        SYSTEMS.typical_section, law, "speed", (9.0, 24.5), at=12.0, start=start, follow=1
-    )
+    start = gs.respond(SYSTEMS.typical_section(23.8), law, q_0=[1.0, 0.0, 0.0])
+    ds = gs.branches(SYSTEMS.typical_section, law, "speed", (23.7, 24.5), at=23.8, start=start)
     flap = ds["x_max"].sel(coordinate="beta") / SYSTEMS.FREEPLAY
     far = ds["speed"].values[(flap > 1000.0).values]
     assert far.size > 10

@@ -283,23 +283,43 @@ def test_the_start_is_no_extremum_however_fast_the_clock(w):
     assert_allclose(run.extrema["q_1"], exact.extrema["q_1"], atol=5e-3)
 
 
+SCALE = np.array([0.01, 0.05, 0.1, 0.1, 0.5, 1.0])  # of states of the section
+
+
+@pytest.fixture(scope="module")
+def slow_responses():
+    """Rows of responses of the section by speed: thousands of returns, in one call."""
+    starts = {
+        10.352352: SCALE * np.random.default_rng(5).uniform(-1.0, 1.0, (12, 6)),
+        10.504505: SCALE * np.random.default_rng(5).uniform(-1.0, 1.0, (12, 6)),
+        10.295295: SCALE * np.random.default_rng(2).uniform(-1.0, 1.0, (16, 6)),
+        10.181182: np.array([[0.005, 0.02, 0.05, 0.0, 0.0, 0.0]]),
+    }
+    speeds = np.repeat(list(starts), [len(each) for each in starts.values()])
+    sections = [gs.systems.typical_section(speed) for speed in speeds]
+    start = np.concatenate(list(starts.values()))
+    law = gs.systems.typical_section_law()
+    found = gs.respond(sections, law, q_0=start[:, :3], v_0=start[:, 3:])
+    names = ("response_class", "message", "lyapunov", "x_end", "v_end")
+    return {s: {name: getattr(found, name)[speeds == s] for name in names} for s in starts}
+
+
 @pytest.mark.parametrize(("speed", "is_torus"), [(10.352352, False), (10.504505, True)])
-def test_thin_chaos_of_the_section_is_no_torus(speed, is_torus):
+def test_thin_chaos_of_the_section_is_no_torus(slow_responses, speed, is_torus):
     """One window in ten of this chaos has means as even as a torus has."""
     section, law = gs.systems.typical_section(speed), gs.systems.typical_section_law()
-    scale = np.array([0.01, 0.05, 0.1, 0.1, 0.5, 1.0])
-    start = scale * np.random.default_rng(5).uniform(-1.0, 1.0, (12, 6))
-    found = gs.respond(section, law, q_0=start[:, :3], v_0=start[:, 3:])
-    is_quasiperiodic = found.response_class == gs.ResponseClass.QUASIPERIODIC
-    is_chaotic = found.response_class == gs.ResponseClass.CHAOTIC
+    found = slow_responses[speed]
+    is_quasiperiodic = found["response_class"] == gs.ResponseClass.QUASIPERIODIC
+    is_chaotic = found["response_class"] == gs.ResponseClass.CHAOTIC
     assert is_quasiperiodic.all() if is_torus else not is_quasiperiodic.any()
     assert not is_chaotic.any() if is_torus else is_chaotic.mean() > 0.5
     # By no tangent: neighbours part in proportion to time on a torus.
-    near = np.concatenate([found.x_end, found.v_end], axis=1)[:1] + 1e-9 * np.eye(6, 2).T * scale
+    state = np.concatenate([found["x_end"], found["v_end"]], axis=1)[:1]
+    near = state + 1e-9 * np.eye(6, 2).T * SCALE
     run = gs.simulate(
         section, law, q_0=near[:, :3], v_0=near[:, 3:], t_end=400.0, rtol=1e-12, atol=1e-15
     )
-    apart = np.concatenate([run.q_end[1] - run.q_end[0], run.v_end[1] - run.v_end[0]]) / scale
+    apart = np.concatenate([run.q_end[1] - run.q_end[0], run.v_end[1] - run.v_end[0]]) / SCALE
     assert (np.abs(apart).max() < 1e-5) == is_torus
 
 
@@ -311,29 +331,25 @@ def test_where_growth_sets_in_no_motion_is_watched_for_long():
     assert found.t_simulated < 100.0
 
 
-def test_an_orbit_of_too_many_returns_is_no_torus():
+def test_an_orbit_of_too_many_returns_is_no_torus(slow_responses):
     """Locked after 116 maxima: its means are as even as over a torus, but disturbances shrink."""
     section, law = gs.systems.typical_section(10.181182), gs.systems.typical_section_law()
-    start = {"q_0": [0.005, 0.02, 0.05]}
-    found = gs.respond(section, law, **start)
-    assert found.response_class == gs.ResponseClass.UNRESOLVED
-    assert found.lyapunov < -0.05
-    assert "max_period_multiple = 32" in found.message
+    found = slow_responses[10.181182]
+    assert found["response_class"] == gs.ResponseClass.UNRESOLVED
+    assert found["lyapunov"] < -0.05
+    assert "max_period_multiple = 32" in found["message"][0]
     steady = gs.Steady(max_period_multiple=128, n_periods=257)
-    patient = gs.respond(section, law, **start, steady=steady)
+    patient = gs.respond(section, law, q_0=[0.005, 0.02, 0.05], steady=steady)
     assert (patient.response_class, patient.period_multiple) == (PERIODIC, 116)
-    assert_allclose(patient.lyapunov, found.lyapunov, rtol=0.1)
+    assert_allclose(patient.lyapunov, found["lyapunov"], rtol=0.1)
 
 
-def test_an_orbit_that_is_long_settled_on_is_neither_chaos_nor_torus():
+def test_an_orbit_that_is_long_settled_on_is_neither_chaos_nor_torus(slow_responses):
     """Locked after 298 maxima: on the way disturbances grow for a while."""
     section, law = gs.systems.typical_section(10.295295), gs.systems.typical_section_law()
-    scale = np.array([0.01, 0.05, 0.1, 0.1, 0.5, 1.0])
-    start = scale * np.random.default_rng(2).uniform(-1.0, 1.0, (16, 6))
-    found = gs.respond(section, law, q_0=start[:, :3], v_0=start[:, 3:])
-    assert (found.response_class == gs.ResponseClass.UNRESOLVED).all()
-    said = set(found.message)
-    assert any("repeats after more" in one for one in said)
+    found = slow_responses[10.295295]
+    assert (found["response_class"] == gs.ResponseClass.UNRESOLVED).all()
+    assert any("repeats after more" in one for one in found["message"])
     # By no search: where a long motion has led, it repeats itself after 298 maxima, and no sooner.
     run = gs.simulate(section, law, q_0=[0.005, 0.02, 0.05], t_end=9000.0, rtol=1e-9)
     late = np.asarray(run.section)[-2000:]
