@@ -1,9 +1,8 @@
-"""Write what a run of the paper's study answers into docs/answer.md and README.md.
+"""Write docs/answer.md and the main finding of README.md from a run of the paper's study.
 
     python benchmarks/answer.py RUN_DIR
 
-From the datasets and claims.json of the run. What is written stands between markers, but for
-docs/answer.md, which is written whole.
+Reads the datasets and claims.json of the run; in README.md replaces the text between markers.
 """
 
 import json
@@ -24,7 +23,7 @@ from workflows.paper.answer import answer  # noqa: E402
 from workflows.paper.scenes import LARGE_ENDS  # noqa: E402
 
 STIFFNESS = 2961.0  # of the spring of the paper's oscillator [N/m]
-HEAD = ["contact", "✓ use", "◐ with care", "✗ no", "tanh: one well", "tanh: use from ε [1/m]"]
+HEAD = ["case", "✓ use", "◐ with care", "✗ no", "tanh: one well", "tanh: use from ε [1/m]"]
 NUMBERS = [
     "law",
     "verdict",
@@ -36,52 +35,50 @@ NUMBERS = [
     "periodic",
 ]
 HOW = """\
-Columns are contacts: stiffness [N/m] and gap [mm]. Within 5 % means of the exact law's amplitude,
-or of half of the gap where that is larger. Blank: not swept there, or failed throughout.
+A column is a case: contact stiffness [N/m] and gap [mm]. A blank cell was not computed or failed at
+all frequencies. Errors are relative to the amplitude of the exact law, or to half of the gap where
+that is larger.
 
-- **use**: 95 % of the amplitudes lie within 5 %, the thickness of a plotted line, and 95 % of the
-  exact law's attractors are found; or both as often as by the exact law against itself, under
-  tighter tolerances or from starts moved by at most 10 nm.
-- **with care**: half of the amplitudes within 5 % and half of the attractors found, which *use*
-  asks too. **no**: less.
-- **exact here**: in neither worse than the exact law against itself; counted as *use*.
-- **±**: the 95 % interval of the law or of the exact law with other settings includes a threshold,
-  or there are too few frequencies for intervals.
-- **tanh: one well**: where tanh has no false static equilibrium. That is needed and not enough:
-  beside it stands the least ε of this study that may be used.
-- `piecewise-noevents` is the exact force, contacts not located: no approximation; it shows what
-  locating them saves. Nor is `auto` one, which takes the exact law where it must.
+- **✓ use**: 95 % of the amplitudes have an error below 5 % (the thickness of a plotted line), and
+  95 % of the exact law's attractors are found. A law that is as close to the exact law as the exact
+  law is with tighter tolerances, or with initial conditions shifted by at most 10 nm, counts too.
+- **◐ with care**: half of the amplitudes and half of the attractors. **✗ no**: less.
+- **= exact here**: not distinguishable from the exact law with other settings; counts as *use*.
+- **±**: the 95 % interval includes a threshold, or there are too few frequencies for an interval.
+- **tanh: one well**: ε above which tanh has no false equilibrium. The next column has the smallest
+  ε of this study with the verdict *use*: one well is necessary and not sufficient.
+- `piecewise-noevents` is the exact force without located contacts. It is no approximation: it shows
+  the saving by location. `auto` takes the exact law where needed and is no approximation either.
 """
 COSTS = """\
-The cost of a law is stated in three ways, which must not be mixed:
+The cost of a law is measured in three ways, which must not be mixed:
 
-- (a) one Runge-Kutta pair (Dormand and Prince's), contacts of the exact law located and restarted:
-  Table 2 of the paper's report, from both of the paper's initial conditions; without restarts:
+- (a) with one Runge-Kutta pair (Dormand and Prince) for all laws; the exact law is located and
+  restarted: Table 2 of the report of the paper's study; without restarts:
   [one method](benchmarks.md);
-- (b) this engine's default for each law, a Taylor series for the exact law against an explicit
-  Runge-Kutta method of order 8: the costs below;
-- (c) scipy's `solve_ivp`, the exact law with terminal events and restarts: the same page.
+- (b) with the default solver of gapsweep for each law, a Taylor series for the exact law and tanh,
+  an explicit Runge-Kutta method of order 8 for the others: the costs on this page;
+- (c) with scipy's `solve_ivp`, terminal events and restarts for the exact law: [one
+  method](benchmarks.md).
 
 """
 BEHIND = """\
-Every number is the cost (b): processor time per forcing period over that of the exact law, on the
-same fixed starts; above 1 × a law costs *more* than the exact one, ≈ 1 × cannot be told from it,
-and where the 95 % interval reaches far to both sides of 1 × it stands in place of the number. It
-covers the choice of frequencies and how far costs of exact law, other settings are from 1, in all
-contacts together. Nothing is judged (–) where the exact law has no steady response, or touches no
-wall.
+Numbers are costs (b): processor time per forcing period over that of the exact law, for the same
+initial conditions. Above 1 × a law costs *more* than the exact law; ≈ 1 × is not distinguishable
+from it. If the 95 % interval is wide on both sides of 1 ×, the interval replaces the number. The
+interval covers the choice of frequencies and the repeatability of timings. A dash (–) marks cases
+in which the exact law has no steady response or touches no wall.
 
-## The numbers behind
+## All numbers
 
-Errors are those of attractors paired one to one, over frequencies; with one start per frequency, of
-the response from it. Found: of the exact law's attractors, over frequencies. Cost: of all motions
-together, of which the few that are chaotic run longest and weigh most; periodic: where the exact
-law is.
+Errors: of attractors paired one to one, over all frequencies; with one initial condition per
+frequency, of its response. Found: share of the exact law's attractors. Cost: of all motions; a few
+chaotic ones run longest. Periodic: cost where the exact law is periodic.
 """
 
 
 def lines(found: Sequence[Contact]) -> Iterator[list[str]]:
-    """The table as texts: a contact, the laws by what may be done with them, tanh."""
+    """Rows of the table: a case, its laws by verdict, thresholds of tanh."""
     for one in found:
         columns = [
             ", ".join(f"{law.name} {law.cost}" for law in laws) or ("–" if one.unjudged else "none")
@@ -96,7 +93,7 @@ def table(head: Sequence[str], rows: Iterator[list[str]] | list[list[str]]) -> s
 
 
 def numbers(contact: Contact) -> str:
-    """All that a verdict rests on, in one contact."""
+    """The numbers behind the verdicts in one case, as a table."""
     rows = [
         [
             f"`{one.law}`",
@@ -116,7 +113,7 @@ def numbers(contact: Contact) -> str:
 
 
 def signs(found: Sequence[Contact]) -> str:
-    """Laws by contacts, a sign each."""
+    """Verdicts of laws over cases, a symbol a cell."""
     laws = dict.fromkeys(law.law for one in found for law in one.laws)
     rows = []
     for law in laws:
@@ -168,7 +165,7 @@ def main(folder: Path) -> None:
         f"{about['machine']}."
     )
     page = f"# Which contact law is accurate enough, and its cost\n\n{headline}\n{HOW}\n{made}\n\n"
-    page += f"## By contact\n\n{COSTS}{' '.join(in_words(found))}\n\n{table(HEAD, lines(found))}\n"
+    page += f"## By case\n\n{COSTS}{' '.join(in_words(found))}\n\n{table(HEAD, lines(found))}\n"
     page += f"{BEHIND}\n"
     page += "\n".join(map(numbers, every))
     (ROOT / "docs" / "answer.md").write_text(page.rstrip("\n") + "\n")

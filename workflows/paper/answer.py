@@ -1,4 +1,4 @@
-"""The answer in five lines, made from a run: which law, where, why, and at what cost."""
+"""The answer in five sentences from a run: contact laws to use, and their costs."""
 
 from collections.abc import Iterable
 
@@ -36,7 +36,7 @@ SCIPY_TIME = (0.34, 0.74)
 
 
 def answer(run: Run) -> list[str]:
-    """Five lines; the first holds for every way in which a law's cost is stated.
+    """Five sentences; the first is valid for each measure of cost.
 
     Raises
     ------
@@ -60,31 +60,32 @@ def answer(run: Run) -> list[str]:
     times = (f"{SOFT / SPRING:.1f}", f"{HARD / SPRING:.0f}")
     small, large = (0.5 * width(case) for case in (SOFT_SYMMETRIC, SOFT_LARGE))
     return [
-        f"Locate contacts and take the exact law: at the paper's tolerance its error is "
-        f"{_range(_nearer(run), '.0f')} times smaller after four forcing periods than "
-        f"without location (hard contact, 0/0.8 mm). The saving of a tangent law depends on "
-        f"the solver: it takes {_range(_work(run), '.2f')} of the exact law's right-hand sides "
-        f"with one Runge-Kutta pair, {_range(_times(run), '.2g')} times its time with the engine's "
-        f"defaults, and {_range(SCIPY_TIME, '.2f')} times with scipy's terminal events and "
-        f"restarts.",
-        f"If a tool cannot locate contacts, take the exact force all the same, with tight "
-        f"tolerances: it finds {found([NO_EVENTS], *tried)} of the attractors in the four cases "
-        f"with the stiffer walls, where the exact law itself, started 1 nm away, finds "
-        f"{found(itself, *tried)}: no law can do better. Only a method that needs a smooth force "
-        f"needs tanh: with ε · (half of the gap) = {1e6 * small:.0f} (ε = 1e6 /m) it finds "
-        f"{found(['tanh-1e6'], *tried)}, arctan {found(['arctan-1e6'], *tried[:3])}, log-arctan "
-        f"{found(['logarctan-1e6'], *tried[:3])} in the first three.",
-        f"ε · (half of the gap) = {1e4 * small:.0f} is enough for walls softer than the spring "
-        f"({found(weak, VERY_SOFT_SYMMETRIC)}), {1e4 * large:.0f} for gaps that are hardly crossed "
-        f"({SOFT_LARGE[1]} mm, {found(weak, SOFT_LARGE)}); 4 is not for walls of {times[0]} "
-        f"times the spring's stiffness ({found(weak, *tried[:2])}) or {times[1]} times "
-        f"({found(weak, HARD_SYMMETRIC)}), where tanh has false wells below ε = {wells} /m.",
-        f"Polynomials and rational fits: only for the softest wall "
-        f"({found(WEAK[:2], VERY_SOFT_SYMMETRIC)}); at the hard one they find "
+        f"Locate contacts and use the exact law: at the paper's tolerance its error after four "
+        f"forcing periods is {_range(_nearer(run), '.0f')} times smaller than without location "
+        f"(hard contact, 0/0.8 mm). The saving by a tangent law depends on the solver: it needs "
+        f"{_range(_work(run), '.2f')} of the exact law's right-hand sides with one Runge-Kutta "
+        f"pair, {_range(_times(run), '.2g')} times its time with the default solvers, and "
+        f"{_range(SCIPY_TIME, '.2f')} times with scipy's terminal events and restarts.",
+        f"If a tool cannot locate contacts, use the exact force with tight tolerances: it finds "
+        f"{found([NO_EVENTS], *tried)} of the attractors in the four cases with the stiffer walls. "
+        f"The exact law with initial conditions shifted by 1 nm finds {found(itself, *tried)}, "
+        f"which is the limit for any law. If a method needs a smooth force, use tanh: with "
+        f"ε · (half of the gap) = {1e6 * small:.0f} (ε = 1e6 /m) it finds "
+        f"{found(['tanh-1e6'], *tried)}, arctan {found(['arctan-1e6'], *tried[:3])} and log-arctan "
+        f"{found(['logarctan-1e6'], *tried[:3])} in the first three cases.",
+        f"ε · (half of the gap) = {1e4 * small:.0f} is sufficient for walls softer than the spring "
+        f"({found(weak, VERY_SOFT_SYMMETRIC)}), {1e4 * large:.0f} for gaps that motions hardly "
+        f"cross ({SOFT_LARGE[1]} mm, {found(weak, SOFT_LARGE)}). 4 is insufficient for walls of "
+        f"{times[0]} times the spring's stiffness ({found(weak, *tried[:2])}) and of {times[1]} "
+        f"times ({found(weak, HARD_SYMMETRIC)}), where tanh has false potential wells below "
+        f"ε = {wells} /m.",
+        f"Use polynomials and rational fits only for the softest wall "
+        f"({found(WEAK[:2], VERY_SOFT_SYMMETRIC)}); at the hardest they find "
         f"{found((*WEAK[:2], *STRONG[:2]), HARD_SYMMETRIC)}.",
-        f"At hard contact and 0/0.8 mm no law is to blame: the exact law, started 1 nm away, finds "
-        f"{found(itself, HARD_ASYMMETRIC)} of the attractors, tanh with ε = 1e9 /m "
-        f"{found(['tanh-1e9'], HARD_ASYMMETRIC)}, with 1e6 {found(['tanh-1e6'], HARD_ASYMMETRIC)}.",
+        f"At hard contact and 0/0.8 mm the limit is the sensitivity to initial conditions: the "
+        f"exact law shifted by 1 nm finds {found(itself, HARD_ASYMMETRIC)} of the attractors, tanh "
+        f"with ε = 1e9 /m {found(['tanh-1e9'], HARD_ASYMMETRIC)} and with ε = 1e6 /m "
+        f"{found(['tanh-1e6'], HARD_ASYMMETRIC)}.",
     ]
 
 
