@@ -37,7 +37,7 @@ SCENES = ["soft-sym-9", "soft-asym-9", "hard-sym-9", "hard-asym-9"]
 
 
 def pages() -> None:
-    """Those that pages of the gallery and tutorials draw by their own code."""
+    """Pictures that the code of gallery pages and tutorials draws."""
     matplotlib.use("Agg")
     for page in sorted(Path(__file__).parent.glob("*/*.md")):
         blocks = re.findall(r"^```python\n(.*?)^```$", page.read_text(), re.DOTALL | re.MULTILINE)
@@ -100,7 +100,7 @@ def start() -> None:
 
 
 def work_precision(folder: Path) -> None:
-    """Cost over error in four scenes."""
+    """Cost over error in four scenes of the benchmark."""
     figure = Figure(figsize=(9.5, 7.0))
     with gs.open(folder / "work_precision.nc") as ds:
         for axes, scene in zip(figure.subplots(2, 2).flat, SCENES, strict=True):

@@ -149,6 +149,14 @@ def test_pages_show_the_pictures_that_their_code_draws(page):
     assert page.parent.name != "gallery" or page.stem == "index" or shown == [f"{page.stem}.png"]
 
 
+def test_the_gallery_shows_every_example():
+    text = (DOCS / "gallery" / "index.md").read_text()
+    shown = re.findall(r"\[!\[.+?\]\((\w+)\.png\)\]\((\w+)\.md\)", text)
+    assert sorted(shown) == sorted(
+        (p.stem, p.stem) for p in DOCS.glob("gallery/*.md") if p.stem != "index"
+    )
+
+
 def test_every_page_and_notebook_is_in_the_contents():
     listed = set()
     for page in PAGES:

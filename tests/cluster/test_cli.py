@@ -370,6 +370,7 @@ def test_wrong_command_line_is_clicks_own(folder):
     assert in_a_process(folder, "--help").returncode == 0
 
 
+NOHUP = ("nohup",)
 # As a script starts what ends with &: Ctrl-C is ignored.
 IN_BACKGROUND = "sh", "-c", 'trap "" INT; exec "$@"', "sh"
 
@@ -379,13 +380,18 @@ IN_BACKGROUND = "sh", "-c", 'trap "" INT; exec "$@"', "sh"
     [
         (signal.SIGINT, os.killpg, ()),  # a terminal sends it to all processes, workers included
         (signal.SIGTERM, os.killpg, IN_BACKGROUND),
-        (signal.SIGTERM, os.kill, ()),
+        (signal.SIGTERM, os.kill, NOHUP),
         (signal.SIGHUP, os.killpg, ()),
     ],
 )
 def test_a_signal_stops_a_run_and_the_next_one_resumes(gapsweep, folder, number, send, prefix):
     process = slow_run(folder, *prefix)
     workers = psutil.Process(process.pid).children(recursive=True)
+    if prefix == NOHUP:  # it goes on when its terminal is closed
+        reached = stored_points(folder)
+        os.killpg(process.pid, signal.SIGHUP)
+        wait_for_points(folder, reached + 4)
+        assert process.poll() is None
     send(process.pid, number)
     _, errors = process.communicate(timeout=60)
     assert process.returncode == 130
@@ -395,18 +401,6 @@ def test_a_signal_stops_a_run_and_the_next_one_resumes(gapsweep, folder, number,
     assert "interrupted" in gapsweep(folder, "status", "data/runs/tiny").stdout
     kept = json.loads(gapsweep(folder, "plan", "tiny.toml", "--json").stdout)
     assert 3 <= kept["hits"] < 800
-
-
-def test_nohup_keeps_a_run_going(folder):
-    process = slow_run(folder, "nohup")
-    try:
-        reached = stored_points(folder)
-        os.killpg(process.pid, signal.SIGHUP)
-        wait_for_points(folder, reached + 4)
-        assert process.poll() is None
-    finally:
-        os.killpg(process.pid, signal.SIGTERM)
-        process.communicate(timeout=60)
 
 
 def slow_run(folder, *prefix):

@@ -23,7 +23,6 @@ from distributed import Client, LocalCluster
 from tests.stored import n_stored
 
 import gapsweep as gs
-from gapsweep.execution.cluster import cluster
 
 SOURCES = Path(gs.__file__).parent
 ROOT = Path(__file__).parents[2]
@@ -231,16 +230,12 @@ def test_workers_may_join_and_leave(slow, tmp_path):
         other.join()
 
 
-def test_local_cluster_listens_on_the_loopback_only():
-    with cluster(workers=1) as client:
-        client.wait_for_workers(1)
-        mine = psutil.Process()
-        processes = [mine, *mine.children(recursive=True)]
-        listening = {
-            c.laddr.ip for p in processes for c in p.net_connections() if c.status == "LISTEN"
-        }
-        assert listening == {"127.0.0.1"}
-        assert re.match(r"http://127\.0\.0\.1:\d+/", client.dashboard_link)
+def test_local_cluster_listens_on_the_loopback_only(client):
+    mine = psutil.Process()
+    processes = [mine, *mine.children(recursive=True)]
+    listening = {c.laddr.ip for p in processes for c in p.net_connections() if c.status == "LISTEN"}
+    assert listening == {"127.0.0.1"}
+    assert re.match(r"http://127\.0\.0\.1:\d+/", client.dashboard_link)
 
 
 STRANGER = """
@@ -251,16 +246,14 @@ with Client(sys.argv[1], timeout=5) as client:
 """
 
 
-def test_another_process_cannot_join_the_local_cluster():
-    with cluster(workers=1) as client:
-        client.wait_for_workers(1)
-        address = client.scheduler_info()["address"]
-        port = address.rsplit(":", 1)[1]
-        for there in (address, f"tcp://127.0.0.1:{port}"):
-            command = [sys.executable, "-c", STRANGER, there]
-            done = subprocess.run(command, capture_output=True, text=True, timeout=60)
-            assert done.returncode != 0
-            assert done.stdout == ""
+def test_another_process_cannot_join_the_local_cluster(client):
+    address = client.scheduler_info()["address"]
+    port = address.rsplit(":", 1)[1]
+    for there in (address, f"tcp://127.0.0.1:{port}"):
+        command = [sys.executable, "-c", STRANGER, there]
+        done = subprocess.run(command, capture_output=True, text=True, timeout=60)
+        assert done.returncode != 0
+        assert done.stdout == ""
 
 
 @pytest.fixture

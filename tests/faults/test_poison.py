@@ -45,7 +45,7 @@ def poisoned(tables):
 
 def test_poison_points_get_their_own_status_and_all_others_complete(poisoned, tmp_path):
     with cluster(workers=2) as fragile:
-        ds = run(poisoned, tmp_path, fragile, batch=9, timeout=10.0)
+        ds = run(poisoned, tmp_path, fragile, batch=9, timeout=5.0)
     status = {str(r): ds["status"].sel(representation=r).squeeze() for r in ds.representation.data}
     assert set(status.pop("piecewise").values.tolist()) == {gs.Status.OK}
     found = {name.split(":")[1]: s.sel(omega=12.0).item() for name, s in status.items()}
@@ -61,7 +61,7 @@ def test_poison_points_get_their_own_status_and_all_others_complete(poisoned, tm
     assert said[0] == "ArithmeticError: no force here"
     assert said[1] == "its process was ended by SIGKILL"
     assert said[2] == "its process ended with exit code 7"
-    assert said[3] == "exceeded the time limit of 10 s"
+    assert said[3] == "exceeded the time limit of 5 s"
     assert said[4].startswith("diverged before t = ")
 
 

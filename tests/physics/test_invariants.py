@@ -11,6 +11,7 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy.integrate import simpson
 from tests.equation import Equation, laws_of
+from tests.physics import test_response_invariants as responses
 from tests.random_scenes import random_cases
 
 import gapsweep as gs
@@ -720,3 +721,15 @@ def test_records_tell_where_random_motions_turn_and_touch(method, rtol):
             side = sign_of(np.maximum(x - high, low - x) if low < high else x, x_size)
             signs = side * (-1.0) ** (n_passed if low < high else n_passed // 2)
             assert abs(signs.sum()) == np.abs(signs).sum(), (drawn, i, "contacts")
+
+
+# --- A user's law ---------------------------------------------------------------------------------
+
+
+def test_responses_to_a_users_law_are_those_of_the_equation():
+    """Here, where the process has compiled the kernels of this law for its motions."""
+    case = responses.Case(OSCILLATOR, CASES["native user"].law)
+    responses.test_orbits_are_those_of_the_equation(case)
+    responses.test_multipliers_are_those_of_the_tangent_along_the_orbit(case)
+    responses.test_scipy_finds_the_same_response(case)
+    responses.test_a_response_is_the_same_in_any_company(case)

@@ -90,7 +90,6 @@ CASES = {
         f"{label}, one-sided": Case(OSCILLATOR, gs.contact_law(label, 1.4e4, ASYMMETRIC))
         for label in LABELS
     },
-    "user": Case(OSCILLATOR, gs.contact_law("tests.laws:innocent", 1.4e4, SYMMETRIC)),
     "hard": Case(OSCILLATOR, gs.Piecewise(1.4e6, ASYMMETRIC), [7.0, 21.75]),
     "sharp": Case(OSCILLATOR, gs.LogArctan(1.4e4, gs.Gap(1e-4, 6e-4), 1e5), [9.0]),
     "softer below": Case(OSCILLATOR, gs.Piecewise(1.4e4, gs.Gap(2e-4, 5e-4), K_ratio=0.2)),
