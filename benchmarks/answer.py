@@ -67,7 +67,7 @@ BEHIND = """\
 Every number is the cost (b): processor time per forcing period over that of the exact law, on the
 same fixed starts; above 1 × a law costs *more* than the exact one, ≈ 1 × cannot be told from it,
 and where the 95 % interval reaches far to both sides of 1 × it stands in place of the number. It
-covers the choice of frequencies and how far costs of exact law, other settings are from 1, in all
+covers the choice of frequencies and how far the exact law with other settings is from 1, in all
 contacts together. Nothing is judged (–) where the exact law has no steady response, or touches no
 wall.
 
