@@ -320,11 +320,11 @@ class GapsweepAccessor:
         **wanted
             Selection by coordinate; one scene must be left.
         """
-        from gapsweep.report.bench_figures import PANEL, panel
-
-        shown = scene(self._dataset, dict.fromkeys(PANEL, ("method", "tolerance")), wanted)
+        shown = scene(
+            self._dataset, dict.fromkeys(drawing.WORK_PRECISION, ("method", "tolerance")), wanted
+        )
         axes = axes_of(ax)
-        panel(axes, shown)
+        drawing.work_precision(axes, shown)
         axes.set_xlabel(axis_label(shown["total_error"]))
         axes.set_ylabel(axis_label(shown["cpu_time"]))
         return titled(axes, shown)

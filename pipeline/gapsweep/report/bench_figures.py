@@ -1,7 +1,6 @@
 """Figures of the benchmark: work-precision diagrams and the failure atlas."""
 
 import math
-from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -10,17 +9,12 @@ from matplotlib.colors import ListedColormap
 from matplotlib.figure import Figure
 
 from gapsweep.analysis.bench.judge import CellOutcome
+from gapsweep.report.drawing import MARKERS, work_precision
 from gapsweep.report.style import by_colour, colour, lines
 from gapsweep.status import Status
 
 _WIDTH = 9.5  # inches, the report's column
 _COLUMNS = 3
-_MARKERS = ("o", "s", "^", "D", "v")
-_ERRORS = (1e-14, 1e2)
-PANEL = (
-    *("total_error", "cpu_time", "cpu_time_q25", "cpu_time_q75"),
-    *("model_error", "status", "on_front", "at_reference_floor"),
-)
 # From best to worst: a cell of the atlas shows the worst of its runs.
 _SEVERITY = (
     CellOutcome.NOT_REQUESTED,
@@ -71,7 +65,7 @@ def work_precision_figure(bench: xr.Dataset) -> Figure:
     labels = bench["method"].values.tolist()
     for axes, s in zip(panels.flat, range(bench.sizes["scene"]), strict=False):
         one = bench.isel(scene=s)
-        panel(axes, one)
+        work_precision(axes, one)
         title = f"{one['gap'].item()} mm, {float(one['omega']):g} Hz"
         axes.set_title(title, fontsize=9, loc="left")
     _widen(panels[0, 0])
@@ -91,55 +85,6 @@ def work_precision_figure(bench: xr.Dataset) -> Figure:
     return figure
 
 
-def panel(axes: Axes, scene: xr.Dataset) -> None:
-    """Cost over error of every method in one scene, a point per tolerance.
-
-    Parameters
-    ----------
-    scene : Dataset
-        The variables `PANEL`, over method and tolerance.
-    """
-    labels = scene["method"].values.tolist()
-    styles, marks = lines(labels), by_colour(labels, _MARKERS)
-    axes.set_xscale("log")
-    axes.set_yscale("log")
-    shown = (scene["status"] == Status.OK) & (scene["at_reference_floor"] == 0)
-    error = scene["total_error"].where(shown).clip(*_ERRORS)
-    for label in labels:
-        one, x = scene.sel({"method": label}), error.sel({"method": label}).values
-        y = one["cpu_time"].values
-        look: dict[str, Any] = {"color": colour(label), "linewidth": 0.9, "markersize": 3}
-        look["label"] = label
-        axes.plot(x, y, styles[label], marker=marks[label], markerfacecolor="white", **look)
-    for label in labels:
-        one, x = scene.sel({"method": label}), error.sel({"method": label}).values
-        y, front = one["cpu_time"].values, one["on_front"].values.astype(bool)
-        bars = np.abs(np.stack([y - one["cpu_time_q25"].values, one["cpu_time_q75"].values - y]))
-        shade = colour(label)
-        look = {"fmt": "none", "ecolor": shade, "elinewidth": 0.6, "alpha": 0.6}
-        axes.errorbar(x, y, bars, label=f"_{label}, quartiles", **look)
-        named = f"_{label}, on the front"
-        axes.plot(
-            x[front], y[front], marks[label], color=shade, markersize=6, zorder=4, label=named
-        )
-        ring: dict[str, Any] = {"markerfacecolor": "none", "markeredgecolor": "#D55E00"}
-        axes.plot(x[front], y[front], "o", markersize=9, zorder=3, label=named, **ring)
-        model = float(one["model_error"].max())
-        if model > 0.0:
-            edge: dict[str, Any] = {"ymax": 0.06, "color": shade, "linewidth": 1.4}
-            axes.axvline(min(model, _ERRORS[1]), label=f"_{label}, its own error", **edge)
-        failed = (one["status"] > Status.NOT_REQUESTED).values & np.isfinite(y)
-        if failed.any():
-            look = {"color": shade, "markersize": 5, "clip_on": False}
-            look |= {"transform": axes.get_yaxis_transform(), "label": f"_{label}, failed"}
-            crosses = axes.plot(np.ones(failed.sum()), y[failed], "x", **look)
-            crosses[0].set_in_layout(False)
-    axes.grid(which="minor", visible=False)
-    said = _failed_words(scene, labels)
-    if said:
-        axes.text(0.98, 0.97, said, transform=axes.transAxes, ha="right", va="top", fontsize=7)
-
-
 def _widen(axes: Axes) -> None:
     """Show a decade about a single value.
 
@@ -153,22 +98,12 @@ def _widen(axes: Axes) -> None:
             set_limits(low / math.sqrt(10.0), high * math.sqrt(10.0))
 
 
-def _failed_words(scene: xr.Dataset, labels: list[str]) -> str:
-    """Failed methods and their status, one per line."""
-    found = []
-    for label in labels:
-        status = np.unique(scene["status"].sel({"method": label}).values).tolist()
-        words = [Status(s).label.replace("_", " ") for s in status if s > Status.NOT_REQUESTED]
-        found += [f"× {label}: {word}" for word in words]
-    return "\n".join(found[:4] + (["…"] if len(found) > 4 else []))
-
-
 def tolerance_figure(bench: xr.Dataset) -> Figure:
     """Solver errors over the tolerance, medians over the scenarios."""
     figure = Figure(figsize=(_WIDTH, 4.2), layout="constrained")
     panels = figure.subplots(1, len(_QUANTITIES))
     labels = bench["method"].values.tolist()
-    styles, marks = lines(labels), by_colour(labels, _MARKERS)
+    styles, marks = lines(labels), by_colour(labels, MARKERS)
     for axes, (name, title) in zip(panels, _QUANTITIES.items(), strict=True):
         axes.set_xscale("log")
         axes.set_yscale("log")

@@ -14,8 +14,9 @@ from numpy.typing import NDArray
 from gapsweep.analysis.agreement.jumps import breaks
 from gapsweep.model.labels import EXACT
 from gapsweep.report.scales import drawn, shown_unit
-from gapsweep.report.style import WALL, colour, lines
+from gapsweep.report.style import WALL, by_colour, colour, lines
 from gapsweep.response.result import ResponseClass
+from gapsweep.status import Status
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -32,6 +33,13 @@ def labels_of(dataset: xr.Dataset) -> list[str]:
 
 
 SETS = "sets_axis"
+MARKERS = ("o", "s", "^", "D", "v")
+_ERRORS = (1e-14, 1e2)
+# Variables of a work-precision diagram.
+WORK_PRECISION = (
+    *("total_error", "cpu_time", "cpu_time_q25", "cpu_time_q75"),
+    *("model_error", "status", "on_front", "at_reference_floor"),
+)
 
 
 def curves(
@@ -296,6 +304,65 @@ def summary(
         axes.axvline(float(drawn(floor)), **WALL, label="exact law, other settings")
     axes.set_yticks(range(len(labels)), labels)
     axes.set_ylim(len(labels) - 0.5, -0.5)
+
+
+def work_precision(axes: "Axes", scene: xr.Dataset) -> None:
+    """Cost over error of every method in one scene, a point per tolerance.
+
+    Parameters
+    ----------
+    scene : Dataset
+        The variables `WORK_PRECISION`, over method and tolerance.
+    """
+    labels = scene["method"].values.tolist()
+    styles, marks = lines(labels), by_colour(labels, MARKERS)
+    axes.set_xscale("log")
+    axes.set_yscale("log")
+    shown = (scene["status"] == Status.OK) & (scene["at_reference_floor"] == 0)
+    error = scene["total_error"].where(shown).clip(*_ERRORS)
+    for label in labels:
+        one, x = scene.sel({"method": label}), error.sel({"method": label}).values
+        y = one["cpu_time"].values
+        look: dict[str, Any] = {"color": colour(label), "linewidth": 0.9, "markersize": 3}
+        look["label"] = label
+        axes.plot(x, y, styles[label], marker=marks[label], markerfacecolor="white", **look)
+    for label in labels:
+        one, x = scene.sel({"method": label}), error.sel({"method": label}).values
+        y, front = one["cpu_time"].values, one["on_front"].values.astype(bool)
+        bars = np.abs(np.stack([y - one["cpu_time_q25"].values, one["cpu_time_q75"].values - y]))
+        shade = colour(label)
+        look = {"fmt": "none", "ecolor": shade, "elinewidth": 0.6, "alpha": 0.6}
+        axes.errorbar(x, y, bars, label=f"_{label}, quartiles", **look)
+        named = f"_{label}, on the front"
+        axes.plot(
+            x[front], y[front], marks[label], color=shade, markersize=6, zorder=4, label=named
+        )
+        ring: dict[str, Any] = {"markerfacecolor": "none", "markeredgecolor": "#D55E00"}
+        axes.plot(x[front], y[front], "o", markersize=9, zorder=3, label=named, **ring)
+        model = float(one["model_error"].max())
+        if model > 0.0:
+            edge: dict[str, Any] = {"ymax": 0.06, "color": shade, "linewidth": 1.4}
+            axes.axvline(min(model, _ERRORS[1]), label=f"_{label}, its own error", **edge)
+        failed = (one["status"] > Status.NOT_REQUESTED).values & np.isfinite(y)
+        if failed.any():
+            look = {"color": shade, "markersize": 5, "clip_on": False}
+            look |= {"transform": axes.get_yaxis_transform(), "label": f"_{label}, failed"}
+            crosses = axes.plot(np.ones(failed.sum()), y[failed], "x", **look)
+            crosses[0].set_in_layout(False)
+    axes.grid(which="minor", visible=False)
+    said = _failed_words(scene, labels)
+    if said:
+        axes.text(0.98, 0.97, said, transform=axes.transAxes, ha="right", va="top", fontsize=7)
+
+
+def _failed_words(scene: xr.Dataset, labels: list[str]) -> str:
+    """Failed methods and their status, one per line."""
+    found = []
+    for label in labels:
+        status = np.unique(scene["status"].sel({"method": label}).values).tolist()
+        words = [Status(s).label.replace("_", " ") for s in status if s > Status.NOT_REQUESTED]
+        found += [f"× {label}: {word}" for word in words]
+    return "\n".join(found[:4] + (["…"] if len(found) > 4 else []))
 
 
 def _label(one: xr.Dataset) -> str:

@@ -79,10 +79,10 @@ def _agreement_rows(agreement: xr.Dataset, labels: list[str]) -> Iterator[list[s
 
 _AGREEMENT = [
     "Representation",
-    "Amplitude error for equal initial conditions, median (95 % interval)",
+    "Amplitude error, median (95 % interval)",
     "95th percentile",
-    "Attractors found (recall)",
-    "Attractors correct (precision)",
+    "Attractors found",
+    "Attractors correct",
     "Same class",
     "Basin distance",
     "Points compared",
@@ -90,7 +90,7 @@ _AGREEMENT = [
 _TIMING = [
     "Representation",
     "Processor time [ms]",
-    "Right-hand-side evaluations",
+    "Force evaluations",
     "Steps",
     "Rejected",
     "Contacts",
@@ -122,7 +122,7 @@ def _agreement(row: xr.Dataset, floor: str = "") -> list[str]:
 
 def _interval(bounds: xr.DataArray) -> str:
     low, high = (percent(float(bound)) for bound in bounds)
-    return f" ({low.removesuffix(' %')} to {high})" if "–" not in (low, high) else ""
+    return f" ({low.removesuffix(' %')}–{high})" if "–" not in (low, high) else ""
 
 
 def _timing_rows(timing: xr.Dataset, labels: list[str]) -> Iterator[list[str]]:
