@@ -4,7 +4,6 @@
 
 Read are strings with a space (messages, attributes, help), docstrings of public objects, pages,
 templates and comments of studies; code in pages is not. The exit code is 1 if a word is found.
-docs/glossary.md defines the terms of gapsweep.
 """
 
 import ast
