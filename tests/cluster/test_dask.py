@@ -327,7 +327,7 @@ def test_an_asynchronous_client_is_refused_and_disturbs_no_run_without_it(tables
             Client(started, asynchronous=True) as client,
         ):
             for call in (partial(gs.run, out=tmp_path / "out"), gs.query):
-                with pytest.raises(gs.ClusterError, match="asynchronous"):
+                with pytest.raises(gs.ClusterError, match="must be synchronous"):
                     call(study, client, cache=cache)
             assert stored(tmp_path) == 0
             with gs.run(study, out=tmp_path / "out", cache=cache) as ds:

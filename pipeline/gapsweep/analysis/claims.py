@@ -1,9 +1,8 @@
-"""Claims about the results of a run, and how their tests become verdicts.
+"""Claims about the results of a run, and their verdicts.
 
-A claim is a function of a `Run`: it returns its tests and one sentence that says what was found. A
-test compares one number with a threshold and is decided by nothing else; the number carries its own
-floor, what rounding or sampling alone can do to it. A number within its floor of the threshold
-leaves the test open.
+A claim is a function of a `Run` that returns tests and a sentence with the result. A test compares
+a number with a threshold. A number has an uncertainty (`floor`) by rounding or sampling; the test
+is open if the threshold is within it.
 """
 
 import math
@@ -34,24 +33,24 @@ Floats = NDArray[np.float64]
 
 
 class NotInRunError(Exception):
-    """What a claim needs and the run has not: it leaves the claim undecidable."""
+    """The run lacks data that a claim needs; the claim is undecidable."""
 
 
 @dataclass(frozen=True, slots=True)
 class Number:
-    """A number and what may be in doubt about it.
+    """A number and its uncertainty.
 
     Attributes
     ----------
     value : float
-        NaN: there is none, and no test of it is decided.
+        The number; NaN if unknown, which leaves its tests open.
     floor : float
-        What rounding or sampling alone can do to it.
+        Numerical or sampling uncertainty of the value.
     n : int
-        How many values it condenses.
+        Number of values in the mean.
     each, of : ndarray, optional
-        The values of a mean, NaN where there is none, and what each is of, such as its frequency.
-        Two means over the same points are compared in pairs, over those that both have.
+        Values of a mean, NaN if unknown, and their coordinates, such as frequencies. Two means over
+        the same points are compared in pairs, over the points that both have.
     """
 
     value: float
@@ -95,17 +94,17 @@ class Number:
 
 
 def mean(values: ArrayLike, of: ArrayLike | None = None) -> Number:
-    """Mean of values between -1 and 1, such as shares, or of differences of such values.
+    """Return the mean of values between -1 and 1, such as shares or their differences.
 
-    Its floor is two standard errors, one more squared deviation of 1 being assumed, so that none
-    or all of a few are not taken for certain: more than a regular grid of frequencies has.
+    The uncertainty is two standard errors with one additional squared deviation of 1, so that
+    shares of 0 and 1 of few values are uncertain. It is an upper bound for regular frequency grids.
 
     Parameters
     ----------
     values : array_like
-        NaN: none there.
+        Values; NaN if unknown.
     of : array_like, optional
-        What each value is of; None takes the coordinate ``omega`` of `values`, if it has one.
+        Coordinate of each value; None uses the coordinate ``omega`` of `values`, if present.
     """
     of = getattr(values, "omega", None) if of is None else of
     each = np.ravel(np.asarray(values, dtype=float))
@@ -123,14 +122,14 @@ def _spread(deviations: Floats) -> float:
 
 
 def share(hits: ArrayLike, of: ArrayLike | None = None) -> Number:
-    """Share of what was looked at that fulfils a condition, as a `mean`; NaN is not known."""
+    """Return the share of values that are true, as a `mean`; NaN values are unknown."""
     of = getattr(hits, "omega", None) if of is None else of
     each = np.asarray(hits, dtype=float)
     return mean(np.where(np.isnan(each), each, each != 0.0), of)
 
 
 def ratio_of_sums(numerators: ArrayLike, denominators: ArrayLike) -> Number:
-    """Ratio of two costs over the same points; its floor: two standard errors by the jackknife."""
+    """Return the ratio of two costs over the same points; uncertainty: two jackknife errors."""
     above, below = (np.ravel(np.asarray(v, dtype=float)) for v in (numerators, denominators))
     both = np.isfinite(above) & np.isfinite(below)
     above, below = above[both], below[both]
@@ -146,12 +145,12 @@ def ratio_of_sums(numerators: ArrayLike, denominators: ArrayLike) -> Number:
 
 @dataclass(frozen=True, slots=True)
 class Test:
-    """One decision: the number stands in relation `op` to the threshold.
+    """A comparison of a number with a threshold by the operator `op`.
 
     Attributes
     ----------
     says : str
-        What is compared, in a few words.
+        Name of the compared quantity.
     """
 
     __test__ = False  # no test of pytest's
@@ -172,7 +171,7 @@ class Test:
 
     @property
     def holds(self) -> bool | None:
-        """None: open, since there is no number, or the threshold lies within its floor."""
+        """Whether the comparison holds; None if the number is unknown or too uncertain."""
         number, margin = self.number, abs(self.number.value - self.threshold)
         if math.isnan(margin) or (number.floor and not number.floor < margin):
             return None
@@ -184,19 +183,20 @@ Found = tuple[list[Test], str]
 
 @dataclass(frozen=True, slots=True)
 class Claim:
-    """A statement, and the function that finds the tests which decide it.
+    """A statement, and a function that returns the tests which decide it.
 
     Attributes
     ----------
     id : int
     place : str
-        Figure, table or section of what is restated.
+        Figure, table or section of the publication.
     text : str
-        The claim in our own words.
+        The claim, paraphrased.
     why : str
-        The sentence or figure it rests on, and why these tests and thresholds decide it.
+        The quoted sentence or figure, and reasons for tests and thresholds.
     find : callable
-        From a `Run` to its tests and a sentence. No tests: the sentence says what is not stated.
+        Function from a `Run` to tests and a sentence with the result. Without tests the sentence
+        names the missing information.
     """
 
     id: int
@@ -211,7 +211,7 @@ class Claim:
         _check_texts(f"claim {self.id}", place=self.place, text=self.text, why=self.why)
 
     def decided(self, run: "Run") -> dict[str, Any]:
-        """The claim with its verdict, as it stands in ``claims.json``."""
+        """Return the claim with its verdict, as in ``claims.json``."""
         try:
             tests, sentence = _checked(self.find(run))
         except NotInRunError as missing:
@@ -261,7 +261,7 @@ def _check_texts(whose: str, **texts: Any) -> None:
 
 
 def stated(names: Mapping[str, Any]) -> list[Claim]:
-    """The claims among the names of a module, in the order of their ids.
+    """Return the claims of a module in the order of their ids.
 
     Raises
     ------
@@ -282,14 +282,14 @@ def stated(names: Mapping[str, Any]) -> list[Claim]:
 
 
 def claim(id: int, place: str, text: str, why: str) -> Callable[[Callable[["Run"], Found]], Claim]:
-    """Make a claim of the function below it."""
+    """Return a decorator that makes a claim of a function."""
     return lambda find: Claim(id, place, text, why, find)
 
 
 def verdict(holds: Iterable[bool | None]) -> str:
-    """All tests hold: confirmed; none of the decided: refuted; else partly.
+    """Return ``confirmed`` if all tests hold, ``refuted`` if no decided test does, else ``partly``.
 
-    Undecidable if there are none, or fewer than half are decided, unless these disagree.
+    ``undecidable``: no test is decided, or most are open and the decided tests agree.
     """
     outcomes = list(holds)
     decided = {outcome for outcome in outcomes if outcome is not None}
@@ -301,7 +301,7 @@ def verdict(holds: Iterable[bool | None]) -> str:
 
 
 def counted(decided: list[dict[str, Any]]) -> dict[str, Any]:
-    """Decided claims and how many have each verdict, fit for JSON."""
+    """Return decided claims and the number of claims per verdict, for JSON."""
     counts = Counter(entry["verdict"] for entry in decided)
     return {"counts": {name: counts[name] for name in VERDICTS}, "claims": decided}
 
@@ -325,12 +325,12 @@ def _finite(number: float) -> float | None:
 
 @dataclass(frozen=True)
 class Run:
-    """The datasets of a run, read where they are needed and only once.
+    """The datasets of a run, each read at first use.
 
     Attributes
     ----------
     datasets : mapping of str to Dataset
-        By file name without its suffix.
+        Datasets by file name without suffix.
     """
 
     datasets: Mapping[str, xr.Dataset]
@@ -342,9 +342,9 @@ class Run:
         return self.datasets[name]
 
     def select(self, name: str, *names: str, **at: Any) -> xr.Dataset:
-        """Part of a dataset by coordinates, in memory; some variables, or all.
+        """Return a part of a dataset by coordinates, in memory, with all or some variables.
 
-        Equal is what `gapsweep.study.axis_selection` takes for equal.
+        Values are compared as by `gapsweep.Study.select`.
 
         Raises
         ------
@@ -367,10 +367,10 @@ class Run:
     def scene(
         self, name: str, representation: str, K_c: float, gap: str | None, *names: str, **at: Any
     ) -> xr.Dataset:
-        """Some variables (`names`) of one representation in one scene of a dataset (`name`).
+        """Return variables (`names`) of one representation in one case of a dataset (`name`).
 
-        Where the study sweeps wall distances, `gap` is None and ``j_1=``, ``j_2=`` [m] are given;
-        likewise every other parameter that it sweeps, as ``forcing=3.0``.
+        If the study sweeps wall distances, `gap` is None and ``j_1=``, ``j_2=`` [m] are arguments,
+        as is every other swept parameter, as ``forcing=3.0``.
         """
         walls = {} if gap is None else {"gap": gap}
         here = {"representation": representation, "K_c": K_c, **walls, **at}
@@ -378,7 +378,7 @@ class Run:
 
     @cached_property
     def starts(self) -> dict[str, Any]:
-        """Which starts are ``rest``, ``scattered`` (fixed, not from rest), or a sweep."""
+        """Masks of the initial conditions: ``rest``, ``scattered`` (fixed, not rest), sweeps."""
         responses = self[_RESPONSES]
         kind = responses["start"].values.astype(str)
         fixed = kind == "fixed"
@@ -397,23 +397,23 @@ class Run:
         data: str = _RESPONSES,
         **at: Any,
     ) -> xr.Dataset:
-        """Sweep points that were asked for, one after another (dimension ``point``).
+        """Return sweep points of the study, along the dimension ``point``.
 
         Parameters
         ----------
         names : str
-            Variables over frequency and start.
+            Variables over frequency and initial condition.
         band : tuple of float
             Closed interval of frequencies [Hz].
         start : str or ndarray of bool
-            A key of `starts`, or which initial conditions.
+            A key of `starts`, or a mask of initial conditions.
         **at
-            Values of the other parameters that the study sweeps, as for `scene`.
+            Values of the other swept parameters, as for `scene`.
 
         Raises
         ------
         NotInRunError
-            If none was asked for.
+            If the study has no such point.
         """
         scene = (representation, K_c, gap)
         starts = self.starts[start] if isinstance(start, str) else start

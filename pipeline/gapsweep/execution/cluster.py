@@ -150,7 +150,9 @@ def _refusal(answer: Mapping[str, str] | BaseException) -> str:
     for name, ours in software().items():
         if (theirs := answer.get(name)) != ours:
             what = "gapsweep with the sources" if name == "gapsweep" else name
-            return f"runs {what} {theirs}, here {ours}; install {ours} there and restart the worker"
+            return (
+                f"runs {what} {theirs}, here {ours}; install the same there and restart the worker"
+            )
     return ""
 
 

@@ -219,20 +219,20 @@ LOADING = Loading()
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Solver:
-    """Engine and how it controls its error; `Solver.of` fills in an engine's defaults.
+    """Engine, tolerances and step-size control; `Solver.of` fills in an engine's defaults.
 
     Parameters
     ----------
     engine : str
-        ``"compiled"``, or ``"scipy"`` for the reference.
+        ``"compiled"``, or ``"scipy"`` for the reference engine.
     rtol, atol : float
-        Relative [-] and absolute [m, m/s] tolerance.
+        Relative [-] and absolute [m, m/s] tolerance, ``> 0``.
     controller : str
         ``"native"``, or ``"ode45"`` for the step-size control of MATLAB's ode45 with its
         Dormand–Prince 5(4) pair, which locates contacts of an Oscillator (compiled engine only).
     restart : bool
-        Whether the step size is chosen anew at every located contact, as the paper's solver does,
-        rather than kept. The reference engine always restarts; the compiled one only if asked.
+        Whether the solver restarts at every located contact, with a new first step size, as the
+        paper's solver. The reference engine always restarts.
 
     Raises
     ------

@@ -198,26 +198,27 @@ def values(path: Path, name: str) -> NDArray[Any]:
 
 
 def read(path: str | Path, *, lazy: bool = False) -> "xr.Dataset":
-    """Load a NetCDF file of a run.
+    """Return the dataset of a NetCDF file of a run.
 
-    The whole file is first compared with its SHA-256 in ``SHA256SUMS`` beside it.
+    The file is first compared with its SHA-256 in ``SHA256SUMS`` of its folder.
 
     Parameters
     ----------
     path : str or Path
+        Path of the file, as ``data/runs/quick/responses.nc``.
     lazy : bool
-        Whether values are read when they are used, as a file that is larger than the memory needs
-        it. The dataset must then be closed before a run writes into its folder.
+        Whether to read values at first use, for files larger than the memory. The dataset must be
+        closed before a run writes into its folder.
 
     Raises
     ------
     StoreError
-        If the file is missing, damaged or no NetCDF file.
+        If the file is missing, damaged or not a NetCDF file.
 
     Warns
     -----
     UserWarning
-        If no SHA-256 is recorded for the file, so that damage could go unnoticed.
+        If ``SHA256SUMS`` has no entry for the file.
 
     Examples
     --------

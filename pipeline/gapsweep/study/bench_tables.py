@@ -23,7 +23,7 @@ ATOL_PER_RTOL = 1e-3
 
 
 class SceneOscillatorTable(TomlTable):
-    """What a scene's oscillator has otherwise than the study's."""
+    """Parameters of the oscillator that differ from those of the study."""
 
     zeta: NonNegative | None = None
     omega_n: Positive | None = None
@@ -38,9 +38,9 @@ Tolerance = Annotated[float, Field(ge=SMALLEST_RTOL, le=LARGEST_RTOL)]
 
 
 class BenchSceneTable(TomlTable):
-    """One motion of a benchmark.
+    """A scenario of a benchmark: one motion.
 
-    `expected` says by what a right answer is known, `without` which methods it is too long for.
+    `expected` is the kind of the known solution, `without` lists excluded methods.
     """
 
     name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._+-]{0,63}$")]
@@ -76,7 +76,7 @@ class BenchSceneTable(TomlTable):
 
 
 class MethodTable(TomlTable):
-    """A representation with its solver, and the ladder of tolerances to climb."""
+    """A method: representation, solver and descending tolerances."""
 
     label: Label
     rtol: Annotated[list[Tolerance], Field(min_length=1)]
@@ -100,7 +100,7 @@ class MethodTable(TomlTable):
 
 
 class BenchTable(TomlTable):
-    """Presence asks for work-precision and stability: every method on every scene."""
+    """Benchmarks of work-precision and stability: every method on every scenario."""
 
     scene: Annotated[list[BenchSceneTable], Field(min_length=1)]
     method: Annotated[list[MethodTable], Field(min_length=1)]

@@ -69,7 +69,7 @@ class StudyTable(TomlTable):
 
 
 class SweepTable(TomlTable):
-    """A block of points: every combination of its axes, parameters of the model among them."""
+    """A block of sweep points: all combinations of its axes."""
 
     representation: Annotated[list[Label], Field(min_length=1), BeforeValidator(several)]
     K_c: NonNegativeAxis | None = None
@@ -144,9 +144,9 @@ class FitTable(TomlTable):
 
 
 class HistoryTable(TomlTable):
-    """Motions to keep as time histories and spectra: one scene, one start.
+    """Motions with time histories and spectra: one case, one initial condition.
 
-    Numbers of the oscillator, and the ratio of the walls, that are left out are the study's.
+    Parameters of the oscillator and the stiffness ratio have the values of the study as defaults.
     """
 
     representation: Annotated[list[Label], Field(min_length=1), BeforeValidator(several)]
@@ -170,7 +170,7 @@ class HistoryTable(TomlTable):
 
 
 class AutoTable(TomlTable):
-    """What representation "auto" and `gapsweep advise` have to meet."""
+    """Allowed error of representation "auto" and `gapsweep advise`."""
 
     error: Annotated[float, Field(ge=SMALLEST_ERROR, le=LARGEST_ERROR)] = DEFAULT_ERROR
 
@@ -182,13 +182,13 @@ def _python_file(path: str) -> str:
 
 
 class ModuleTable(TomlTable):
-    """Python beside the study: `module` is a path relative to the study file."""
+    """A user module: `module` is a path relative to the study file."""
 
     module: Annotated[str, AfterValidator(_python_file)]
 
 
 class BranchesTable(TomlTable):
-    """Presence asks for branches of periodic orbits, continued from the attractors."""
+    """Branches of periodic orbits, continued from the attractors."""
 
     along: str = "omega"
     follow: Annotated[int, Field(ge=0, le=10)] = 0
@@ -215,11 +215,11 @@ def is_followed(label: str) -> bool:
 
 
 class ClaimsTable(ModuleTable):
-    """Presence asks for verdicts."""
+    """The module of the claims."""
 
 
 class ReportTable(ModuleTable):
-    """Presence asks for sections of the study's own in the report."""
+    """The module of additional sections of the report."""
 
 
 # Axes that no branch goes along.

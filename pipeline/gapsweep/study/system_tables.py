@@ -100,7 +100,7 @@ class SystemTable(TomlTable):
 
 
 class ContactTable(TomlTable):
-    """What one contact has of its own; the sweep decides the rest."""
+    """Values of one contact that replace those of the sweep."""
 
     representation: Label | None = None
     K_c: NonNegative | None = None
