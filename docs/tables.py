@@ -73,9 +73,9 @@ def _responses() -> Iterator[tuple[str, ...]]:
 
 
 def _attractors() -> Iterator[tuple[str, ...]]:
-    yield _row("n_attractors", ["scene"], N_ATTRACTORS)
+    yield _row("n_attractors", ["case"], N_ATTRACTORS)
     for name, variable in ATTRACTOR_VARIABLES.items():
-        yield _row(name, ["scene", "attractor", *_lists(variable)], variable)
+        yield _row(name, ["case", "attractor", *_lists(variable)], variable)
 
 
 def _lists(variable: Variable) -> Iterator[str]:
@@ -92,20 +92,20 @@ def _agreement() -> Iterator[tuple[str, ...]]:
 def _timing() -> Iterator[tuple[str, ...]]:
     for name, (units, long_name) in COSTS.items():
         for statistic in ("mean", "median"):
-            yield f"`{name}_{statistic}`", "scene", units, f"{long_name}, {statistic}"
-    yield "`n_points`", "scene", "1", "sweep points measured"
-    yield "`n_points_elsewhere`", "scene", "1", "points of other machines"
+            yield f"`{name}_{statistic}`", "case", units, f"{long_name}, {statistic}"
+    yield "`n_points`", "case", "1", "sweep points measured"
+    yield "`n_points_elsewhere`", "case", "1", "points of other machines"
 
 
 def _static() -> Iterator[tuple[str, ...]]:
     for name, variable in static.CURVES.items():
-        yield _row(name, ["scene", "x"], variable)
+        yield _row(name, ["case", "x"], variable)
     for name, variable in (static.SCENE_VARIABLES | static.FORCED_VARIABLES).items():
-        yield _row(name, ["scene"], variable)
+        yield _row(name, ["case"], variable)
     for name, variable in static.CONTACT_VARIABLES.items():
         yield _row(name, ["K_c", "gap"], variable)
     for name, variable in static.LIST_VARIABLES.items():
-        yield _row(name, ["scene", static.EQUILIBRIUM], variable)
+        yield _row(name, ["case", static.EQUILIBRIUM], variable)
 
 
 def _histories() -> Iterator[tuple[str, ...]]:

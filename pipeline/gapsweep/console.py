@@ -70,7 +70,7 @@ def sentence(progress: Progress, seconds: float = 0.0) -> str:
     if progress.stage:
         return progress.stage
     if progress.n_hits == progress.n_done < progress.n_points:
-        return "compiling kernels (first run only)"
+        return "loading kernels (the first run compiles them, up to a minute)"
     missing, left = progress.n_points - progress.n_done, ""
     if progress.n_computed and seconds > 0.0:
         left = f", {timedelta(seconds=round(seconds * missing / progress.n_computed))} left"

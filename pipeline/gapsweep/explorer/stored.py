@@ -65,7 +65,7 @@ class StoredRun:
         ]
 
     def branches(self, name: str) -> list[tuple[str, bool, NDArray[np.float64]]]:
-        """Lines of the branches of a scene [Hz, mm]: label, whether they are stable, points."""
+        """Lines of the branches of a case [Hz, mm]: label, whether they are stable, points."""
         found = branch_lines.of_scene(self._branches, self._scene(name), "omega", "x_max")
         if found is None:
             return []

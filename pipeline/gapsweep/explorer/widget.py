@@ -44,7 +44,7 @@ def explore(
         Its stiffness and its gap are where the sliders start; 14000 N/m and 0.4 mm on both sides
         if None.
     approximations : sequence of str
-        Labels of up to three laws besides the exact one.
+        Labels of up to three laws in addition to the exact one.
     port : int
         Port of this machine, 0: any that is free.
 

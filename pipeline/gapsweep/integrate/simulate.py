@@ -430,5 +430,11 @@ def broadcast(**values: ArrayLike | None) -> list[NDArray[np.float64]]:
         arrays.append(array)
     try:
         return list(np.broadcast_arrays(*arrays))
-    except ValueError as error:
-        raise ModelError(f"omega, x_0, v_0: {error}") from None
+    except ValueError:
+        shapes = ", ".join(
+            f"{name} {each.shape}" for name, each in zip(values, arrays, strict=True)
+        )
+        raise ModelError(
+            f"shapes {shapes}: must broadcast as in NumPy; for every pair of frequency and initial "
+            "state write omega[:, None]"
+        ) from None

@@ -94,7 +94,9 @@ def whole(name: str, value: int, low: int, high: int) -> int:
     return number
 
 
-@called_as("gs.Oscillator(mass=3.0, omega_n=5.0, zeta=0.03), in kg, Hz and 1")
+@called_as(
+    "gs.Oscillator(mass=3.0, omega_n=5.0, zeta=0.03, alpha=0.0), omega_n = sqrt(k/m)/(2 pi) in Hz"
+)
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Oscillator:
     """Mass on a linear and a cubic spring, with damping and harmonic forcing.

@@ -50,9 +50,9 @@ class GapsweepAccessor:
     """Plots of a dataset, as ``ds.gapsweep.bifurcation(K_c=1.4e4, gap="0.4/0.4")``.
 
     Every plot takes `ax`, the axes to draw into (new ones if None), and selects by coordinate:
-    a value, a list, or for numbers a slice that includes both ends. What cannot be drawn is
-    refused with a `gapsweep.DatasetError` that names the missing part. In a notebook,
-    ``ds.gapsweep`` by itself shows what the dataset holds and where its points came from.
+    a value, a list, or for numbers a slice that includes both ends. A plot without the data it
+    needs raises a `gapsweep.DatasetError` that names them. A notebook shows ``ds.gapsweep`` as
+    the contents of the dataset and the origin of its points.
     """
 
     def __init__(self, dataset: xr.Dataset) -> None:
@@ -167,7 +167,7 @@ class GapsweepAccessor:
         ax: "Axes | None" = None,
         **wanted: Any,
     ) -> "Axes":
-        """Peaks of two representations from all starts, `a` behind `b`.
+        """Peaks of two representations for all initial conditions, `a` behind `b`.
 
         Visible dots of `a` are missed by `b`; dots of `b` without `a` behind are spurious.
         Responses that are not periodic are pale.
@@ -238,7 +238,7 @@ class GapsweepAccessor:
         ax: "Axes | None" = None,
         **wanted: Any,
     ) -> "Axes":
-        """A metric of ``agreement.nc``: with its interval and floor, or over frequency.
+        """A metric of ``agreement.nc`` with its interval and uncertainty, or over frequency.
 
         Parameters
         ----------
@@ -285,7 +285,7 @@ class GapsweepAccessor:
 
         Classes, periods and other whole numbers have a colour each and a legend, numbers a colour
         bar; what is unresolved or failed has its own colour whatever is shown, failed cells are
-        hatched, too. What was not requested is blank.
+        hatched, too. Blank: not requested.
 
         Parameters
         ----------
@@ -295,7 +295,7 @@ class GapsweepAccessor:
             ``"n_attractors"`` of ``attractors.nc``, or a number of ``agreement.nc``.
         x, y : str
             Numeric dimensions; `y` is the longest other one if None. ``"x_0"`` and ``"v_0"`` for
-            starts that form a full grid.
+            initial conditions that form a full grid.
         ax, **wanted
             As for `frequency_response`; of all other dimensions one value must be left. `regime`
             is ``"all"`` if not given.
@@ -308,7 +308,7 @@ class GapsweepAccessor:
         return titled(axes, shown)
 
     def work_precision(self, *, ax: "Axes | None" = None, **wanted: Any) -> "Axes":
-        """Cost of every method over its error, of one scene of ``work_precision.nc``.
+        """Cost of every method over its error, of one scenario of ``work_precision.nc``.
 
         Rings mark the methods that no other beats in both; ticks at the bottom the error of the
         model itself, which no tolerance reduces; crosses at the right failed runs.
@@ -318,7 +318,7 @@ class GapsweepAccessor:
         ax : Axes, optional
             Drawn into; new ones if None.
         **wanted
-            Selection by coordinate; one scene must be left.
+            Selection by coordinate; one scenario must be left.
         """
         shown = scene(
             self._dataset, dict.fromkeys(drawing.WORK_PRECISION, ("method", "tolerance")), wanted

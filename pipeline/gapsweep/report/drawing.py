@@ -34,6 +34,7 @@ def labels_of(dataset: xr.Dataset) -> list[str]:
 
 SETS = "sets_axis"
 MARKERS = ("o", "s", "^", "D", "v")
+DOTS = (".", "x", "+", "1", "2")  # of many points; those of one colour differ
 _ERRORS = (1e-14, 1e2)
 # Variables of a work-precision diagram.
 WORK_PRECISION = (
@@ -84,7 +85,9 @@ def curves(
             )
 
 
-def extrema(axes: "Axes", one: xr.Dataset, along: str, *, other: str | None = None) -> None:
+def extrema(
+    axes: "Axes", one: xr.Dataset, along: str, *, other: str | None = None, marker: str = "."
+) -> None:
     """All steady extrema of one representation.
 
     Parameters
@@ -92,7 +95,9 @@ def extrema(axes: "Axes", one: xr.Dataset, along: str, *, other: str | None = No
     one : Dataset
         ``extrema(along, initial_condition, extremum)``, ``response_class`` and `SETS`.
     other : str, optional
-        Colour of responses that are not periodic; the representation's own if None.
+        Colour of responses that are not periodic; that of the representation if None.
+    marker : str
+        Symbol of matplotlib.
     """
     label, own = _label(one), colour(_label(one))
     x, y = _broadcast(one, "extrema", along)
@@ -104,7 +109,7 @@ def extrema(axes: "Axes", one: xr.Dataset, along: str, *, other: str | None = No
         (~periodic, other or own, "not periodic"),
     ):
         shown = chosen & np.isfinite(y)
-        look = {"color": shade, "marker": ".", "markersize": 2.5, "label": f"_{label}, {kind}"}
+        look = {"color": shade, "marker": marker, "markersize": 2.5, "label": f"_{label}, {kind}"}
         _points(axes, x[shown], y[shown], sets[shown], **look)
 
 

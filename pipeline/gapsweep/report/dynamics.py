@@ -20,7 +20,7 @@ from gapsweep.report.drawing import labels_of
 from gapsweep.report.labelled import axes_of, axis_of, finished, scene_along, titled
 from gapsweep.report.scales import axis_label, drawn, shown_unit
 from gapsweep.report.selection import places, scene
-from gapsweep.report.style import NOT_PERIODIC, colour
+from gapsweep.report.style import NOT_PERIODIC, by_colour, colour
 from gapsweep.response.result import ResponseClass
 from gapsweep.study.axis_selection import listed
 from gapsweep.study.grid import START
@@ -106,9 +106,10 @@ def dots(axes: "Axes", shown: xr.Dataset, variable: str, along: str, label: str)
     other = NOT_PERIODIC if len(labels) == 1 else None
     # Drawn as extrema are, whatever they are.
     renamed = drawing.with_setting(shown.rename({variable: "extrema"}), "extrema")
-    for name in labels:
-        drawing.extrema(axes, renamed.sel(representation=name), along, other=other)
-        axes.plot([], [], ".", color=colour(name), label=name)
+    for name, marker in by_colour(labels, drawing.DOTS).items():
+        one = renamed.sel(representation=name)
+        drawing.extrema(axes, one, along, other=other, marker=marker)
+        axes.plot([], [], marker, color=colour(name), label=name)
     others = shown[variable].where(shown["response_class"] != ResponseClass.PERIODIC)
     if other and others.notnull().any():
         axes.plot([], [], ".", color=other, label="not periodic")

@@ -115,7 +115,7 @@ def outcomes(responses: xr.Dataset) -> str:
         f"{counts[kind]} {words}, " for kind, words in _OF_SYSTEMS.items() if counts[kind]
     )
     return (
-        f"Of {asked.sum()} sweep points {counts[ResponseClass.PERIODIC]} are periodic, {others}"
+        f"{asked.sum()} sweep points: {counts[ResponseClass.PERIODIC]} periodic, {others}"
         f"{counts[ResponseClass.CHAOTIC]} chaotic, {counts[ResponseClass.UNRESOLVED]} unresolved "
         f"and {counts[ResponseClass.FAILED]} without a steady response"
         f"{f' ({reasons})' if reasons else ''}"
@@ -209,8 +209,8 @@ def _costs(found: Sequence[Contact]) -> Iterator[str]:
     elif laws:
         pairs = f"{len(laws)} pair{'s' * (len(laws) > 1)}"
         yield (
-            f"Of {pairs} of case and approximation, {dearer} cost more CPU time per forcing "
-            f"period than the exact law with this study's solver, {cheaper} less; "
+            f"{pairs} of case and approximation: {dearer} cost more CPU time per forcing period "
+            f"than the exact law with this study's solver, {cheaper} less, "
             f"{len(laws) - dearer - cheaper} undecided."
         )
 
@@ -230,4 +230,4 @@ def _choices(advice: xr.Dataset) -> str:
 def _verdicts(decided: Mapping[str, Any]) -> str:
     counts = decided["counts"]
     parts = ", ".join(f"{counts[verdict]} {verdict}" for verdict in VERDICTS if counts[verdict])
-    return f"Of {sum(counts.values())} claims: {parts}."
+    return f"{sum(counts.values())} claims: {parts}."

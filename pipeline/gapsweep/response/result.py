@@ -400,6 +400,8 @@ class Response:
         if self.period_multiple:
             said.append(f"period multiple {self.period_multiple}")
         said.append(self.status.label)
+        if not np.any(self.n_contacts):
+            said.append("no contact")
         for name in ("x_min", "x_max"):
             values = np.atleast_1d(getattr(self, name)).tolist()
             said.append(f"{name} {' '.join(f'{value:.6g}' for value in values)}")

@@ -248,21 +248,26 @@ def _start_form(value: Any) -> str:
 
 
 def _one_state(value: Any) -> Any:
-    """A state of numbers as a list of one."""
-    is_state = (
-        isinstance(value, list)
-        and value
-        and not any(isinstance(each, list | dict | str | BaseModel) for each in value)
-    )
-    return [value] if is_state else value
+    """A state of numbers as a list of one; states next to other forms as one form of them."""
+    if not isinstance(value, list) or not value:
+        return value
+    if not any(isinstance(each, list | dict | str | BaseModel) for each in value):
+        return [value]
+    states = [each for each in value if isinstance(each, list)]
+    others = [each for each in value if not isinstance(each, list)]
+    is_mixed = states and others and not isinstance(states[0][:1][:1] and states[0][0], list)
+    return [states, *others] if is_mixed else value
 
 
 _Box_ = Annotated[SobolStarts, Tag("sobol")] | Annotated[GridStarts, Tag("grid")]
 _Sweep = Annotated[Literal["sweep_up", "sweep_down"], Tag("sweep")]
 State = Annotated[list[Number], Field(min_length=2)]
+_States = Annotated[list[State], Field(min_length=1), Tag("list")]
 Starts = Annotated[
-    Annotated[list[State], Field(min_length=1), Tag("list")]
-    | Annotated[list[Annotated[_Box_ | _Sweep, Discriminator(_start_form)]], Tag("several")]
+    _States
+    | Annotated[
+        list[Annotated[_States | _Box_ | _Sweep, Discriminator(_start_form)]], Tag("several")
+    ]
     | _Box_
     | _Sweep,
     Discriminator(_start_form),
@@ -272,7 +277,7 @@ Starts = Annotated[
 
 def forms(starts: Any) -> list[Any]:
     """The forms of starts in a list of them; a list of states is one form."""
-    is_several = isinstance(starts, list) and not isinstance(starts[0], list)
+    is_several = isinstance(starts, list) and any(_start_form(each) != "list" for each in starts)
     return starts if is_several else [starts]
 
 

@@ -132,7 +132,7 @@ ATTRACTOR_VARIABLES: dict[str, Variable] = {
         )
     },
     "basin_share": Variable(
-        "f8", "1", "share of the initial conditions that lead to the attractor"
+        "f8", "1", "share of the initial conditions, without sweeps, that lead to the attractor"
     ),
     "basin_share_error": Variable("f8", "1", "standard error of the share"),
     "mirror_of": Variable("i4", "1", "number of the mirror-image attractor, -1: none", -1),

@@ -217,8 +217,8 @@ def _ranges(some: xr.Dataset) -> list[dict[str, Any]]:
 def _reason(model: Model, bound: float) -> str:
     if model is Model.EXACT:
         return (
-            "a wall may be reached (with a mean load or omega_n = 0 no bound is known); the exact "
-            "law with located contacts has the lowest cost of the adequate models"
+            "a wall may be reached; the exact law with located contacts has the lowest cost of the "
+            "adequate models"
         )
     stays = f"|x| is at most {1e3 * bound:.3g} mm, no wall is reached"
     return f"{stays}{'; the cubic stiffness is negligible' if model is Model.LINEAR else ''}"

@@ -8,7 +8,7 @@
   const numbers = (text) => new Float32Array(Uint8Array.from(atob(text), (c) => c.charCodeAt(0)).buffer);
   const law = (mark) => mark.series.split(", ")[0];
   const off = new Set();
-  const quiet = () => ($("told").hidden = $("ring").hidden = true);
+  const quiet = () => ($("tooltip").hidden = $("ring").hidden = true);
 
   // Scales: what is drawn is even in `to` of a number.
   const SCALES = {
@@ -250,19 +250,19 @@
       const found = this.under(event.clientX - box.left, event.clientY - box.top);
       const [first] = found.points;
       // A law may draw a point twice: as a line, and with a ring.
-      const values = new Set(found.points.map(({ mark, at }) => `${mark.series || "\u2013"}: ${this.told("y", at[1])}`));
-      const lines = first ? [`${this.label.x || "x"}: ${this.told("x", first.at[0])}`, `${this.label.y || "y"}:`, ...values] : [];
-      const told = $("told");
-      told.textContent = [...lines, ...new Set(found.bands)].join("\n");
-      told.hidden = !told.textContent;
+      const values = new Set(found.points.map(({ mark, at }) => `${mark.series || "\u2013"}: ${this.value_of("y", at[1])}`));
+      const lines = first ? [`${this.label.x || "x"}: ${this.value_of("x", first.at[0])}`, `${this.label.y || "y"}:`, ...values] : [];
+      const tip = $("tooltip");
+      tip.textContent = [...lines, ...new Set(found.bands)].join("\n");
+      tip.hidden = !tip.textContent;
       $("ring").hidden = !first;
       const { clientX: x, clientY: y } = event, right = x > innerWidth / 2;
-      Object.assign(told.style, { left: right ? "" : `${x + 14}px`, right: right ? `${innerWidth - x + 14}px` : "", top: 0 });
-      const below = y + 14 + told.offsetHeight < innerHeight;
-      told.style.top = `${Math.max(0, below ? y + 14 : y - 14 - told.offsetHeight)}px`;
+      Object.assign(tip.style, { left: right ? "" : `${x + 14}px`, right: right ? `${innerWidth - x + 14}px` : "", top: 0 });
+      const below = y + 14 + tip.offsetHeight < innerHeight;
+      tip.style.top = `${Math.max(0, below ? y + 14 : y - 14 - tip.offsetHeight)}px`;
       if (first) Object.assign($("ring").style, { left: `${box.left + first.x}px`, top: `${box.top + first.y}px` });
     }
-    told(which, value) {
+    value_of(which, value) {
       const { words, named } = this[which];
       return (named && words.find(([at]) => at === Math.round(value))?.[1]) || written(value);
     }
