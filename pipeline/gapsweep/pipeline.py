@@ -19,9 +19,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from gapsweep.analysis.unit_check import doubtful_numbers, never_reached, wrong_tables
+from gapsweep.analysis.unit_check import (
+    default_spring,
+    doubtful_numbers,
+    never_reached,
+    wrong_tables,
+)
 from gapsweep.console import progress_bar
-from gapsweep.errors import StoreError, StudyError
+from gapsweep.errors import ClusterError, StoreError, StudyError
 from gapsweep.execution.assemble import attributes_of, fill
 from gapsweep.execution.explain import Explanation
 from gapsweep.execution.explain import explain as explanations
@@ -141,6 +146,7 @@ def run(
     ('representation', 'K_c', 'gap', 'omega', 'initial_condition')
     """
     study = Study.of(study)
+    _check_client(client)
     with progress_bar() if on_progress is None else nullcontext(on_progress) as observer:
         outcome = carry_out(
             study,
@@ -232,7 +238,8 @@ def carry_out(
     if study.spec.system is None:
         values, grid = partial(netcdf.values, folder / RESPONSES), study.grid
         walls = never_reached(values, grid.dims, grid.representations)
-        doubts = [*doubtful_numbers({**study.spec.model, **grid.axes}), *filter(None, [walls])]
+        doubts = [*doubtful_numbers({**study.spec.model, **grid.axes}), *default_spring(study)]
+        doubts += filter(None, [walls])
     motions = {stage.file: stage.failed_motions(folder) for stage in stages}
     failed = {file: counts for file, counts in motions.items() if counts}
     return Outcome(folder, progress, failures, failed, tuple(doubts))
@@ -521,6 +528,7 @@ def query(
     (1, 1)
     """
     study = Study.of(study)
+    _check_client(client)
     selection, path = study.select(**wanted), cache_path(cache)
     with progress_bar() if on_progress is None else nullcontext(on_progress) as observer:
         _try_out_own_laws(study, DEFAULT_TIMEOUT, partial(tell, observer, Progress(0, 0)))
@@ -538,6 +546,14 @@ def query(
         progress = _computed(study, planned, path, observer, connect)
     with Cache(path, read_only=True) as store:
         return _exported(study, _as_stored(planned, store), store, selection, progress)
+
+
+def _check_client(client: Any) -> None:
+    """Refuse what is no Dask client, even if nothing is computed."""
+    if client is not None and not hasattr(client, "nthreads"):
+        raise ClusterError(
+            f"client = {client!r:.80}: must be a distributed.Client; select by name, as omega=9.0"
+        )
 
 
 def _exported(

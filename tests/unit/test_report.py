@@ -85,8 +85,8 @@ def test_failures_are_counted_once_and_never_ranked(tmp_path):
     found = contacts(compared)
     sentences = findings(Inputs(responses, None), found)
     assert sentences[0] == (
-        "Of 16 sweep points 12 are periodic, 0 chaotic, 0 unresolved and 4 without a steady "
-        "response (4 diverged)."
+        "16 sweep points: 12 periodic, 0 chaotic, 0 unresolved and 4 without a steady response "
+        "(4 diverged)."
     )
     assert {one.law: one.verdict for one in found[0].laws} == {"tanh-1e4": "use", "poly-13": "no"}
 

@@ -120,18 +120,20 @@ def test_sweeps_are_chains_in_their_own_direction(tables):
 
 
 def test_a_list_of_starts_is_a_block_for_each(tables):
-    forms = [{"sobol": 4, "x": [-1e-3, 1e-3], "v": [-0.1, 0.1]}, "sweep_up", "sweep_down"]
+    box = {"sobol": 4, "x": [-1e-3, 1e-3], "v": [-0.1, 0.1]}
+    forms = [[[0.0, 0.0], [1e-3, 0.0]], box, "sweep_up", "sweep_down"]
     (block,) = tables["sweep"]
-    several = study_of(tables, sweep=[block | {"initial_condition": forms}])
+    together = [*forms[0], *forms[1:]]
+    several = study_of(tables, sweep=[block | {"initial_condition": together}])
     apart = study_of(tables, sweep=[block | {"initial_condition": form} for form in forms])
     assert list(several.grid.starts) == list(apart.grid.starts)
     assert all_keys(several) == all_keys(apart)
     assert several.spec.sweep[0].count == sum(one.count for one in apart.spec.sweep)
-    wrong = ["up", [0.0, 0.0], {"sobol": 0, "x": [0.0, 1.0], "v": [0.0, 1.0]}]
+    wrong = ["up", 5.0, {"sobol": 0, "x": [0.0, 1.0], "v": [0.0, 1.0]}]
     found = problems(tables | {"sweep": [block | {"initial_condition": wrong}]})
     for words in (
         "[0] = 'up': must be 'sweep_up' or 'sweep_down'",
-        "[1] = [0.0, 0.0]: must be { sobol = ... }, 'sweep_up' or 'sweep_down'",
+        "[1] = 5.0: must be",
         "[2].sobol = 0: must be >= 1",
     ):
         assert any(f"sweep[0].initial_condition{words}" in one for one in found), found

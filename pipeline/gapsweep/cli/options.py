@@ -129,4 +129,7 @@ def _selected(text: str) -> tuple[str, Any]:
             return key, slice(number(low) if low else None, number(high) if high else None)
         return key, [number(part) for part in value.split(",")]
     except ValueError:
-        raise click.BadParameter(f"{text!r}: not a number", param_hint="--sel") from None
+        raise click.BadParameter(
+            f"{text!r}: must be a number, a list or a range; {', '.join(_LABELLED)} take text",
+            param_hint="--sel",
+        ) from None

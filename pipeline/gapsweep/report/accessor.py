@@ -68,8 +68,10 @@ class GapsweepAccessor:
         """The sweep points as a `pandas.DataFrame`, a row each, without extrema and sections.
 
         Columns are dimensions, then variables; those of systems have one for every coordinate or
-        contact, as ``x_max[h]``.
+        contact, as ``x_max[h]``. Flags are words; cells that were not requested are left out.
         """
+        if "status" not in self._dataset:
+            raise DatasetError(missing_variable(self._dataset, "status"))
         return to_dataframe(self._dataset)
 
     def frequency_response(

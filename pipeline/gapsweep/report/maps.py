@@ -67,6 +67,8 @@ class MapImage:
             self.names.append(name)
             self.colours.append(colour)
 
+_WHOLE = ("period_multiple", "n_attractors")
+
 
 def picture(
     dataset: xr.Dataset, variable: str, x: str, y: str | None, wanted: Mapping[str, Any]
@@ -258,6 +260,13 @@ def _companions(part: xr.Dataset, variable: str) -> list[str]:
 
 
 def _picture(shown: xr.Dataset, variable: str, x: str, y: str) -> MapImage:
+    # Whole numbers of a masked dataset are floats with NaN: xarray has no missing integers.
+    restored = {
+        name: each.fillna(Status.NOT_REQUESTED if name == "status" else -1).astype(int)
+        for name, each in shown.data_vars.items()
+        if each.dtype.kind == "f" and (name in _WHOLE or "flag_values" in each.attrs)
+    }
+    shown = shown.assign(restored)
     values = shown[variable].transpose(y, x)
     asked = np.ones(values.shape, dtype=bool)
     if "status" in shown:

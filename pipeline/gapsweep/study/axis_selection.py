@@ -53,7 +53,8 @@ def positions(
         at = places.get(_key(name, axis, value))
         if at is None:
             said = repr(value.item() if hasattr(value, "item") else value)
-            raise ValueError(f"{name} = {said}: not in {of}, which has {listed(axis)}")
+            near = f"; the nearest is {_nearest(axis, value):.12g}" if is_numeric(axis) else ""
+            raise ValueError(f"{name} = {said}: not in {of}, which has {listed(axis)}{near}")
         found += at
     if not found:
         raise ValueError(f"{name} = []: empty; name at least one value")
@@ -106,6 +107,13 @@ def _key(name: str, axis: NDArray[Any], value: Any) -> Any:
     except (TypeError, ValueError, OverflowError):
         return None if is_numeric(axis) else text
     return text
+
+
+def _nearest(axis: NDArray[Any], value: Any) -> float:
+    try:
+        return float(axis[np.argmin(np.abs(axis - float(value)))])
+    except (TypeError, ValueError):
+        return float(axis[0])
 
 
 def listed(held: ArrayLike) -> str:

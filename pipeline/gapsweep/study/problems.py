@@ -22,8 +22,7 @@ _WORDS = {
     "bool_type": "must be true or false",
     "int_type": "must be a whole number",
     "int_from_float": "must be a whole number",
-    "union_tag_invalid": "must be { sobol = ... }, 'sweep_up' or 'sweep_down'; write pairs [x, v] "
-    "in another [[sweep]], as initial_condition = [[0, 0], [1e-3, 0]]",
+    "union_tag_invalid": "must be a state [1e-3, 0], { sobol = ... }, 'sweep_up' or 'sweep_down'",
     "string_pattern_mismatch": "must be letters, digits, '.', '_' and '-', without spaces; 64 at "
     "most, a letter or digit first",
 }

@@ -124,7 +124,7 @@ class Study:
     @classmethod
     def from_dict(cls, tables: dict[str, Any], source: str = "study") -> "Study":
         """Return the study of a dict with the tables of a study file; checked as by `load`."""
-        return cls(check(tables, source), source)._checked()
+        return cls(check(_lists(tables), source), source)._checked()
 
     @classmethod
     def of(cls, study: "Study | str | PathLike[str]") -> "Study":
@@ -484,6 +484,15 @@ class Study:
     def start_jitter(self, label: str) -> float:
         """Shift of fixed initial displacements by a representation's protocol [m]."""
         return self._protocols[label.partition("@")[2]][1]
+
+
+def _lists(tables: Any) -> Any:
+    """Tables with lists and numbers of Python in place of arrays and numbers of NumPy."""
+    if isinstance(tables, dict):
+        return {name: _lists(value) for name, value in tables.items()}
+    if isinstance(tables, list | tuple):
+        return [_lists(value) for value in tables]
+    return tables.tolist() if hasattr(tables, "tolist") else tables
 
 
 def _ends(values: Sequence[Any]) -> str:
