@@ -188,7 +188,7 @@ def test_a_run_waits_until_the_first_worker_joins_and_says_so(tables, tmp_path):
     assert len(heard_of) > 1, "the state of the run is kept up to date meanwhile"
 
 
-def test_lost_scheduler_is_a_clear_error_and_the_run_resumes(slow, tmp_path):
+def test_lost_scheduler_is_a_clear_error_and_the_run_resumes(client, slow, tmp_path):
     with scheduler() as (address, process), worker(address):
 
         def kill():
@@ -206,7 +206,7 @@ def test_lost_scheduler_is_a_clear_error_and_the_run_resumes(slow, tmp_path):
     study = gs.Study.from_dict(slow)
     counts = []
     with gs.run(
-        study, out=tmp_path / "out", cache=tmp_path / "c-cache",
+        study, client, out=tmp_path / "out", cache=tmp_path / "c-cache",
         on_progress=lambda p: counts.append((p.n_hits, p.n_computed)),
     ):  # fmt: skip
         assert counts[-1] == (kept, 36 - kept)

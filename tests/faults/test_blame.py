@@ -57,7 +57,7 @@ def responses(tables, folder):
         return list(stored(study, cache).values())
 
 
-def test_only_a_users_law_can_be_one_that_numba_does_not_compile(one_point, tmp_path):
+def test_only_a_users_law_can_be_one_that_numba_does_not_compile(client, one_point, tmp_path):
     labels = ["tanh-1e4", f"{LAWS}:undefined", f"{LAWS}:leaving"]
     with cluster(workers=1) as own:
         own.wait_for_workers(1)
@@ -71,8 +71,7 @@ def test_only_a_users_law_can_be_one_that_numba_does_not_compile(one_point, tmp_
     assert does_not.status == gs.Status.MODEL_INVALID
     assert does_not.message.startswith(f"{LAWS}:leaving: numba cannot compile it (")
     one_point["sweep"][0]["representation"] = labels[:1]
-    with cluster(workers=1) as own:
-        ds = run(one_point, tmp_path, own, retry_failed=True)
+    ds = run(one_point, tmp_path, client, retry_failed=True)
     assert ds["status"].item() == gs.Status.OK
 
 
@@ -90,7 +89,7 @@ def load_slowly() -> None:
 
     def call(*arguments, **options):
         if not calls:
-            calls.append(time.sleep(3.0))
+            calls.append(time.sleep(2.0))
         return whole(*arguments, **options)
 
     task.Ensemble.call = call

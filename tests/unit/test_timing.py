@@ -4,7 +4,6 @@ import subprocess
 import sys
 
 import numpy as np
-import pytest
 import xarray as xr
 from numpy.testing import assert_allclose
 
@@ -45,16 +44,15 @@ def test_every_variable_has_a_unit_and_a_name():
         assert variable.attrs["long_name"]
 
 
-@pytest.mark.parametrize("law", ["Piecewise(1.4e4, gap)", "UserLaw(1.4e4, gap, lambda x: 9e3 * x)"])
-def test_loading_machine_code_is_no_part_of_the_first_motions_cost(law):
-    """In a process of its own: the first call loads or compiles what all others find."""
+def test_loading_machine_code_is_no_part_of_the_first_motions_cost():
+    """In a process of its own: the first call loads what all others find."""
     script = (
         "import numpy as np, gapsweep as gs\n"
         "gap = gs.Gap(4e-4, 4e-4)\n"
-        f"law, omega = gs.{law}, np.linspace(3.0, 12.0, 64)\n"
+        "law, omega = gs.Piecewise(1.4e4, gap), np.linspace(3.0, 12.0, 64)\n"
         "for _ in range(2):\n"
         "    print(gs.respond(gs.Oscillator(), law, omega).cpu_time.sum())\n"
     )
     made = subprocess.run([sys.executable, "-c", script], capture_output=True, check=True)
     first, second = map(float, made.stdout.split())
-    assert first < second + 0.05  # [s]; loading takes some tenths, compiling some seconds
+    assert first < second + 0.05  # [s]; loading takes some tenths
