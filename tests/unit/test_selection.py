@@ -68,8 +68,18 @@ def test_spellings_and_kinds_of_axes(name, axis, wanted, found):
 @pytest.mark.parametrize(
     ("name", "axis", "wanted", "said"),
     [
-        ("omega", [7.0, 7.5], 8.1, "omega = 8.1: not in the study, which has 7, 7.5"),
-        ("omega", [7.0, 7.5], np.float64(8.1), "omega = 8.1: not in the study, which has 7, 7.5"),
+        (
+            "omega",
+            [7.0, 7.5],
+            8.1,
+            "omega = 8.1: not in the study, which has 7, 7.5; the nearest is 7.5",
+        ),
+        (
+            "omega",
+            [7.0, 7.5],
+            np.float64(8.1),
+            "omega = 8.1: not in the study, which has 7, 7.5; the nearest is 7.5",
+        ),
         (
             "omega",
             [7.0],

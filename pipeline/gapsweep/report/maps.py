@@ -67,6 +67,7 @@ class MapImage:
             self.names.append(name)
             self.colours.append(colour)
 
+
 _WHOLE = ("period_multiple", "n_attractors")
 
 

@@ -53,8 +53,9 @@ def positions(
         at = places.get(_key(name, axis, value))
         if at is None:
             said = repr(value.item() if hasattr(value, "item") else value)
-            near = f"; the nearest is {_nearest(axis, value):.12g}" if is_numeric(axis) else ""
-            raise ValueError(f"{name} = {said}: not in {of}, which has {listed(axis)}{near}")
+            raise ValueError(
+                f"{name} = {said}: not in {of}, which has {listed(axis)}{_nearest(axis, value)}"
+            )
         found += at
     if not found:
         raise ValueError(f"{name} = []: empty; name at least one value")
@@ -109,11 +110,12 @@ def _key(name: str, axis: NDArray[Any], value: Any) -> Any:
     return text
 
 
-def _nearest(axis: NDArray[Any], value: Any) -> float:
-    try:
-        return float(axis[np.argmin(np.abs(axis - float(value)))])
-    except (TypeError, ValueError):
-        return float(axis[0])
+def _nearest(axis: NDArray[Any], wanted: Any) -> str:
+    """The value next to a number that is not there, with all digits that it has."""
+    key = _key("", axis, wanted)
+    if axis.dtype.kind != "f" or not isinstance(key, float) or not np.isfinite(key):
+        return ""
+    return f"; the nearest is {axis[np.argmin(np.abs(axis - key))]:.12g}"
 
 
 def listed(held: ArrayLike) -> str:
