@@ -32,11 +32,13 @@ _MET = 1e-5, 1e-7  # of the size: halves of orbits that differ, and that do not
 _NEAR_ONE = 0.02  # a multiplier of an orbit near which branches may cross
 _STATIONARY = 0.2  # of the way: a parameter that changes less over two steps is at a fold
 _ASIDE = 0.5  # correction over step
-_EDGE = 1e-12  # of a window, within which its end is reached
+# Of a window: an orbit so near its end, on the way out, is at the end; and where steps are too small.
+_EDGE, _NEAR_EDGE = 1e-12, 1e-6
 # Change of multipliers in a step, but not where they jump, as near a graze.
 _CHANGE, _INNER, _FAST = 0.4, 0.7, 1e-4
 # Distances at which a branch is sought again behind a kink, and where it is no longer there.
 _BEHIND, _ASTRAY = (1e-7, 1e-6, 1e-5, 1e-4, 1e-3), 3.0
+_ON_CHORD = 0.1  # of a step: an orbit so near the line between two others lies between them
 
 
 @dataclass(slots=True)
@@ -106,7 +108,8 @@ class Continuation:
                         continue
                     orbit = self._behind_kink(half.orbits, here.take([k]))
                     if orbit is None:
-                        half.end, goes_on[k] = "step_too_small", False
+                        is_out = self._leaves(half.orbits[-1], _NEAR_EDGE)
+                        half.end, goes_on[k] = "window" if is_out else "step_too_small", False
                         continue
                     turn = math.inf
                     size[i] = 0.1 * float(np.abs(orbit.unknowns - half.orbits[-1].unknowns).max())
@@ -123,11 +126,11 @@ class Continuation:
             left = left[goes_on]
         return halves
 
-    def _leaves(self, orbit: Orbit) -> bool:
+    def _leaves(self, orbit: Orbit, edge: float = _EDGE) -> bool:
         """Whether an orbit at the end of a window is on the way out."""
         first = len(orbit.unknowns) - self.equations.n_parameters
         u, t = orbit.unknowns[first:], orbit.tangent[first:]
-        return bool((((u <= _EDGE) & (t < 0.0)) | ((u >= 1.0 - _EDGE) & (t > 0.0))).any())
+        return bool((((u <= edge) & (t < 0.0)) | ((u >= 1.0 - edge) & (t > 0.0))).any())
 
     def _within(self, u: Array, guess: Array, tangent: Array) -> tuple[Array, Array]:
         """Guesses and normals of hyperplanes; of steps out of a window the plane at its end."""
@@ -165,7 +168,8 @@ class Continuation:
         """The branch's next orbit where it turns at a graze more sharply than steps can follow.
 
         Hard contacts bend a branch within 1e-9 and less. Orbits are sought at several distances on
-        hyperplanes in many directions; the nearest one with other contacts is taken.
+        hyperplanes in many directions; the nearest one with other contacts is taken, unless the
+        branch has passed there: it would return to this kink for ever.
         """
         last = orbits[-1]
         u, d = last.unknowns, len(last.unknowns)
@@ -182,6 +186,7 @@ class Continuation:
         )
         # Those that pass as many contacts lie on this side.
         behind = [each for each in found if each and each.n_contacts != last.n_contacts]
+        behind = [each for each in behind if not _is_passed(orbits, each)]
         if not behind:
             return None
         nearest = min(behind, key=lambda each: float(((each.unknowns - u) ** 2).sum()))
@@ -240,6 +245,18 @@ class Continuation:
             return False
         aside = (c - a) - along * float((c - a) @ along) / length
         return float(np.sqrt(aside @ aside)) <= 0.1 * math.sqrt(length)
+
+
+def _is_passed(orbits: Sequence[Orbit], orbit: Orbit) -> bool:
+    """Whether an orbit lies between two successive ones of a half, with as many contacts."""
+    alike = np.array([each.n_contacts == orbit.n_contacts for each in orbits])
+    (rows,) = np.nonzero(alike[:-1] & alike[1:])
+    places = np.array([each.unknowns for each in orbits])
+    chords, to = places[rows + 1] - places[rows], orbit.unknowns - places[rows]
+    squares = np.maximum((chords**2).sum(axis=1), np.finfo(float).tiny)
+    share = (chords * to).sum(axis=1) / squares
+    aside = ((to - share[:, None] * chords) ** 2).sum(axis=1)
+    return bool(((share >= 0.0) & (share <= 1.0) & (aside <= _ON_CHORD**2 * squares)).any())
 
 
 def _may_cross(orbits: Sequence[Orbit]) -> bool:
