@@ -103,9 +103,9 @@ INPUTS = {
 }
 # The dimensions that systems have within a point.
 PARTS = {
-    COORDINATE: Variable("str", "", "coordinate of the system"),
-    CONTACT: Variable("str", "", "contact of the system"),
-    LAG: Variable("str", "", "first-order state of the system"),
+    COORDINATE: Variable("str", "1", "coordinate of the system"),
+    CONTACT: Variable("str", "1", "contact of the system"),
+    LAG: Variable("str", "1", "first-order state of the system"),
 }
 
 

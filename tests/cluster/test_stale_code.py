@@ -180,7 +180,7 @@ def test_workers_need_no_file_of_the_study(of_mine, tmp_path, mine, stranger):
     studies = [gs.Study.from_dict(tables, str(folder / "study.toml")) for tables in several]
 
     def hide(progress):  # the plan is made, no worker has been sent any file of this study
-        if progress.stage.startswith("joining") and folder.exists():
+        if progress.stage.startswith("connecting") and folder.exists():
             folder.rename(hidden)
 
     theirs = []
@@ -213,7 +213,9 @@ def test_a_worker_with_other_libraries_is_refused(
     with (
         scheduler() as (address, _),
         stranger(address, PYTHONPATH=path),
-        pytest.raises(gs.ClusterError, match=rf"{runs}.* {library} 0\.[12]|{library} 0\.2, {runs}"),
+        pytest.raises(
+            gs.ClusterError, match=rf"{runs}.* {library} 0\.[12]|{library} 0\.2, but {runs}"
+        ),
     ):
         asked(study, tmp_path, scheduler=address)
     assert stored(tmp_path) == 0

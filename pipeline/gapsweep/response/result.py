@@ -400,7 +400,7 @@ class Response:
         if self.period_multiple:
             said.append(f"period multiple {self.period_multiple}")
         said.append(self.status.label)
-        if not np.any(self.n_contacts):
+        if self.status == Status.OK and not np.any(self.n_contacts):
             said.append("no contact")
         for name in ("x_min", "x_max"):
             values = np.atleast_1d(getattr(self, name)).tolist()

@@ -17,7 +17,7 @@ ATTRACTOR = "attractor"
 # Of every coordinate the dimension it lies along, and what it is. Walls that are swept one by one
 # have dimensions of their own.
 COORDINATES: dict[str, tuple[str, Variable]] = {
-    "representation": ("representation", Variable("str", "", "representation of the contact")),
+    "representation": ("representation", Variable("str", "1", "representation of the contact")),
     "K_c": ("K_c", Variable("f8", "N m-1", "contact stiffness")),
     "gap": ("gap", Variable("str", "mm", "distances of the lower and upper wall from the origin")),
     "j_1": ("gap", Variable("f8", "m", "distance of the lower wall from the origin")),
@@ -35,7 +35,7 @@ COORDINATES: dict[str, tuple[str, Variable]] = {
     "x_0": (START, INPUTS["x_0"]),
     "v_0": (START, INPUTS["v_0"]),
     "z_0": (START, INPUTS["z_0"]),
-    "start": ("initial_condition", Variable("str", "", "fixed, sweep_up or sweep_down")),
+    "start": ("initial_condition", Variable("str", "1", "fixed, sweep_up or sweep_down")),
 }
 
 
