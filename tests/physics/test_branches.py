@@ -785,3 +785,27 @@ def test_points_without_a_curve_and_ranges_without_the_branch_are_refused():
     ):
         with pytest.raises(gs.ModelError):
             gs.special_curve(ds, *arguments)
+
+
+def test_a_branch_passes_no_kink_twice():
+    """A stop 1,000 times as stiff as the spring: kinks are narrower than any step."""
+    stop = gs.Piecewise(1e6, gs.Gap(1e-3, 0.6e-3), K_ratio=0.0)
+    joint = gs.Oscillator(mass=1.0, zeta=0.005, alpha=0.0, forcing=0.5, mean_load=0.1)
+    ds = gs.branches(joint, stop, between=(2.5, 8.0), at=2.875, follow=1, max_steps=150)
+    assert ds.attrs["n_lost"] == 0
+    for number in ds.branch.values:
+        orbits = rows(ds, number)
+        points = orbits.isel(step=orbits.special.values > 0)
+        places = np.column_stack([points.special, points.omega, 1e3 * points.start_state])
+        assert len(np.unique(places.round(8), axis=0)) == len(places)
+
+
+def test_a_branch_that_ends_at_its_range_says_so():
+    stop = gs.Piecewise(4e5, gs.Gap(1e-3, 0.6e-3), K_ratio=0.0)
+    joint = gs.Oscillator(mass=1.0, zeta=0.005, alpha=0.0, forcing=0.5, mean_load=0.1)
+    ds = gs.branches(joint, stop, between=(2.52, 3.0), at=2.875, follow=1)
+    for end in (ds["begins"], ds["ends"]):
+        reasons = dict(
+            zip(end.attrs["flag_values"], end.attrs["flag_meanings"].split(), strict=True)
+        )
+        assert {reasons[value] for value in end.values} <= {"window", "branch_point"}

@@ -32,7 +32,7 @@ _MET = 1e-5, 1e-7  # of the size: halves of orbits that differ, and that do not
 _NEAR_ONE = 0.02  # a multiplier of an orbit near which branches may cross
 _STATIONARY = 0.2  # of the way: a parameter that changes less over two steps is at a fold
 _ASIDE = 0.5  # correction over step
-# Of a window: an orbit so near its end, on the way out, is at the end; and where steps are too small.
+# Of a window: an orbit so near its end, on the way out, is at the end; also if steps are too small.
 _EDGE, _NEAR_EDGE = 1e-12, 1e-6
 # Change of multipliers in a step, but not where they jump, as near a graze.
 _CHANGE, _INNER, _FAST = 0.4, 0.7, 1e-4
