@@ -221,7 +221,7 @@ POINTED = """
   for (let x = 2; x < box.width; x += 4) for (let y = 2; y < box.height; y += 4) {
     const place = { clientX: box.left + x, clientY: box.top + y };
     canvas.dispatchEvent(new PointerEvent("pointermove", place));
-    if (!document.getElementById("tooltip").hidden) said.add(tip.textContent);
+    if (!document.getElementById("tooltip").hidden) said.add(tooltip.textContent);
   }
   return [...said];
 })()
