@@ -92,6 +92,13 @@ def test_what_is_not_in_the_study_is_refused(study, tmp_path, wanted, message):
     assert not (tmp_path / "c-cache").exists()
 
 
+def test_a_selection_in_place_of_the_client_is_refused(study, client, tmp_path):
+    """Also if all points are stored, where no client is needed."""
+    gs.query(study, client, cache=tmp_path / "c-cache")
+    with pytest.raises(gs.ClusterError, match=r"client = \{'omega': 7.0\}: .*omega="):
+        gs.query(study, {"omega": 7.0}, cache=tmp_path / "c-cache")
+
+
 def test_what_no_block_asks_for_is_refused(tables, tmp_path):
     tables["sweep"].append(tables["sweep"][0] | {"representation": ["piecewise"], "omega": [3.0]})
     study = gs.Study.from_dict(tables)

@@ -103,6 +103,21 @@ def test_periods_are_told_apart_and_what_has_none_too(made, ax):
     assert_allclose(seen[3], to_rgba(CLASS_COLOURS["chaotic"]), atol=0.01)
 
 
+@pytest.mark.parametrize("variable", ["period_multiple", "response_class", "status", "x_max"])
+def test_what_is_masked_is_blank_and_the_rest_as_before(made, variable):
+    """xarray makes floats of masked flags."""
+    axes = []
+    for dataset in (made[0], made[0].where(made[0].omega < 7.5)):
+        figure = Figure(figsize=(6, 5), layout="constrained")
+        FigureCanvasAgg(figure)
+        one = {"representation": "piecewise", "K_c": 1e4}
+        axes.append(dataset.gapsweep.map(variable, y="forcing", ax=figure.subplots(), **one))
+    x, y = np.meshgrid(OMEGA[:3], FORCING)
+    # Frequencies that are left out leave their cells out, and the scale of the axis as it is.
+    assert_allclose(*(colours(one, x, y) for one in axes), atol=0.02)
+    assert_allclose(colours(axes[1], [8.0], [10.0]), [NO_COLOUR], atol=0.02)
+
+
 def test_numbers_have_a_colour_bar_with_a_unit(made, ax):
     made[0].gapsweep.map("amplitude", y="forcing", ax=ax, representation="piecewise", K_c=1e4)
     (bar,) = (axes for axes in ax.figure.axes if axes is not ax)

@@ -556,6 +556,13 @@ def test_a_notebook_shows_title_dimensions_and_values(tables):
     assert all(f"<th>{name}</th>" in page for name in study.grid.dims)
 
 
+def test_arrays_of_numpy_are_taken_as_lists(tables):
+    (block,) = tables["sweep"]
+    arrays = block | {"omega": np.array(block["omega"]), "K_c": np.float64(1e4)}
+    lists = block | {"K_c": 1e4}
+    assert study_of(tables, sweep=[arrays]).json == study_of(tables, sweep=[lists]).json
+
+
 def test_methods_of_a_study_are_the_functions_of_the_package(tables, tmp_path, client):
     study = gs.Study.from_dict(tables)
     before = study.plan(cache=tmp_path / "cache")
