@@ -7,6 +7,7 @@ import pytest
 
 import gapsweep as gs
 from gapsweep.cli.main import exit_code
+from gapsweep.study.spec import parse
 
 STUDY = """
 [study]
@@ -184,3 +185,18 @@ def test_on_the_command_line(mistake, tmp_path, monkeypatch, capsys):
     arguments, answer = ON_THE_COMMAND_LINE[mistake]
     assert exit_code(arguments) in (1, 2)
     assert answer in " ".join(capsys.readouterr().err.split())
+
+
+@pytest.mark.parametrize(
+    ("written", "line"),
+    [
+        ("K_c = 10**5", "K_c = 10**5"),
+        ("gap = [4e-4, 4e-4", "complete? gap = [4e-4, 4e-4"),
+        ("zeta = True", "zeta = True"),
+    ],
+)
+def test_a_file_that_is_no_toml_shows_the_line(written, line):
+    name = written.partition(" = ")[0]
+    text = re.sub(rf"^{name} = .*$", written, STUDY, flags=re.M)
+    with pytest.raises(gs.StudyError, match=re.escape(line) + "$"):
+        parse(text)

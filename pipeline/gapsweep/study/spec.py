@@ -395,17 +395,20 @@ def parse(text: str, source: str = "study") -> StudySpec:
         said = "brackets are nested too deeply; close them"
         raise StudyError([f"{source}: not valid TOML: {said}"]) from None
     except ValueError as error:  # numbers too long, too
-        raise StudyError(
-            [f"{source}: not valid TOML: {error}{_line_before(text, error)}"]
-        ) from None
+        raise StudyError([f"{source}: not valid TOML: {error}{_line(text, error)}"]) from None
     return check(tables, source)
 
 
-def _line_before(text: str, error: ValueError) -> str:
-    """The line before the place of an error: a bracket or a quote that is open ends there."""
-    place = re.search(r"at line (\d+), column 1\)", str(error))
-    lines = text.splitlines()[: int(place[1]) - 1] if place else []
-    return "".join(f"; is line {n} complete? {line:.60}" for n, line in [*enumerate(lines, 1)][-1:])
+def _line(text: str, error: ValueError) -> str:
+    """The line of an error; or the one before: a bracket or a quote that is open ends there."""
+    place = re.search(r"at line (\d+), column (\d+)\)", str(error))
+    if place is None:
+        return ""
+    is_before = place[2] == "1" and place[1] != "1"
+    number = int(place[1]) - is_before
+    line = text.splitlines()[number - 1 : number]
+    words = f"; is line {number} complete?" if is_before else ":"
+    return "".join(f"{words} {each:.60}" for each in line)
 
 
 def check(tables: dict[str, Any], source: str = "study") -> StudySpec:
