@@ -45,7 +45,7 @@ def test_every_variable_has_a_unit_and_a_name():
 
 
 def test_loading_machine_code_is_no_part_of_the_first_motions_cost():
-    """In a process of its own: the first call loads what all others find."""
+    """In a separate process: the first call loads modules for all others."""
     script = (
         "import numpy as np, gapsweep as gs\n"
         "gap = gs.Gap(4e-4, 4e-4)\n"

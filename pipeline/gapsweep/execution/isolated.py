@@ -29,7 +29,7 @@ from gapsweep.study.software import software
 try:
     import resource
 except ImportError:  # not a POSIX system: calls have no limits there but that of time
-    resource = None  # type: ignore[assignment]
+    resource = None  # type: ignore[assignment]  # `_limit` tests for the missing module
 
 Result = TypeVar("Result")
 

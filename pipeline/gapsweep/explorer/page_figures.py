@@ -212,7 +212,7 @@ def _kind(motion: Motion, given: float) -> str:
 
 
 def _response(curve: Curve, question: Question) -> dict[str, Any]:
-    """Columns of a computed curve: its dots show by colour and opacity what is not periodic."""
+    """Columns of a computed curve; the class of a response sets colour and opacity of its dots."""
     own, is_exact = colour(curve.label), curve.label == EXACT
     strange, name = NOT_PERIODIC if is_exact else own, "not periodic"
     if decay_times(question.oscillator) < DECAY_TIMES:

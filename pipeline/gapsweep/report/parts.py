@@ -180,7 +180,7 @@ def _unused(kind: str, name: str, used: set[str]) -> str:
 
 
 def shown(figure: Mapping[str, str]) -> dict[str, Any]:
-    """A figure for the page: its size, its files, and the data of its own page, maybe none."""
+    """A figure for the page: its size, its files, and the data of its page, if it has one."""
     files = {"svg": figure["svg"].encode()}
     for kind in PACKED:
         with suppress(KeyError, ValueError, zlib.error):  # not there, or not as it was packed
