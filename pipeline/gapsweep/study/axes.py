@@ -255,8 +255,8 @@ def _one_state(value: Any) -> Any:
         return [value]
     states = [each for each in value if isinstance(each, list)]
     others = [each for each in value if not isinstance(each, list)]
-    is_mixed = states and others and not isinstance(states[0][:1][:1] and states[0][0], list)
-    return [states, *others] if is_mixed else value
+    is_grouped = any(isinstance(number, list) for state in states for number in state)
+    return [states, *others] if states and others and not is_grouped else value
 
 
 _Box_ = Annotated[SobolStarts, Tag("sobol")] | Annotated[GridStarts, Tag("grid")]
