@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import xarray as xr
@@ -14,7 +15,7 @@ from gapsweep.continuation.dataset import dataset
 from gapsweep.continuation.family import Family, Window
 from gapsweep.continuation.orbits import OrbitEquations
 from gapsweep.errors import ModelError
-from gapsweep.integrate.problem import Model, Solver
+from gapsweep.integrate.problem import Model, Models, Solver
 from gapsweep.integrate.simulate import AnyLaw, simulate
 from gapsweep.model.oscillator import checked, whole
 from gapsweep.response.respond import respond_models
@@ -22,7 +23,7 @@ from gapsweep.response.result import Response, ResponseClass, Steady
 
 Array = NDArray[np.float64]
 
-DEFAULT_RTOL, DEFAULT_ATOL = 1e-11, 1e-14
+DEFAULT_RTOL = 1e-11
 _VALUES = 8  # of the parameter, at which attractors are sought
 _CLOSE = 1e-3  # a motion that comes back so near, as a share of its size, closes
 _AWAY = 2.0  # starts beyond the walls, as parts of their distance
@@ -41,7 +42,7 @@ def branches(
     follow: int = 0,
     max_steps: int = 1000,
     rtol: float = DEFAULT_RTOL,
-    atol: float = DEFAULT_ATOL,
+    atol: float | None = None,
 ) -> xr.Dataset:
     """Return branches of stable and unstable periodic orbits over a parameter.
 
@@ -73,7 +74,8 @@ def branches(
     max_steps : int
         Largest number of orbits on either side of the first orbit, 2 to 100000.
     rtol, atol : float
-        Tolerances of the compiled engine [-], [m].
+        Tolerances of the compiled engine [-], [m]; default of `atol` as in `gapsweep.simulate`, at
+        the low end of `between`.
 
     Returns
     -------
@@ -101,7 +103,7 @@ def branches(
             raise ModelError(f"omega = {omega!r}: leave it out, it is the parameter")
         omega = checked("omega", omega, low=0.0, strict=True)
     family = Family(oscillator, law, omega, (along,), values)
-    solver = Solver.of("compiled", rtol, atol)
+    solver = solver_of(family, rtol, atol)
     equations = OrbitEquations(family, (window,), solver)
     found = Branches(equations=equations, max_steps=whole("max_steps", max_steps, 2, 100_000))
     found.add(_attractors(equations, places, start, starts))
@@ -118,6 +120,17 @@ def branches(
     for _ in range(follow):
         found.follow()
     return dataset(found)
+
+
+def solver_of(family: Family, rtol: float | None, atol: float | None) -> Solver:
+    """Solver of branches: one absolute tolerance for all of their orbits."""
+    solver, size = Solver.of("compiled", rtol or DEFAULT_RTOL, atol), family.values.get("amplitude")
+    laws, start = (
+        [family.laws_at(family.values)],
+        np.eye(1, family.example.n_states) * (size or 0.0),
+    )
+    models = Models.of([family.example], laws, np.array([family.omega or 0.0]), start)
+    return replace(solver, atol=float(models.absolute(solver)[0]))
 
 
 def _attractors(
@@ -225,8 +238,7 @@ def _free(equations: OrbitEquations, state: Array) -> Attractor:
         q_0=state[:n],
         v_0=state[n : 2 * n],
         t_end=20.0 / slowest,
-        rtol=1e-11,
-        atol=1e-14,
+        rtol=DEFAULT_RTOL,
     )
     if not len(run.t_section):
         raise ModelError("start: the motion does not return; give another amplitude")

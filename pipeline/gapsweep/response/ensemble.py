@@ -5,6 +5,7 @@ No result depends on the others that share a call.
 
 import math
 import time
+from copy import copy
 from operator import attrgetter
 from typing import Any
 
@@ -25,7 +26,7 @@ from gapsweep.integrate.simulate import prepared
 from gapsweep.model.contact import ContactLaw
 from gapsweep.model.oscillator import Oscillator
 from gapsweep.model.structure import structure_of
-from gapsweep.response.scene import Forces, located
+from gapsweep.response.scene import Forces, confirming, located
 from gapsweep.response.window_call import Call, arrived
 from gapsweep.status import Status
 
@@ -46,6 +47,8 @@ class Ensemble:
     models : Models
         Parameter sets, n of them.
     solver : Solver
+    atol : ndarray, shape (n,)
+        Absolute tolerances [m].
     omega : ndarray, shape (n,)
         Forcing frequencies [Hz].
     n_multipliers : int
@@ -79,7 +82,7 @@ class Ensemble:
     is_chained = True
 
     def __init__(self, models: Models, solver: Solver) -> None:
-        self.models, self.solver = models, solver
+        self.models = models
         n, n_contacts, system = len(models), len(models.laws[0]), models.systems[0]
         self.structure = structure_of(system)
         self.n_coordinates = system.n
@@ -95,17 +98,32 @@ class Ensemble:
         )
         self._directions: Array = models.of_systems(attrgetter("directions"))
         self.is_modulated = models.of_systems(attrgetter("is_modulated")).T
+        self._set_solver(models, solver)
+        # Of every call, by motion: number of the scene, and processor time [s]; then of calls that
+        # are part of motions number of the scene, counts, and periods.
+        nobody: NDArray[np.intp] = np.zeros(0, np.intp)
+        self._seconds: _Costs = [(nobody, np.empty(0))]
+        self._costs: _Costs = [(nobody, np.empty((len(COUNTS) + 1, 0)))]
+
+    def _set_solver(self, models: Models, solver: Solver) -> None:
+        self.solver, self.atol = solver, models.absolute(solver)
         forces = Forces(models.laws[0], solver)
         self.has_own_tangent, self.is_noisy = forces.has_own_tangent, forces.is_noisy
         self._integrate = prepared(models, solver)
         self._integrate_tangent: Integrate | None = None
         if not self.has_own_tangent:
             self._integrate_tangent = prepared(models.with_laws(located), forces.tangent_solver)
-        # Of every call, by motion: number of the scene, and processor time [s]; then of calls that
-        # are part of motions number of the scene, counts, and periods.
-        nobody: NDArray[np.intp] = np.zeros(0, np.intp)
-        self._seconds: _Costs = [(nobody, np.empty(0))]
-        self._costs: _Costs = [(nobody, np.empty((len(COUNTS) + 1, 0)))]
+
+    def confirming(self) -> "Ensemble":
+        """The same motions by a solver that confirms stability; these themselves if theirs does.
+
+        Contacts are located if they can be. Costs are added to those of these motions.
+        """
+        solver, other = confirming(self.solver, self.models.laws[0]), self
+        if solver != self.solver:
+            other = copy(self)
+            other._set_solver(self.models.with_laws(located), solver)
+        return other
 
     def set_clock(self, omega: Array) -> None:
         """Count time in periods of these frequencies [Hz], shape (n,).

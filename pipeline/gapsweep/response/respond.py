@@ -19,6 +19,7 @@ section points at least.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -146,7 +147,7 @@ def respond_models(models: Models, solver: Solver, starts: Array, steady: Steady
         Initial displacements [m], velocities [m/s] and first-order states.
     steady : Steady
     """
-    groups, found = models.by_kind(), []
+    groups, found = replace(models, start=starts).by_kind(), []
     for rows, some in groups:
         start = starts[rows].T
         is_forced = some.omega[0] > 0.0

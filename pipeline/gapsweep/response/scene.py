@@ -4,9 +4,12 @@ from dataclasses import dataclass, replace
 
 from gapsweep.integrate.problem import Laws, Model, Solver
 from gapsweep.model.contact import ContactLaw, Piecewise
+from gapsweep.model.user_law import UserLaw
 
 # A tangent is as good as its motion where all kinks are located; else it takes this tolerance.
 _TANGENT_RTOL = 1e-7
+# At looser tolerances a stable orbit or chaos may be the solver's: what it finds is confirmed.
+_OWN_STABILITY, _CONFIRMING_RTOL = 1e-7, 1e-9
 _LOOSE = 1e-5  # at looser tolerances an error estimate does not see the edge of a sharp layer
 
 
@@ -73,7 +76,17 @@ class Forces:
         if self.is_located or (solver.rtol <= _TANGENT_RTOL and not self.has_kinks):
             return solver
         rtol = min(solver.rtol, _TANGENT_RTOL)
-        return Solver.of(solver.engine, rtol, solver.atol / solver.rtol * rtol)
+        return replace(solver.with_rtol(rtol), controller="native", restart=False)
+
+
+def confirming(solver: Solver, laws: Laws) -> Solver:
+    """What class, multipliers and exponents are computed with: the solver itself if it is tight."""
+    if solver.rtol <= _OWN_STABILITY:
+        return solver
+    # numba may be unable to compile a user's law.
+    engine = solver.engine if any(isinstance(law, UserLaw) for law in laws) else "compiled"
+    tight = solver.with_rtol(_CONFIRMING_RTOL)
+    return replace(tight, engine=engine, controller="native", restart=False)
 
 
 def located(laws: Laws) -> Laws:
