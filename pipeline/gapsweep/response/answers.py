@@ -24,7 +24,6 @@ from gapsweep.response.result import (
     Steady,
     missing,
 )
-from gapsweep.response.scene import confirming
 from gapsweep.response.section import period_multiple, reach_of
 from gapsweep.response.shooting import NewtonShooting
 from gapsweep.response.window_call import Call
@@ -221,10 +220,9 @@ def _precision(
     is_noisy &= ensemble.models.of_systems(attrgetter("deflection"))[points] > 0.0
     found.state[points[is_noisy]] = State.NOISY
     read["status"][is_noisy & (read["status"] == int(Status.OK))] = Status.UNRESOLVED
-    rtol = confirming(ensemble.solver, ensemble.models.laws[0]).rtol
     return {
         "noise": np.where(np.isnan(offset), noise, offset),
-        "stability_rtol": np.where(stopped, np.nan, rtol),
+        "stability_rtol": np.where(stopped, np.nan, ensemble.tight.rtol),
     }
 
 

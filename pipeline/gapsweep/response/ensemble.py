@@ -26,7 +26,7 @@ from gapsweep.integrate.simulate import prepared
 from gapsweep.model.contact import ContactLaw
 from gapsweep.model.oscillator import Oscillator
 from gapsweep.model.structure import structure_of
-from gapsweep.response.scene import Forces, confirming, located
+from gapsweep.response.scene import Forces, located
 from gapsweep.response.window_call import Call, arrived
 from gapsweep.status import Status
 
@@ -73,8 +73,8 @@ class Ensemble:
         The same, NaN where no gap lies between equal walls.
     is_modulated : ndarray of bool, shape (n_contacts, n)
         Whether the force of a contact changes with time.
-    has_own_tangent, is_noisy : bool
-        As of `Forces`.
+    has_own_tangent, is_noisy, tight
+        As of `Forces`, the latter as its `tangent_solver`.
     is_chained : bool
         Whether motions with their tangent may follow each other in a call.
     """
@@ -82,7 +82,7 @@ class Ensemble:
     is_chained = True
 
     def __init__(self, models: Models, solver: Solver) -> None:
-        self.models = models
+        self.models, self.solver, self.atol = models, solver, models.absolute(solver)
         n, n_contacts, system = len(models), len(models.laws[0]), models.systems[0]
         self.structure = structure_of(system)
         self.n_coordinates = system.n
@@ -98,31 +98,27 @@ class Ensemble:
         )
         self._directions: Array = models.of_systems(attrgetter("directions"))
         self.is_modulated = models.of_systems(attrgetter("is_modulated")).T
-        self._set_solver(models, solver)
+        forces = Forces(models.laws[0], solver)
+        self.has_own_tangent, self.is_noisy = forces.has_own_tangent, forces.is_noisy
+        self.tight = forces.tangent_solver
+        self._integrate = prepared(models, solver)
+        self._integrate_tangent: Integrate | None = None
+        if not self.has_own_tangent:
+            self._integrate_tangent = prepared(models.with_laws(located), self.tight)
         # Of every call, by motion: number of the scene, and processor time [s]; then of calls that
         # are part of motions number of the scene, counts, and periods.
         nobody: NDArray[np.intp] = np.zeros(0, np.intp)
         self._seconds: _Costs = [(nobody, np.empty(0))]
         self._costs: _Costs = [(nobody, np.empty((len(COUNTS) + 1, 0)))]
 
-    def _set_solver(self, models: Models, solver: Solver) -> None:
-        self.solver, self.atol = solver, models.absolute(solver)
-        forces = Forces(models.laws[0], solver)
-        self.has_own_tangent, self.is_noisy = forces.has_own_tangent, forces.is_noisy
-        self._integrate = prepared(models, solver)
-        self._integrate_tangent: Integrate | None = None
-        if not self.has_own_tangent:
-            self._integrate_tangent = prepared(models.with_laws(located), forces.tangent_solver)
-
     def confirming(self) -> "Ensemble":
-        """The same motions by a solver that confirms stability; these themselves if theirs does.
-
-        Contacts are located if they can be. Costs are added to those of these motions.
-        """
-        solver, other = confirming(self.solver, self.models.laws[0]), self
-        if solver != self.solver:
-            other = copy(self)
-            other._set_solver(self.models.with_laws(located), solver)
+        """The same motions by the solver that confirms stability; costs add up in both."""
+        if self.tight.rtol == self.solver.rtol:
+            return self
+        other, laws = copy(self), self.models.with_laws(located)
+        other.solver, other.atol = self.tight, self.models.absolute(self.tight)
+        other._integrate = self._integrate_tangent or prepared(laws, self.tight)
+        other.has_own_tangent, other.is_noisy, other._integrate_tangent = True, False, None
         return other
 
     def set_clock(self, omega: Array) -> None:

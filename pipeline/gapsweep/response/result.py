@@ -273,7 +273,8 @@ class Response:
         Peak and trough of the relative displacement ``b · q`` [m] at each contact of a system; NaN
         if the only contact is at the only coordinate.
     multipliers : ndarray of complex, shape (number of multipliers,)
-        Floquet multipliers over n periods [-], largest modulus first; empty unless periodic. The multiplier 1 along the orbit of an unforced system is left out.
+        Floquet multipliers over n periods [-], largest modulus first; empty unless periodic. The
+        multiplier 1 along the orbit of an unforced system is left out.
     multiplier_abs : float
         Largest modulus [-]; NaN if aperiodic.
     lyapunov, lyapunov_error : float

@@ -6,10 +6,9 @@ from gapsweep.integrate.problem import Laws, Model, Solver
 from gapsweep.model.contact import ContactLaw, Piecewise
 from gapsweep.model.user_law import UserLaw
 
-# A tangent is as good as its motion where all kinks are located; else it takes this tolerance.
-_TANGENT_RTOL = 1e-7
-# At looser tolerances a stable orbit or chaos may be the solver's: what it finds is confirmed.
-_OWN_STABILITY, _CONFIRMING_RTOL = 1e-7, 1e-9
+# At looser tolerances a stable orbit or chaos may be the solver's, and its tangent is no better:
+# both are left to a solver at the second tolerance.
+_OWN_STABILITY, _CONFIRMING = 1e-7, 1e-9
 _LOOSE = 1e-5  # at looser tolerances an error estimate does not see the edge of a sharp layer
 
 
@@ -67,26 +66,20 @@ class Forces:
 
     @property
     def tangent_solver(self) -> Solver:
-        """What the tangent along the motion is integrated with.
+        """What confirms stability, and integrates tangents along the motion unless these are its
+        own.
 
         A step's error estimate does not see a kink that no event locates, nor the jump that the
         tangent makes there: at loose tolerances its growth would be the solver's own invention.
         """
-        solver = self.solver
-        if self.is_located or (solver.rtol <= _TANGENT_RTOL and not self.has_kinks):
+        solver, is_tight = self.solver, self.solver.rtol <= _OWN_STABILITY
+        if is_tight and not self.has_kinks:
             return solver
-        rtol = min(solver.rtol, _TANGENT_RTOL)
-        return replace(solver.with_rtol(rtol), controller="native", restart=False)
-
-
-def confirming(solver: Solver, laws: Laws) -> Solver:
-    """What class, multipliers and exponents are computed with: the solver itself if it is tight."""
-    if solver.rtol <= _OWN_STABILITY:
-        return solver
-    # numba may be unable to compile a user's law.
-    engine = solver.engine if any(isinstance(law, UserLaw) for law in laws) else "compiled"
-    tight = solver.with_rtol(_CONFIRMING_RTOL)
-    return replace(tight, engine=engine, controller="native", restart=False)
+        # numba may be unable to compile a user's law.
+        keeps = is_tight or any(isinstance(law, UserLaw) for law in self.laws)
+        engine = solver.engine if keeps else "compiled"
+        tight = solver.with_rtol(solver.rtol if is_tight else _CONFIRMING)
+        return replace(tight, engine=engine, controller="native", restart=False)
 
 
 def located(laws: Laws) -> Laws:

@@ -34,6 +34,8 @@ from gapsweep.response.section import (
     converging_multiples,
     drifts,
     likely_multiple,
+    norm,
+    period_multiple,
     period_multiples,
     prime_multiple,
     repeat_nearly,
@@ -76,7 +78,7 @@ TRANSITIONS: dict[State, tuple[str, tuple[State, ...]]] = {
     State.EXPONENT_TEST: ("test_exponent", (State.LYAPUNOV, State.TORUS_TEST, State.SIGN_TEST)),
     State.SIGN_TEST: (
         "test_sign",
-        (State.RECORD, State.LAST_TRANSIENT, State.SHOOT_NOISY, State.CHAOS_TEST,
+        (State.RECORD, State.LAST_TRANSIENT, State.SHOOT_NOISY, State.CONFIRM, State.CHAOS_TEST,
          State.UNRESOLVED)),
     State.CHAOS_TEST: ("test_chaos", (State.CHAOTIC, State.GROWING, State.UNRESOLVED)),
     State.STOPPED: (
@@ -299,8 +301,12 @@ class Search:
         self._is_settled[away] |= begin >= self._settling[away]
         return np.where(is_near, accepted, State.NO_REPEAT)
 
-    def _accept(self, points: Numbers, *, is_noisy: Mask | bool = False) -> State:
-        """Forget exponents of the way to orbits, but of noisy ones, and begin to confirm these."""
+    def _accept(
+        self, points: Numbers, *, is_noisy: Mask | bool = False, y: Array | None = None
+    ) -> State:
+        """Forget exponents of the way to orbits, but of noisy ones, and begin to confirm these,
+        from states near them.
+        """
         forgets = points[np.broadcast_to(~np.asarray(is_noisy), len(points))]
         self._found.lyapunov[forgets] = self._found.lyapunov_error[forgets] = np.nan
         if self._exact is self._ensemble:
@@ -311,7 +317,7 @@ class Search:
         goal = np.where(is_undamped, np.inf, limit.SAME_POINT * reach)
         noise = self._exact.solver.rtol / self._ensemble.solver.rtol * self._windows.noise()[points]
         furthest = limit.NEWTON_RANGE * reach
-        y = self._shooting.y[:, points]
+        y = self._shooting.y[:, points] if y is None else y
         self._confirmed.start(points, y, n, goal, noise * np.sqrt(n), furthest)
         return State.CONFIRM
 
@@ -320,10 +326,14 @@ class Search:
         confirmed, reach = self._confirmed, self._windows.reach[points]
         is_found, is_lost = self._step(points, self._exact, confirmed)
         stays = is_found & (np.abs(confirmed.multipliers[points, 0]) < self._bound(points))
-        stays[stays] = (
-            confirmed.parts(points[stays], 10.0 * limit.SAME_POINT * reach[stays])
-            == (confirmed.n[points[stays]])
-        )
+        stable = points[stays]
+        part = confirmed.parts(stable, 10.0 * limit.SAME_POINT * reach[stays])
+        is_whole = part == confirmed.n[stable]
+        stays[stays] = is_whole
+        if self._ensemble.is_noisy:  # its errors may have hidden a shorter period
+            confirmed.shorten(stable[~is_whole], part[~is_whole], is_scattered=True)
+            is_found[np.isin(points, stable[~is_whole])] = False
+        self._shooting.n[points[stays]] = confirmed.n[points[stays]]
         self._shooting.multipliers[points] = np.where(
             is_found[:, None], confirmed.multipliers[points], np.nan
         )
@@ -491,8 +501,7 @@ class Search:
         after[is_extended] = self._schedule(points[is_extended])
         if not self._ensemble.has_own_tangent:
             for k in np.flatnonzero(contracts & ~is_extended).tolist():
-                is_noisy = self._is_noisy_orbit(int(points[k]))
-                after[k] = State.SHOOT_NOISY if is_noisy else State.CHAOS_TEST
+                after[k] = self._noisy_orbit(int(points[k]))
         return after
 
     def _extend(self, points: Numbers, exponent: Array) -> Mask:
@@ -510,23 +519,32 @@ class Search:
         self._windows.discard_extrema(some)
         return np.asarray(may)
 
-    def _is_noisy_orbit(self, point: int) -> bool:
+    def _noisy_orbit(self, point: int) -> State:
         """Whether a contracting motion is a periodic one, scattered by its solver's errors.
 
         A kink passed unlocated throws a step off by more than its error estimate. The tangent is
         another solver's, so that the exponent tells this from chaos; what scatters more than the
-        solver strays is on its way or has another period.
+        solver strays is on its way or has another period. A loose solver must scatter about the
+        orbit on which the tight one has settled.
         """
-        windows, scatter = self._windows, self._scatter(point)
-        n = likely_multiple(
-            windows.window(point),
-            limit.CLOSE * windows.reach[point],
-            self._steady.max_period_multiple,
-            limit.DEVIATIONS * scatter,
-        )
-        if n:
-            self._start_measurement(point, n)
-        return bool(n)
+        windows, largest = self._windows, self._steady.max_period_multiple
+        window, reach = windows.window(point), windows.reach[point]
+        allowed = limit.DEVIATIONS * self._scatter(point)
+        if self._exact is self._ensemble:
+            n = likely_multiple(window, limit.CLOSE * reach, largest, allowed)
+            if n:
+                self._start_measurement(point, n)
+            return State.SHOOT_NOISY if n else State.CHAOS_TEST
+        one, y = np.array([point]), self._exponents.y[:, [point]]
+        call = self._exact.call(one, y, windows.length[one], np.zeros(1))
+        n = period_multiple(call.section, limit.ALIKE * reach, largest)
+        shifted = [np.roll(call.section, k, axis=1)[:, n:] for k in range(n)]
+        apart = [np.square(norm(window[:, n:] - orbit)).mean() for orbit in shifted]
+        if not apart or math.sqrt(min(apart)) > min(allowed, limit.NEWTON_RANGE * reach):
+            return State.CHAOS_TEST
+        self._start_measurement(point, n)
+        self._shooting.omega[point] = self._ensemble.omega[point]
+        return self._accept(one, is_noisy=True, y=call.y)
 
     def _scatter(self, point: int) -> float:
         """Distance [m] of two points of one phase, by solver errors: root of the mean square.

@@ -7,7 +7,7 @@ the smallest error that can be measured.
 """
 
 import math
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 
 import numpy as np
 
