@@ -24,6 +24,7 @@ from gapsweep.response.result import (
     Steady,
     missing,
 )
+from gapsweep.response.scene import CONFIRMING_RTOL, TANGENT_RTOL
 from gapsweep.response.section import period_multiple, reach_of
 from gapsweep.response.shooting import NewtonShooting
 from gapsweep.response.window_call import Call
@@ -220,9 +221,11 @@ def _precision(
     is_noisy &= ensemble.models.of_systems(attrgetter("deflection"))[points] > 0.0
     found.state[points[is_noisy]] = State.NOISY
     read["status"][is_noisy & (read["status"] == int(Status.OK))] = Status.UNRESOLVED
+    rtol = np.where(found.has_orbit[points], CONFIRMING_RTOL, TANGENT_RTOL)
+    rtol = np.where(ensemble.solver.rtol > TANGENT_RTOL, rtol, ensemble.solver.rtol)
     return {
         "noise": np.where(np.isnan(offset), noise, offset),
-        "stability_rtol": np.where(stopped, np.nan, ensemble.tight.rtol),
+        "stability_rtol": np.where(stopped, np.nan, rtol),
     }
 
 

@@ -73,8 +73,8 @@ class Ensemble:
         The same, NaN where no gap lies between equal walls.
     is_modulated : ndarray of bool, shape (n_contacts, n)
         Whether the force of a contact changes with time.
-    has_own_tangent, is_noisy, tight
-        As of `Forces`, the latter as its `tangent_solver`.
+    has_own_tangent, is_noisy : bool
+        As of `Forces`.
     is_chained : bool
         Whether motions with their tangent may follow each other in a call.
     """
@@ -100,25 +100,27 @@ class Ensemble:
         self.is_modulated = models.of_systems(attrgetter("is_modulated")).T
         forces = Forces(models.laws[0], solver)
         self.has_own_tangent, self.is_noisy = forces.has_own_tangent, forces.is_noisy
-        self.tight = forces.tangent_solver
         self._integrate = prepared(models, solver)
         self._integrate_tangent: Integrate | None = None
         if not self.has_own_tangent:
-            self._integrate_tangent = prepared(models.with_laws(located), self.tight)
+            self._integrate_tangent = prepared(models.with_laws(located), forces.tangent_solver)
         # Of every call, by motion: number of the scene, and processor time [s]; then of calls that
         # are part of motions number of the scene, counts, and periods.
         nobody: NDArray[np.intp] = np.zeros(0, np.intp)
         self._seconds: _Costs = [(nobody, np.empty(0))]
         self._costs: _Costs = [(nobody, np.empty((len(COUNTS) + 1, 0)))]
 
-    def confirming(self) -> "Ensemble":
-        """The same motions by the solver that confirms stability; costs add up in both."""
-        if self.tight.rtol == self.solver.rtol:
-            return self
-        other, laws = copy(self), self.models.with_laws(located)
-        other.solver, other.atol = self.tight, self.models.absolute(self.tight)
-        other._integrate = self._integrate_tangent or prepared(laws, self.tight)
-        other.has_own_tangent, other.is_noisy, other._integrate_tangent = True, False, None
+    def tight(self, rtol: float) -> "Ensemble":
+        """The same motions with `Forces.tight_solver` and located contacts; costs add up in both.
+
+        These themselves if their solver is tight.
+        """
+        solver, other = Forces(self.models.laws[0], self.solver).tight_solver(rtol), self
+        if solver != self.solver:
+            other, models = copy(self), self.models.with_laws(located)
+            other.solver, other.atol = solver, models.absolute(solver)
+            other.has_own_tangent, other.is_noisy = True, False
+            other._integrate, other._integrate_tangent = prepared(models, solver), None
         return other
 
     def set_clock(self, omega: Array) -> None:

@@ -294,8 +294,8 @@ class Response:
     atol : float
         Absolute tolerance [m] of the integration, as given or by default.
     stability_rtol : float
-        Relative tolerance [-] of class, multipliers and exponent: `rtol`, or 1e-9 where `rtol` is
-        above 1e-7; NaN for a failure or an equilibrium.
+        Relative tolerance [-] of class, multipliers and exponent: `rtol`, but where that is above
+        1e-7, 1e-9 of orbits and 1e-7 of other motions; NaN for a failure or an equilibrium.
     noise : float
         Expected numerical noise of the section [m], from the solver's tolerances: scatter of points
         a response period apart (aperiodic: a forcing period). For equilibria, distance to it.

@@ -6,9 +6,10 @@ from gapsweep.integrate.problem import Laws, Model, Solver
 from gapsweep.model.contact import ContactLaw, Piecewise
 from gapsweep.model.user_law import UserLaw
 
-# At looser tolerances a stable orbit or chaos may be the solver's, and its tangent is no better:
-# both are left to a solver at the second tolerance.
-_OWN_STABILITY, _CONFIRMING = 1e-7, 1e-9
+# A tangent is as good as its motion where all kinks are located; else it takes this tolerance. At
+# looser ones a stable orbit or chaos may be the solver's: exponents are computed at this tolerance,
+# too, and orbits are confirmed at the second one.
+TANGENT_RTOL, CONFIRMING_RTOL = 1e-7, 1e-9
 _LOOSE = 1e-5  # at looser tolerances an error estimate does not see the edge of a sharp layer
 
 
@@ -66,20 +67,24 @@ class Forces:
 
     @property
     def tangent_solver(self) -> Solver:
-        """What confirms stability, and integrates tangents along the motion unless these are its
-        own.
+        """What the tangent along the motion is integrated with.
 
         A step's error estimate does not see a kink that no event locates, nor the jump that the
         tangent makes there: at loose tolerances its growth would be the solver's own invention.
         """
-        solver, is_tight = self.solver, self.solver.rtol <= _OWN_STABILITY
-        if is_tight and not self.has_kinks:
+        solver = self.solver
+        if self.is_located or (solver.rtol <= TANGENT_RTOL and not self.has_kinks):
             return solver
+        rtol = min(solver.rtol, TANGENT_RTOL)
+        return replace(solver.with_rtol(rtol), controller="native", restart=False)
+
+    def tight_solver(self, rtol: float) -> Solver:
+        """The solver itself if it decides stability, else a native one of this tolerance."""
+        if self.solver.rtol <= TANGENT_RTOL:
+            return self.solver
         # numba may be unable to compile a user's law.
-        keeps = is_tight or any(isinstance(law, UserLaw) for law in self.laws)
-        engine = solver.engine if keeps else "compiled"
-        tight = solver.with_rtol(solver.rtol if is_tight else _CONFIRMING)
-        return replace(tight, engine=engine, controller="native", restart=False)
+        has_own = any(isinstance(law, UserLaw) for law in self.laws)
+        return Solver.of(self.solver.engine if has_own else "compiled", rtol)
 
 
 def located(laws: Laws) -> Laws:

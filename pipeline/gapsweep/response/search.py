@@ -30,6 +30,7 @@ from gapsweep.response.equilibrium import linear_stability
 from gapsweep.response.lyapunov import LyapunovExponents
 from gapsweep.response.quasiperiodic import MOST_POINTS, persists, torus_test
 from gapsweep.response.result import Responses, Steady
+from gapsweep.response.scene import CONFIRMING_RTOL, TANGENT_RTOL
 from gapsweep.response.section import (
     converging_multiples,
     drifts,
@@ -116,10 +117,9 @@ class Search:
         self._ensemble, self._steady = ensemble, steady
         self._windows = RecordedWindows(ensemble, start)
         self._shooting = NewtonShooting(n_states, n, ensemble.n_multipliers)
-        # Of what stability is decided with, and its orbits: the same where the solver is tight.
-        self._exact, self._confirmed = ensemble.confirming(), self._shooting
-        if self._exact is not ensemble:
-            self._confirmed = NewtonShooting(n_states, n, ensemble.n_multipliers)
+        # What computes exponents and confirms orbits: the same where the solver is tight.
+        self._exact, self._tight = map(ensemble.tight, (TANGENT_RTOL, CONFIRMING_RTOL))
+        self._confirmed = NewtonShooting(n_states, n, ensemble.n_multipliers)
         self._exponents = LyapunovExponents(n_states, n)
         self._found = Classification(n)
         # Periods between windows, to settle, until the last window, and for an exponent or a torus.
@@ -315,7 +315,7 @@ class Search:
         # Without damping Newton's method has no step: the multipliers alone are computed.
         is_undamped = self._ensemble.settling_rate[points] == 0.0
         goal = np.where(is_undamped, np.inf, limit.SAME_POINT * reach)
-        noise = self._exact.solver.rtol / self._ensemble.solver.rtol * self._windows.noise()[points]
+        noise = self._tight.solver.rtol / self._ensemble.solver.rtol * self._windows.noise()[points]
         furthest = limit.NEWTON_RANGE * reach
         y = self._shooting.y[:, points] if y is None else y
         self._confirmed.start(points, y, n, goal, noise * np.sqrt(n), furthest)
@@ -324,7 +324,7 @@ class Search:
     def _confirm(self, points: Numbers) -> States:
         """One Newton step at tight tolerances: whether the orbit exists, is stable, and prime."""
         confirmed, reach = self._confirmed, self._windows.reach[points]
-        is_found, is_lost = self._step(points, self._exact, confirmed)
+        is_found, is_lost = self._step(points, self._tight, confirmed)
         stays = is_found & (np.abs(confirmed.multipliers[points, 0]) < self._bound(points))
         stable = points[stays]
         part = confirmed.parts(stable, 10.0 * limit.SAME_POINT * reach[stays])
@@ -464,7 +464,7 @@ class Search:
         is_rough = np.full(len(points), wanted is not None) & (~is_long | (error > (wanted or 0.0)))
         # Another solver's tangent says less of the motion the longer it is.
         goes_on = is_undecided | (is_rough & (n_doubled <= steady.max_periods))
-        goes_on &= self._exact.has_own_tangent & (n_doubled <= self._longest[points])
+        goes_on &= self._ensemble.has_own_tangent & (n_doubled <= self._longest[points])
         goes_on &= exponents.n_periods[points] > 0  # without damping no measurement was started
         exponents.extend(points[goes_on], self._windows.y[:, points[goes_on]])
         may_be_torus = may_be_zero & (~is_long | is_zero | (exponent > 0.0))
