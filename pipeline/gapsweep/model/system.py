@@ -367,9 +367,9 @@ class System:
 
     @property
     def deflection(self) -> float:
-        """Largest static displacement under the loads [m], in the scale of `unit`.
+        """Largest static displacement under all loads [m], in the scale of `unit`, about.
 
-        Without cubic springs; of an inertial load that of the mass alone.
+        Cubic springs are left out; an inertial load moves its mass alone.
         """
         matrices = self.stiffness, self.mass
         places = [

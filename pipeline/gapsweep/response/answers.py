@@ -52,8 +52,12 @@ _REASONS = {
         "solver error; simulate this part of the system separately"
     ),
     State.NOISY: (
-        "the expected numerical noise, {noise} m, exceeds a tenth of the amplitude; lower atol and "
-        "rtol, as atol={atol}"
+        "the expected numerical noise, {noise:.2g} m, exceeds a tenth of the amplitude; lower atol "
+        "and rtol, as atol={atol:.0e}"
+    ),
+    State.UNCONFIRMED: (
+        "at rtol {rtol:g} the solver's orbit of {n} periods is not stable, has another period, or "
+        "is gone (largest multiplier {modulus:.4g}); lower rtol"
     ),
     State.UNSTABLE_REST: (
         "the initial state is an unstable equilibrium (exponent {exponent}); choose another"
@@ -79,11 +83,6 @@ _BLURRED = (
     "the motion repeats every {n} periods within the solver's noise, but shooting finds no stable "
     "orbit; lower rtol and atol"
 )
-_UNSTABLE = (
-    "the solver's orbit of {n} periods is at rtol {rtol:g} not stable, or another one (largest "
-    "multiplier {modulus:.4g}); lower rtol"
-)
-_GONE = "at rtol {rtol:g} no orbit of {n} periods is near the solver's; lower rtol"
 _NEUTRAL = (
     "the motion repeats every {n} periods, but the mass has no spring: every position in the gap "
     "has such an orbit"
@@ -136,9 +135,7 @@ def answers(
         here = np.flatnonzero(found.state == int(state))
         messages |= dict.fromkeys(here.tolist(), _REASONS[state])
     for point in np.flatnonzero(columns["status"] == int(Status.UNRESOLVED)).tolist():
-        messages.setdefault(
-            point, _why_unresolved(point, windows, shooting, found, steady, columns)
-        )
+        messages.setdefault(point, _why_unresolved(point, windows, shooting, found, steady))
     columns |= ensemble.costs() | {"atol": ensemble.atol}
     of_all = {}
     found_lists = lists | {"multipliers": _multipliers(points, shooting, found)}
@@ -175,16 +172,13 @@ def _why_unresolved(
     shooting: NewtonShooting,
     found: Classification,
     steady: Steady,
-    columns: dict[str, Array | Counts],
 ) -> str:
     exponent, error = found.lyapunov[point], found.lyapunov_error[point]
     largest = steady.max_period_multiple
     n = period_multiple(windows.window(point), float(windows.resolution[point]), largest)
-    noise, modulus = columns["noise"][point], abs(shooting.multipliers[point, 0])
-    if found.state[point] == int(State.UNCONFIRMED):
-        n, reason = int(shooting.n[point]), _GONE if math.isnan(modulus) else _UNSTABLE
-    elif found.state[point] in _REASONS:
+    if found.state[point] in _REASONS:
         reason = _REASONS[State(found.state[point])]
+        n = n if found.state[point] != int(State.UNCONFIRMED) else int(shooting.n[point])
     elif n:
         reason = _BLURRED if windows.ensemble.system(point).is_held else _NEUTRAL
     elif windows.ensemble.settling_rate[point] <= 0.0:
@@ -196,10 +190,13 @@ def _why_unresolved(
     else:
         reason = _SHRINKS if exponent < 0.0 else _STAYS
     number = f"{exponent:.3g} ± {error:.1g} 1/s"
-    return reason.format(
-        largest=largest, n=n, exponent=number, time=_TIME, modulus=modulus, noise=f"{noise:.2g}",
-        atol=f"{0.01 * columns['atol'][point]:.0e}", rtol=columns["stability_rtol"][point],
-    )  # fmt: skip
+    precision = {
+        "modulus": abs(shooting.multipliers[point, 0]),
+        "noise": float(windows.noise(max(int(shooting.n[point]), 1))[point]),
+        "atol": 0.01 * windows.ensemble.atol[point],
+        "rtol": CONFIRMING_RTOL,
+    }
+    return reason.format(largest=largest, n=n, exponent=number, time=_TIME, **precision)
 
 
 def _precision(

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from .loop import Taylor
 from .row_layout import RowLayout, of_width
+from .start_rows import FLOOR_SHARE
 
 Array = NDArray[np.float64]
 
@@ -109,6 +110,13 @@ def scenes(
     table[at.atol] = atol
     stiffnesses = table[at.lower_stiffness], table[at.upper_stiffness]
     table[at.floor] = np.minimum(*map(partial(_forced_size, at, table), (j_1, j_2), stiffnesses))
+    if epsilon is not None:
+        # A tighter atol than that of steps: what the tail left out holds up must stay below it.
+        least, stiffest = FLOOR_SHARE * rtol * table[at.floor], np.maximum(*stiffnesses)
+        held = 2.0 * table[at.layer] * stiffest / (n_rad**2 * np.maximum(table[at.atol], 1e-300))
+        wider = np.log(np.maximum(held, 1.0)) / table[at.sharpness]
+        is_tighter = (table[at.atol] > 0.0) & (table[at.atol] < least)
+        table[at.layer] = np.where(is_tighter, np.maximum(table[at.layer], wider), table[at.layer])
     table[at.rate] = np.sqrt(n_rad**2 + np.maximum(*stiffnesses)) + table[at.omega_rad]
     shortest = _MIN_STEP_IN_LAYERS if at.is_tanh else MIN_STEP
     table[at.min_step] = shortest / np.maximum(n_rad, table[at.omega_rad])
