@@ -71,6 +71,9 @@ def test_rows_are_plain_values_and_make_the_same_columns_again(responses):
         assert repr(responses.row(k)) == repr(row)
         for field in set(fields(row)) - {INPUTS}:
             value = getattr(row, field.name)
+            if field.name == "multipliers":
+                assert (value.dtype, value.ndim) == (np.dtype(complex), 1)
+                continue
             kind = (gs.Status, gs.ResponseClass, int, float, str, tuple)
             assert type(value) in kind, field.name
             if isinstance(value, tuple):

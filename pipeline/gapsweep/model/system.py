@@ -369,7 +369,7 @@ class System:
     def deflection(self) -> float:
         """Largest static displacement under all loads [m], in the scale of `unit`, about.
 
-        Cubic springs are left out; an inertial load moves its mass alone.
+        Cubic springs are left out; an inertial load moves a free mass.
         """
         matrices = self.stiffness, self.mass
         places = [

@@ -26,7 +26,8 @@ from gapsweep.integrate.simulate import prepared
 from gapsweep.model.contact import ContactLaw
 from gapsweep.model.oscillator import Oscillator
 from gapsweep.model.structure import structure_of
-from gapsweep.response.scene import Forces, located
+from gapsweep.model.user_law import UserLaw
+from gapsweep.response.scene import TANGENT_RTOL, Forces, located
 from gapsweep.response.window_call import Call, arrived
 from gapsweep.status import Status
 
@@ -111,16 +112,22 @@ class Ensemble:
         self._costs: _Costs = [(nobody, np.empty((len(COUNTS) + 1, 0)))]
 
     def tight(self, rtol: float) -> "Ensemble":
-        """The same motions with `Forces.tight_solver` and located contacts; costs add up in both.
+        """The same motions at a tolerance that decides stability, with located contacts.
 
-        These themselves if their solver is tight.
+        These themselves if their solver is tight. Costs add up in both.
         """
-        solver, other = Forces(self.models.laws[0], self.solver).tight_solver(rtol), self
-        if solver != self.solver:
-            other, models = copy(self), self.models.with_laws(located)
-            other.solver, other.atol = solver, models.absolute(solver)
-            other.has_own_tangent, other.is_noisy = True, False
-            other._integrate, other._integrate_tangent = prepared(models, solver), None
+        if self.solver.rtol <= TANGENT_RTOL:
+            return self
+        other, models = copy(self), self.models.with_laws(located)
+        # numba may be unable to compile a user's law.
+        is_users = any(isinstance(law, UserLaw) for law in models.laws[0])
+        other.solver = Solver.of(self.solver.engine if is_users else "compiled", rtol)
+        other.atol, other.has_own_tangent, other.is_noisy = (
+            models.absolute(other.solver),
+            True,
+            False,
+        )
+        other._integrate, other._integrate_tangent = prepared(models, other.solver), None
         return other
 
     def set_clock(self, omega: Array) -> None:

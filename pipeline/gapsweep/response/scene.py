@@ -4,7 +4,6 @@ from dataclasses import dataclass, replace
 
 from gapsweep.integrate.problem import Laws, Model, Solver
 from gapsweep.model.contact import ContactLaw, Piecewise
-from gapsweep.model.user_law import UserLaw
 
 # A tangent is as good as its motion where all kinks are located; else it takes this tolerance. At
 # looser ones a stable orbit or chaos may be the solver's: exponents are computed at this tolerance,
@@ -77,14 +76,6 @@ class Forces:
             return solver
         rtol = min(solver.rtol, TANGENT_RTOL)
         return replace(solver.with_rtol(rtol), controller="native", restart=False)
-
-    def tight_solver(self, rtol: float) -> Solver:
-        """The solver itself if it decides stability, else a native one of this tolerance."""
-        if self.solver.rtol <= TANGENT_RTOL:
-            return self.solver
-        # numba may be unable to compile a user's law.
-        has_own = any(isinstance(law, UserLaw) for law in self.laws)
-        return Solver.of(self.solver.engine if has_own else "compiled", rtol)
 
 
 def located(laws: Laws) -> Laws:

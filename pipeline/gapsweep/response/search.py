@@ -304,9 +304,7 @@ class Search:
     def _accept(
         self, points: Numbers, *, is_noisy: Mask | bool = False, y: Array | None = None
     ) -> State:
-        """Forget exponents of the way to orbits, but of noisy ones, and begin to confirm these,
-        from states near them.
-        """
+        """Forget exponents of the way to orbits, but of noisy ones; confirm these, from states."""
         forgets = points[np.broadcast_to(~np.asarray(is_noisy), len(points))]
         self._found.lyapunov[forgets] = self._found.lyapunov_error[forgets] = np.nan
         if self._exact is self._ensemble:
