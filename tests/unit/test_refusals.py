@@ -61,9 +61,10 @@ REFUSED = {
     "oscillator by position": (lambda: gs.Oscillator(0.02, 20), r"zeta, omega_n, .*mass=3"),
     "number left out": (
         lambda: gs.Oscillator(mass=1.0, omega_n=2.0, zeta=0.1),
+        r"'forcing'.*write gs.Oscillator\(mass=3.0, omega_n=5.0, zeta=0.03, forcing=4.0\)",
     ),
     "misnamed change": (lambda: gs.systems.paper_oscillator(m=1), r"'m'; .*mass.*Hz"),
-    "misnamed mass": (lambda: paper_oscillator(m=1), r"'m'; .*mass.*Hz"),
+    "misnamed mass": (lambda: gs.Oscillator(m=1), r"'m'; .*mass.*Hz"),
     "law without sharpness": (lambda: gs.Tanh(1e4, GAP), r"Tanh: .*epsilon.*1/m"),
     "load by position": (lambda: gs.Harmonic([30.0, 0.0]), r"Harmonic: .*amplitude=\["),
     "study by its path": (lambda: gs.Study("quick.toml"), r"'quick.toml': .*Study\.load\("),

@@ -39,7 +39,8 @@ def called_as(example: str) -> Callable[[type[T]], type[T]]:
             try:
                 construct(self, *values, **named)
             except TypeError:
-                try:
+                try:  # a wrong name first, then one left out
+                    signature(construct).bind_partial(self, *values, **named)
                     signature(construct).bind(self, *values, **named)
                 except TypeError as error:
                     names = ", ".join(list(signature(construct).parameters)[1:])
