@@ -5,7 +5,6 @@ was recorded with all events.
 """
 
 import math
-from operator import attrgetter
 
 import numpy as np
 from numpy.typing import NDArray
@@ -215,7 +214,9 @@ def _precision(
     noise = windows.noise(np.where(found.is_periodic, shooting.n, 1))[points]
     amplitude = reach_of(swing.T, ensemble.unit[:, points])
     is_noisy = (limit.NOISY * noise > amplitude) & found.is_classified[points] & ~stopped
-    is_noisy &= ensemble.models.of_systems(attrgetter("deflection"))[points] > 0.0
+    for k in np.flatnonzero(is_noisy).tolist():
+        loads = np.atleast_1d(ensemble.system(points[k]).forcing)
+        is_noisy[k] = np.any([getattr(load, "amplitude", load) for load in loads])
     found.state[points[is_noisy]] = State.NOISY
     read["status"][is_noisy & (read["status"] == int(Status.OK))] = Status.UNRESOLVED
     rtol = np.where(found.has_orbit[points], CONFIRMING_RTOL, TANGENT_RTOL)
