@@ -131,18 +131,18 @@ class Models:
         """
         if solver.atol is not None:
             return np.full(len(self), solver.atol)
-        walls = self.of_laws(lambda law: max(law.gap.j_1, law.gap.j_2))
+        farther = self.of_laws(lambda law: max(law.gap.j_1, law.gap.j_2)).max(axis=1, initial=0.0)
+        softer = self.of_laws(lambda law: law.K_c * min(1.0, law.K_ratio)).max(axis=1, initial=0.0)
+        spring = self.of_systems(
+            lambda one: one.mass * one.omega_n_rad**2 if isinstance(one, Oscillator) else math.inf
+        )
         length = self.of_systems(attrgetter("deflection"))
-        if isinstance(self.systems[0], Oscillator):
-            spring = self.of_systems(lambda system: system.mass * system.omega_n_rad**2)
-            wall = self.of_laws(lambda law: law.K_c * min(1.0, law.K_ratio))[:, 0]
-            length = length - np.maximum(length - walls[:, 0], 0.0) * (wall / (spring + wall))
+        length = length - np.maximum(length - farther, 0.0) * (softer / (spring + softer))
         if not length.all():
             rate = [2.0 * math.pi * (one.slowest or one.fastest or 1.0) for one in self.systems]
             units = np.array([one.unit(w) for one, w in zip(self.systems, rate, strict=True)])
             start = np.zeros(1) if self.start is None else self.start / units[self.system]
-            others = np.abs(start).max(axis=-1), walls.max(axis=1, initial=0.0)
-            for other in others:
+            for other in (np.abs(start).max(axis=-1), farther):
                 length = np.where(length > 0.0, length, other)
         return np.asarray(solver.rtol * np.where(length > 0.0, length, _NO_LENGTH))
 
