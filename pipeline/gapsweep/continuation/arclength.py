@@ -22,7 +22,7 @@ from gapsweep.continuation.hopf import hopf_point
 from gapsweep.continuation.locate import Step
 from gapsweep.continuation.newton import Corrector
 from gapsweep.continuation.orbits import Orbit, OrbitEquations, Reference
-from gapsweep.continuation.special import Special
+from gapsweep.continuation.special import Special, crossing_kind
 from gapsweep.continuation.thresholds import (
     ALIKE,
     ASIDE,
@@ -174,7 +174,8 @@ class Continuation:
             found = crossing(self.equations, Step(before, orbit, reference))
             if found is None:
                 return None
-            half.crossings[len(half.orbits) - 1] = found
+            kind = crossing_kind(self.equations, found)
+            half.crossings[len(half.orbits) - 1] = replace(found, special=int(kind))
         return turn
 
     def _ahead(self, half: Half, orbit: Orbit | None, reference: Reference) -> Orbit | None:
@@ -237,7 +238,9 @@ class Continuation:
             return "window"
         if self.equations.has_period and self._ends_at_equilibrium(half):
             return "equilibrium"
-        if len(half.orbits) >= SHORTEST_LOOP and self._is_closed(first, half):
+        closing = self._closing(first, half) if len(half.orbits) >= SHORTEST_LOOP else None
+        if closing is not None:
+            half.orbits[-1] = closing
             return "closed"
         return "max_steps" if len(half.orbits) > self.max_steps else ""
 
@@ -265,8 +268,8 @@ class Continuation:
     def _swing(self, orbit: Orbit, reference: Reference) -> float:
         return float(((orbit.x_max - orbit.x_min) / reference.size[0, : self.equations.n]).max())
 
-    def _is_closed(self, first: Orbit, half: Half) -> bool:
-        """Whether the first orbit lies between the last two, in any phase."""
+    def _closing(self, first: Orbit, half: Half) -> Orbit | None:
+        """The first orbit, in any phase, if it lies between the last two."""
         step, n = half.step(len(half.orbits) - 2), self.equations.n_states
         if self.equations.has_period:
             parts = [_between(step.before, first, step.after)]
@@ -286,8 +289,8 @@ class Continuation:
                 guess[None, :], normal[None, :], step.reference, np.array([step.size])
             )
             if found is not None and found.identity.is_same(first.identity):
-                return True
-        return False
+                return found
+        return None
 
 
 def _leaves_crossing(first: Orbit, orbit: Orbit) -> bool:

@@ -11,7 +11,7 @@ from gapsweep.continuation.locate import Step, roots
 from gapsweep.continuation.orbits import Orbit, OrbitEquations, Reference
 from gapsweep.continuation.recognise import Branch, holders, is_known
 from gapsweep.continuation.seed import Attractor, seeds
-from gapsweep.continuation.special import SignChange, Special, crossing_kind, is_at, sign_changes
+from gapsweep.continuation.special import SignChange, Special, is_at, sign_changes
 from gapsweep.continuation.switch import switched, with_direction
 from gapsweep.continuation.thresholds import AT_ONCE, BESIDE_GRAZE, SHORTEST
 
@@ -159,13 +159,9 @@ class Branches:
         """Special points of one step in their order, up to the end of the window."""
         equations, step = self.equations, half.step(i)
         cross = half.crossings.get(i)
-        if cross is not None:
-            kind = crossing_kind(equations, cross)
-            if cross is half.orbits[i + 1]:  # the branch ends there
-                half.orbits[i + 1] = replace(cross, special=int(kind))
-            else:
-                share = float((cross.unknowns - step.before.unknowns) @ step.chord) / step.size**2
-                points = [*points, (share, kind, cross)]
+        if cross is not None and cross is not step.after:  # else the branch ends there
+            share = float((cross.unknowns - step.before.unknowns) @ step.chord) / step.size**2
+            points = [*points, (share, cross.special, cross)]
         grazes = [orbit.unknowns for _, kind, orbit in points if kind == Special.GRAZING]
         found: list[Orbit] = []
         for _, kind, orbit in sorted(points, key=lambda point: point[0]):
