@@ -5,8 +5,8 @@
     python -m tests.random_branches --nearly
 
 Prints a table of faults by kind, and each fault with the command that repeats it. The checks use no
-code of `gapsweep.continuation`: orbits are integrated at rtol 1e-12, and a sample of piecewise-linear
-orbits is propagated by matrix exponentials (`tests/piecewise_linear.py`).
+code of `gapsweep.continuation`: orbits are integrated at rtol 1e-12, and a sample of
+piecewise-linear orbits is propagated by matrix exponentials (`tests/piecewise_linear.py`).
 """
 
 import argparse
@@ -17,7 +17,6 @@ import warnings
 from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -37,6 +36,10 @@ SAME = 1e-6  # of an orbit's size: nearer orbits at one parameter value are one
 AT_ONE = 1e-4
 ON_WALL = 1e-7  # of an orbit's size, of a turning point at a graze
 BESIDE_GRAZE = 1e-8  # of the range: multipliers change at once there
+# Of the unknowns: where orbits about a point are so near, the branch has a kink, and Newton's 1e-10
+# times the slope of the multipliers is no small number. The multiplier must pass 1 or -1 there.
+KINK = 1e-6
+APART = 1e-4  # of an orbit's size: of orbits that are sought on branches, to their neighbours
 SYMMETRIC = 1e-5  # of an orbit's size: distance of the mirror image where symmetry breaks
 HARD = 100.0  # walls so many times as stiff as the spring: multipliers jump at grazes
 AT_HOPF = 1e-8  # of the parameter
@@ -50,8 +53,10 @@ FAULTS = {
     "not closed, exact": "the same by matrix exponentials",
     "not prime": "orbit returns after a part of its period",
     "twice in a branch": "a branch holds an orbit twice",
+    "closed loop overlaps": "a closed loop goes past its first orbit by a step",
     "on two branches": "two branches hold one orbit",
     "multiplier": "named point without its multiplier",
+    "start": "first orbit of a branch is no named point of its parent",
     "graze": f"no turning point within {ON_WALL:g} of a wall",
     "crossing without symmetry": "branch_point or symmetry_breaking of a machine without symmetry",
     "branch point": "branch_point of a symmetric machine",
@@ -234,7 +239,9 @@ def _nearly(draw: Draw) -> Scene:
 def _hard(draw: Draw) -> Scene:
     ratio, is_even = draw.log(HARD, 500.0), draw.one(True, False, False)
     lower, upper = draw.within(0.0, 1.0), draw.within(0.2, 2.0)
-    o, law, *_ = _machine(draw, lambda d: gs.Gap(d * (upper if is_even else lower), d * upper), ratio)
+    o, law, *_ = _machine(
+        draw, lambda d: gs.Gap(d * (upper if is_even else lower), d * upper), ratio
+    )
     options = _along(draw, o, law, ("forcing", "K_c", "j_2") if not is_even else ("forcing",))
     return Scene("", o, law, options | _short(draw, options), is_even, ratio)
 
@@ -329,32 +336,27 @@ def _own_parameter(draw: Draw) -> Scene:
     """A two-well oscillator with a stop, along its load."""
     damping, cubic = draw.within(0.4, 1.5), draw.log(30.0, 300.0)
     well = math.sqrt(10.0 / cubic)
-    model, value = partial(_as_load, damping=damping, cubic=cubic), 0.5 * 10.0 * well
+    value = 0.5 * 10.0 * well
+
+    def model(load: float) -> gs.System:
+        return two_wells(load, damping, cubic)
+
     law = gs.Piecewise(draw.log(5.0, 200.0), gs.Gap(well * 2.0, well * draw.within(0.8, 1.4)))
     omega = draw.within(2.5, 5.0) / TURN
-    options = {"along": "load", "between": draw.about(value * draw.within(0.3, 0.8), 0.5, 1.8)}
+    options = {"along": "load", "between": draw.about(value * draw.log(0.1, 0.6), 0.5, 1.8)}
     options |= {"omega": omega, "starts": [[well, 0.0], [-well, 0.0]]}
-    options["at"] = 0.5 * sum(options["between"])
-    return Scene("", _named("load", model), law, options, ratio=law.K_c / 20.0)
+    options["at"] = np.linspace(*options["between"], 3).tolist()
+    return Scene("", model, law, options, ratio=law.K_c / 20.0)
 
 
-def _as_load(value: float, damping: float, cubic: float) -> gs.System:
-    return two_wells(value, damping, cubic)
-
-
-def _named(name: str, model: Callable[[float], gs.System]) -> Callable[..., gs.System]:
-    """A function whose only parameter has a name."""
-    made: dict[str, Any] = {"model": model}
-    exec(f"def own({name}):\n    return model({name})", made)  # noqa: S102 (the name is the axis)
-    return made["own"]  # type: ignore[no-any-return]
-
-
-def circulatory(U: float, k: float, damping: float, cubic: tuple[float, float], load: float) -> Any:
-    """Two masses whose coupling feeds energy in: a Hopf point where U passes a limit."""
+def circulatory(
+    feed: float, k: float, damping: float, cubic: tuple[float, float], load: float
+) -> Any:
+    """Two masses whose coupling feeds energy in: a Hopf point where it passes a limit."""
     forcing = [gs.Harmonic(amplitude=[load, 0.0], k=0)] if load else []
     return gs.System(
         mass=np.eye(2),
-        stiffness=[[1.0, U], [-U, k]],
+        stiffness=[[1.0, feed], [-feed, k]],
         damping=damping * np.eye(2),
         contacts={"stop": [1.0, 0.0]},
         cubic=[gs.Cubic(along=e, alpha=a) for e, a in zip(np.eye(2).tolist(), cubic, strict=True)],
@@ -383,15 +385,18 @@ def _self_excited(draw: Draw) -> Scene:
     j = draw.within(0.1, 0.6), draw.within(0.1, 0.6)
     law = gs.Piecewise(draw.log(0.5, 20.0) * has_stop, gs.Gap(j[0], j[0] if is_even else j[1]))
 
-    def model(value: float) -> gs.System:
-        return circulatory(value, k, damping, cubic, 0.0)
+    def model(feed: float) -> gs.System:
+        return circulatory(feed, k, damping, cubic, 0.0)
 
     at = hopf * draw.within(1.03, 1.3)
-    options = {"along": "U", "between": (hopf * draw.within(0.6, 0.95), at * draw.within(1.05, 1.4))}
+    options = {
+        "along": "feed",
+        "between": (hopf * draw.within(0.6, 0.95), at * draw.within(1.05, 1.4)),
+    }
     options |= {"at": at, "starts": [[0.1, 0.1, 0.0, 0.0]]}
     return Scene(
         "",
-        _named("U", model),
+        model,
         law,
         options,
         is_even or not has_stop,
@@ -471,6 +476,8 @@ class Orbits:
         branch, scene = self.branch, self.scene
         self.name = kinds(branch)
         self.value = branch[scene.along].values
+        self.parent = int(branch["parent"])
+        self.ends = [_flag(branch[name]) for name in ("begins", "ends")]
         self.period = branch["period"].values
         self.multiple = branch["period_multiple"].values
         self.state = branch["start_state"].values
@@ -507,7 +514,9 @@ class Orbits:
             run = gs.simulate(models, laws, omega, **tight, n_periods=count, **self.start(states))
             ends, points = self.end(run), list(run.section)
             for i, end in enumerate(ends):
-                points[i] = np.vstack([np.reshape(points[i], (-1, states.shape[1]))[: count[i] - 1], end])
+                points[i] = np.vstack(
+                    [np.reshape(points[i], (-1, states.shape[1]))[: count[i] - 1], end]
+                )
             extrema = [_by_coordinate(each) for each in run.extrema]
             monodromy = np.array(run.monodromy)
         else:
@@ -544,8 +553,8 @@ class Orbits:
         along = np.abs(mu - 1.0).argmin(axis=1)
         return np.array([np.delete(each, i) for each, i in zip(mu, along, strict=True)])
 
-    def near(self, i: int, j: int) -> np.ndarray:
-        """Distance in the parameter from orbit i to others, as a part of the window."""
+    def near(self, i: int) -> np.ndarray:
+        """Distance in the parameter from orbit i to all, as a part of the window."""
         low, high = self.branch.attrs["between"]
         return np.abs(self.value - self.value[i]) / (high - low)
 
@@ -582,7 +591,9 @@ class Orbits:
                 (later, *_), *_ = self.integrated([i], points[0][-1:], short)
                 speed = (later[-1] - points[0][-1]) / unit / short
                 rate = speed if rate is None else rate
-                matrix = np.block([[matrix, (speed * period)[:, None]], [rate[None, :], np.zeros((1, 1))]])
+                matrix = np.block(
+                    [[matrix, (speed * period)[:, None]], [rate[None, :], np.zeros((1, 1))]]
+                )
                 error = np.append(error, 0.0)
             try:
                 step = -np.linalg.solve(matrix, error)
@@ -596,6 +607,12 @@ class Orbits:
             if np.abs(step).max() < 1e-9:
                 return y * unit, period
         return None
+
+
+def _flag(value: xr.DataArray) -> str:
+    """Name of a flag."""
+    flags = np.ravel(value.attrs["flag_values"]).tolist()
+    return str(value.attrs["flag_meanings"].split()[flags.index(int(value))])
 
 
 def _parts(n: int, states: np.ndarray) -> dict[str, Any]:
@@ -636,7 +653,8 @@ def faults(scene: Scene, ds: xr.Dataset) -> Iterator[Fault]:
             [] if is_free else prime(orbits),
             [] if is_free else named(orbits),
             [] if is_free else explained(orbits),
-            ends(orbits, ds, number),
+            ends(orbits),
+            started(orbits, found),
         ):
             yield kind, f"branch {number}, {text}"
     if not is_free:
@@ -675,8 +693,9 @@ def prime(orbits: Orbits) -> Iterator[Fault]:
 
 
 def _is_end(orbits: Orbits, i: int) -> bool:
-    """Whether a branch of doubled period begins or ends here."""
-    return orbits.name[i] == "period_doubling" and i in (0, orbits.n - 1)
+    """Whether a branch of doubled period begins or ends here, or so near that orbits are alike."""
+    ends = [k for k in (0, orbits.n - 1) if orbits.name[k] == "period_doubling"]
+    return any(orbits.apart(orbits.state[i], orbits.state[k], i) < 10.0 * PRIME for k in ends)
 
 
 def named(orbits: Orbits) -> Iterator[Fault]:
@@ -697,7 +716,13 @@ def named(orbits: Orbits) -> Iterator[Fault]:
         one = (1.0 if _is_halved(orbits, i) else -1.0) if name == "period_doubling" else one
         if one is not None:
             apart = float(np.abs(mu[i] - one).min())
-            if apart > AT_ONE and not (is_beside and _changes_sides(orbits, i, one)):
+            is_child = i == 0 and orbits.parent >= 0  # the parent's point is judged
+            is_beside = is_beside or _is_kink(orbits, i)
+            if (
+                apart > AT_ONE
+                and not is_child
+                and not (is_beside and _changes_sides(orbits, i, one))
+            ):
                 yield "multiplier", f"{where}: nearest to {one:g} is {apart:.1e} off"
         if name == "torus":
             pair = mu[i][np.abs(mu[i].imag) > 1e-6]
@@ -706,7 +731,10 @@ def named(orbits: Orbits) -> Iterator[Fault]:
         if name == "grazing" and (apart := clearance(orbits, i)) > ON_WALL:
             yield "graze", f"{where}: nearest turning point {apart:.1e} off"
         if name in ("branch_point", "symmetry_breaking") and not orbits.scene.is_symmetric:
-            yield "crossing without symmetry", f"{where}, nearest multiplier {np.abs(mu[i] - 1).min():.1e} from 1"
+            yield (
+                "crossing without symmetry",
+                f"{where}, nearest multiplier {np.abs(mu[i] - 1).min():.1e} from 1",
+            )
         elif name == "branch_point":
             yield "branch point", where
         elif name == "symmetry_breaking" and (apart := asymmetry(orbits, i)) > SYMMETRIC:
@@ -722,6 +750,15 @@ def _is_halved(orbits: Orbits, i: int) -> bool:
     if multiple % 2:
         return False
     return bool(orbits.apart(orbits.points[i][multiple // 2 - 1], orbits.state[i], i) < 1e-5)
+
+
+def _is_kink(orbits: Orbits, i: int) -> bool:
+    """Whether the orbits before and after are within rounding of a point."""
+    sides = [k for k in (i - 1, i + 1) if 0 <= k < orbits.n]
+    return all(
+        orbits.apart(orbits.state[k], orbits.state[i], i) < KINK and orbits.near(i)[k] < KINK
+        for k in sides
+    )
 
 
 def _changes_sides(orbits: Orbits, i: int, one: float) -> bool:
@@ -747,9 +784,17 @@ def asymmetry(orbits: Orbits, i: int) -> float:
         if isinstance(model, gs.Oscillator)
         else _parts(orbits.n_q, orbits.state[i])
     )
-    run = gs.simulate(model, law, omega, t_end=half, rtol=RTOL, atol=1e-3 * RTOL * orbits.size[i], **parts)
-    ends = (run.x_end, run.v_end) if isinstance(model, gs.Oscillator) else (run.q_end, run.v_end, run.z_end)
-    return float(orbits.apart(np.concatenate([np.ravel(each) for each in ends]), -orbits.state[i], i))
+    run = gs.simulate(
+        model, law, omega, t_end=half, rtol=RTOL, atol=1e-3 * RTOL * orbits.size[i], **parts
+    )
+    ends = (
+        (run.x_end, run.v_end)
+        if isinstance(model, gs.Oscillator)
+        else (run.q_end, run.v_end, run.z_end)
+    )
+    return float(
+        orbits.apart(np.concatenate([np.ravel(each) for each in ends]), -orbits.state[i], i)
+    )
 
 
 def clearance(orbits: Orbits, i: int) -> float:
@@ -794,7 +839,7 @@ def explained(orbits: Orbits) -> Iterator[Fault]:
             yield "missed graze", f"{between}: {n_contacts[a]} to {n_contacts[b]} crossings"
 
 
-def ends(orbits: Orbits, ds: xr.Dataset, number: int) -> Iterator[Fault]:
+def ends(orbits: Orbits) -> Iterator[Fault]:
     """Ends at equilibria are Hopf points, and no branch passes one."""
     if orbits.is_forced or orbits.scene.along == "amplitude" or not orbits.n:
         return
@@ -803,10 +848,8 @@ def ends(orbits: Orbits, ds: xr.Dataset, number: int) -> Iterator[Fault]:
     for i in np.flatnonzero(is_small[2:-2]) + 2:
         yield "equilibrium", f"{_row(orbits, i)}: amplitude {amplitude[i]:.1e} within the branch"
     growth_at = orbits.scene.equilibrium
-    for name, i in (("begins", 0), ("ends", -1)):
-        flags = ds[name].attrs
-        reasons = dict(zip(np.ravel(flags["flag_values"]), flags["flag_meanings"].split(), strict=True))
-        if reasons[int(ds[name][number])] != "equilibrium":
+    for reason, i in zip(orbits.ends, (0, -1), strict=True):
+        if reason != "equilibrium":
             continue
         value = orbits.value[i]
         if amplitude[i] > 1e-2 * amplitude.max():
@@ -814,7 +857,24 @@ def ends(orbits: Orbits, ds: xr.Dataset, number: int) -> Iterator[Fault]:
         if growth_at is not None:
             low, high = (growth_at(value * (1.0 + side * AT_HOPF)) for side in (-1.0, 1.0))
             if low * high > 0.0:
-                yield "equilibrium", f"{_row(orbits, i)}: no Hopf point, growth {low:.1e} to {high:.1e}"
+                yield (
+                    "equilibrium",
+                    f"{_row(orbits, i)}: no Hopf point, growth {low:.1e} to {high:.1e}",
+                )
+
+
+def started(orbits: Orbits, found: list[Orbits]) -> Iterator[Fault]:
+    """The first orbit of a branch that leaves another one is a named point of that one."""
+    if orbits.parent < 0 or not orbits.n:
+        return
+    parent = found[orbits.parent]
+    points = np.isin(parent.name, ("period_doubling", "symmetry_breaking", "branch_point"))
+    apart = np.abs(parent.value[points] - orbits.value[0]) / abs(orbits.value[0])
+    if apart.min(initial=1.0) > 1e-9:
+        yield (
+            "start",
+            f"{_row(orbits, 0)} is {apart.min(initial=1.0):.1e} from points of its parent",
+        )
 
 
 def once(found: list[Orbits]) -> Iterator[Fault]:
@@ -822,6 +882,10 @@ def once(found: list[Orbits]) -> Iterator[Fault]:
     for b, orbits in enumerate(found):
         regular = np.abs(orbits.multipliers - 1.0).min(axis=1, initial=1.0) > 2e-2
         regular &= orbits.name == "none"
+        if orbits.n < 3:
+            continue
+        steps = orbits.apart(orbits.state[1:], orbits.state[:-1], slice(1, None))
+        regular &= np.minimum(np.append(steps, 1.0), np.append(1.0, steps)) > APART
         for n in range(-2, 3):  # no special point nearby
             shifted = np.clip(np.arange(orbits.n) + n, 0, orbits.n - 1)
             regular &= np.isin(orbits.name[shifted], ("none", "grazing"))
@@ -833,9 +897,18 @@ def once(found: list[Orbits]) -> Iterator[Fault]:
                 if segments:
                     text = f"{_row(orbits, i)} is on branch {a}, {_row(other, segments[0])}"
                     kind = "twice in a branch" if a == b else "on two branches"
+                    if a == b and _is_past_start(orbits, i, segments[0]):
+                        kind = "closed loop overlaps"
                     yield kind, f"branch {b}, {text}"
                     if a != b:
                         break
+
+
+def _is_past_start(orbits: Orbits, i: int, k: int) -> bool:
+    """Whether an orbit and its double lie at the first and the last step of a closed branch."""
+    first, last = sorted((i, k))
+    at_ends = last >= orbits.n - 5 and orbits.value[first] != orbits.value[last]
+    return bool(at_ends and first <= 5 and "closed" in orbits.ends)
 
 
 def on_branch(other: Orbits, orbits: Orbits, i: int, *, own: bool) -> list[int]:
@@ -958,7 +1031,7 @@ BASES = {
     "duffing 0.4 mm": ((3.0, 5.0, 0.03, 7e8, 4.0), (1.4e4, 4e-4), (3.0, 6.0), 5.8),
     "duffing 0.8 mm": ((3.0, 5.0, 0.03, 7e8, 4.0), (1.4e5, 8e-4), (3.0, 6.0), 5.8),
     "linear": ((1.0, 1.0, 0.03, 0.0, 1.0), (400.0, 2e-2), (0.4, 1.6), 1.0),
-    "no walls": ((1.0, 0.2, 0.05, 5.0, 1.0), (1.0, 0.3), (0.06, 0.24), 0.135),
+    "duffing, soft walls": ((1.0, 0.2, 0.05, 5.0, 1.0), (1.0, 0.3), (0.06, 0.24), 0.135),
 }
 
 
@@ -979,7 +1052,10 @@ def nearly_symmetric() -> Iterator[tuple[str, Scene]]:
             law = gs.Piecewise(K_c, gs.Gap(gap, upper))
             options = {"along": "omega", "between": between, "at": at, "max_steps": 300}
             ratio = K_c / (mass * (TURN * omega_n) ** 2)
-            yield f"{name}, {what} {off:g}", Scene("nearly symmetric", o, law, options, False, ratio)
+            yield (
+                f"{name}, {what} {off:g}",
+                Scene("nearly symmetric", o, law, options, False, ratio),
+            )
 
 
 # --- Runs ---------------------------------------------------------------------------------------
