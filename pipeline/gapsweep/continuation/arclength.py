@@ -162,7 +162,7 @@ class Continuation:
             return None
         if len(half.orbits) == 1 and before.across is not None:
             return 0.0 if _leaves_crossing(before, orbit) else None
-        if not before.identity.is_kept(orbit.identity):
+        if not orbit.identity.is_prime or not before.identity.is_kept(orbit.identity):
             return None
         turn = math.acos(min(1.0, max(-1.0, float(before.tangent @ orbit.tangent))))
         if turn > TURN:
@@ -184,12 +184,21 @@ class Continuation:
         behind = self._behind_kink(half.orbits, reference)
         if behind is not None:
             return behind
-        is_changed = orbit is not None and last.branching * orbit.branching < 0.0
-        if is_changed and last.special != Special.UNRESOLVED:
-            # Two branches are nearer than the smallest step, or cross.
+        if orbit is not None and self._is_near_another(last, orbit):
+            # Two branches are nearer than the smallest step, or cross: it may lie on either.
             return replace(orbit, special=int(Special.UNRESOLVED))
         half.end = "window" if self._leaves(last, NEAR_EDGE) else "step_too_small"
         return None
+
+    def _is_near_another(self, last: Orbit, orbit: Orbit) -> bool:
+        """Whether nothing but a crossing that is not located refuses a step."""
+        return (
+            last.branching * orbit.branching < 0.0
+            and last.special != Special.UNRESOLVED
+            and orbit.identity.is_prime
+            and last.identity.is_kept(orbit.identity)
+            and float(last.tangent @ orbit.tangent) > math.cos(TURN)
+        )
 
     def _behind_kink(self, orbits: list[Orbit], reference: Reference) -> Orbit | None:
         """The branch's next orbit where it turns at a graze more sharply than steps can follow.

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from gapsweep.continuation.arclength import Continuation, Half, reversed_orbit
 from gapsweep.continuation.locate import Step, roots
 from gapsweep.continuation.orbits import Orbit, OrbitEquations, Reference
-from gapsweep.continuation.recognise import Branch, holders, is_known
+from gapsweep.continuation.recognise import Branch, holders, is_known, on_branches
 from gapsweep.continuation.seed import Attractor, seeds
 from gapsweep.continuation.special import SignChange, Special, is_at, sign_changes
 from gapsweep.continuation.switch import switched, with_direction
@@ -88,7 +88,10 @@ class Branches:
                 if len(found.orbits) < SHORTEST:
                     self.n_lost += 1
                 elif not is_known(self.equations, found, self.found):
-                    found.parent = number
+                    if orbit is branches[number].orbits[-1] or orbit is branches[number].orbits[0]:
+                        branches[number].parent = len(self.found)
+                    else:
+                        found.parent = number
                     self.found.append(found)
 
     def _is_used(self, orbit: Orbit) -> bool:
@@ -118,11 +121,23 @@ class Branches:
             orbits = [reversed_orbit(orbit) for orbit in backward[:0:-1]] + forward
             ends = "branch_point" if one_sided else halves[n + k].end, halves[k].end
             if halves[k].end == "closed":
-                orbits, ends = forward, ("closed", "closed")
-            start = next(i for i, orbit in enumerate(orbits) if orbit is forward[0])
+                orbits, ends = [*forward[:-1], forward[0]], ("closed", "closed")
+            start = len(orbits) - len(forward)
             orbits[start] = replace(orbits[start], across=None)
-            found.append(Branch(orbits=orbits, ends=ends, reference=reference.take([k])))
+            branch = Branch(orbits=orbits, ends=ends, reference=reference.take([k]))
+            if ends == ("max_steps", "max_steps"):
+                self._close(branch, start)
+            found.append(branch)
         return found
+
+    def _close(self, branch: Branch, start: int) -> None:
+        """Drop what a loop holds twice, whose halves are longer than the way round it."""
+        backward, half = branch.orbits[:start], replace(branch, orbits=branch.orbits[start:])
+        held = on_branches(self.equations, replace(branch, orbits=backward), [half])
+        n_twice = next((k for k, number in enumerate(held) if number < 0), start)
+        if n_twice:
+            branch.orbits = branch.orbits[n_twice:]
+            branch.ends = "closed", "closed"
 
     def with_special_points(self, halves: Sequence[Half]) -> list[list[Orbit]]:
         """The orbits of halves, special points and ends of the window among them."""
@@ -169,7 +184,8 @@ class Branches:
             if kind == Special.FOLD and cross is not None and _is_near(orbit, cross):
                 continue
             if not is_at(kind, orbit):
-                # Real multipliers with the product 1, or multipliers that jump at a graze.
+                # Real multipliers with the product 1, multipliers that jump at a graze, or turning
+                # points that appear in pairs.
                 if kind == Special.TORUS or any(is_near):
                     continue
                 kind = Special.UNRESOLVED

@@ -16,6 +16,7 @@ from gapsweep.continuation.thresholds import (
     HOPF_LOCATED,
     HOPF_RATE,
     NEWTON_STEPS,
+    ROUNDING,
 )
 from gapsweep.response.equilibrium import Rates
 
@@ -91,6 +92,7 @@ def _equilibrium(
         y = y + step
         if np.abs(step / size).max() <= CLOSED:
             break
+    y = np.where(np.abs(y) > ROUNDING * size, y, 0.0)
     return y, np.linalg.eigvals(_linearised(rates, y, size)[1])
 
 

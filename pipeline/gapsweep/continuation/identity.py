@@ -45,6 +45,11 @@ class Identity:
         k = len(self.section)
         return next((n for n in range(1, k) if self.repeats(n) <= ALIKE), k)
 
+    @property
+    def is_prime(self) -> bool:
+        """Whether the orbit repeats itself after its period, not before."""
+        return self.prime == len(self.section)
+
     def is_same(self, other: "Identity") -> bool:
         """Whether another orbit at the same parameter values is this one, in any phase."""
         apart = np.abs(self.section[:1] - other.section).max(axis=1)

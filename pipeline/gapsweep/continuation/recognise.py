@@ -1,7 +1,7 @@
 """Which branch an orbit lies on."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -46,11 +46,19 @@ def is_known(equations: OrbitEquations, branch: Branch, others: Sequence[Branch]
     parts = np.array_split(np.arange(len(inner)), min(COMPARED, len(inner)))
     # Of each part the orbit that is farthest from a fold.
     numbers = [max(part.tolist(), key=lambda i: abs(float(inner[i].tangent[-1]))) for part in parts]
-    orbits = [inner[i] for i in numbers if not inner[i].special]
-    sections = [orbit.identity.section * branch.reference.size[0] for orbit in orbits]
-    places = [float(equations.window_places(orbit)[0]) for orbit in orbits]
-    multiples = [orbit.period_multiple for orbit in orbits]
-    return any(number >= 0 for number in holders(equations, places, sections, multiples, others))
+    some = replace(branch, orbits=[inner[i] for i in numbers if not inner[i].special])
+    return any(number >= 0 for number in on_branches(equations, some, others))
+
+
+def on_branches(equations: OrbitEquations, branch: Branch, others: Sequence[Branch]) -> list[int]:
+    """For each orbit of a branch the number of another branch that holds it; -1: none."""
+    return holders(
+        equations,
+        [float(equations.window_places(orbit)[0]) for orbit in branch.orbits],
+        [orbit.identity.section * branch.reference.size[0] for orbit in branch.orbits],
+        [orbit.period_multiple for orbit in branch.orbits],
+        others,
+    )
 
 
 def holders(
