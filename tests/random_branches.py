@@ -29,7 +29,9 @@ from tests.exact_orbits import kinds, multipliers, rows
 TURN = 2.0 * math.pi
 RTOL = 1e-12
 CLOSES = 1e-8  # of an orbit's size: Newton's method ends at steps of 1e-10
-PRIME = 1e-6  # of an orbit's size: a smaller distance after a part of the period is a return
+# Of an orbit's size: a smaller distance after a part of the period is a return. Branches of doubled
+# period have orbits down to 1e-8 from those of half the period where they begin in a kink.
+PRIME = 3e-9
 SAME = 1e-6  # of an orbit's size: nearer orbits at one parameter value are one
 # A multiplier at a located point: Newton's 1e-10 times its slope along the branch, up to 1e5 of the
 # range next to a contact. It is linear in the arclength; only in the parameter it is a square root.
@@ -56,7 +58,7 @@ FAULTS = {
     "closed loop overlaps": "a closed loop goes past its first orbit by a step",
     "on two branches": "two branches hold one orbit",
     "multiplier": "named point without its multiplier",
-    "start": "first orbit of a branch is no named point of its parent",
+    "start": "a branch has no named point of its parent",
     "graze": f"no turning point within {ON_WALL:g} of a wall",
     "crossing without symmetry": "branch_point or symmetry_breaking of a machine without symmetry",
     "branch point": "branch_point of a symmetric machine",
@@ -695,7 +697,7 @@ def prime(orbits: Orbits) -> Iterator[Fault]:
 def _is_end(orbits: Orbits, i: int) -> bool:
     """Whether a branch of doubled period begins or ends here, or so near that orbits are alike."""
     ends = [k for k in (0, orbits.n - 1) if orbits.name[k] == "period_doubling"]
-    return any(orbits.apart(orbits.state[i], orbits.state[k], i) < 10.0 * PRIME for k in ends)
+    return any(orbits.apart(orbits.state[i], orbits.state[k], i) < KINK for k in ends)
 
 
 def named(orbits: Orbits) -> Iterator[Fault]:
@@ -712,18 +714,15 @@ def named(orbits: Orbits) -> Iterator[Fault]:
             apart = abs(np.sort_complex(mu[i]) - np.sort_complex(stored[i])).max() / scale
             if apart > 1e-3:
                 yield "multipliers", f"{where}: {mu[i]} instead of {stored[i]}"
-        one = {"fold": 1.0, "branch_point": 1.0, "symmetry_breaking": 1.0}.get(name)
-        one = (1.0 if _is_halved(orbits, i) else -1.0) if name == "period_doubling" else one
-        if one is not None:
-            apart = float(np.abs(mu[i] - one).min())
-            is_child = i == 0 and orbits.parent >= 0  # the parent's point is judged
-            is_beside = is_beside or _is_kink(orbits, i)
-            if (
-                apart > AT_ONE
-                and not is_child
-                and not (is_beside and _changes_sides(orbits, i, one))
-            ):
-                yield "multiplier", f"{where}: nearest to {one:g} is {apart:.1e} off"
+        ones = dict.fromkeys(("fold", "branch_point", "symmetry_breaking"), (1.0,)).get(name, ())
+        if name == "period_doubling":  # of orbits of doubled period, 1 where they begin
+            ones = (-1.0, 1.0) if _is_halved(orbits, i) else (-1.0,)
+        apart = min((float(np.abs(mu[i] - one).min()) for one in ones), default=0.0)
+        is_child = i == 0 and orbits.parent >= 0  # the parent's point is judged
+        is_beside = is_beside or _is_kink(orbits, i)
+        is_kink = is_beside and any(_changes_sides(orbits, i, one) for one in ones)
+        if apart > AT_ONE and not is_child and not is_kink:
+            yield "multiplier", f"{where}: nearest to {ones} is {apart:.1e} off"
         if name == "torus":
             pair = mu[i][np.abs(mu[i].imag) > 1e-6]
             if not len(pair) or np.abs(np.abs(pair) - 1.0).min() > AT_ONE:
@@ -869,12 +868,10 @@ def started(orbits: Orbits, found: list[Orbits]) -> Iterator[Fault]:
         return
     parent = found[orbits.parent]
     points = np.isin(parent.name, ("period_doubling", "symmetry_breaking", "branch_point"))
-    apart = np.abs(parent.value[points] - orbits.value[0]) / abs(orbits.value[0])
-    if apart.min(initial=1.0) > 1e-9:
-        yield (
-            "start",
-            f"{_row(orbits, 0)} is {apart.min(initial=1.0):.1e} from points of its parent",
-        )
+    own = orbits.value[orbits.name != "none"]
+    apart = np.abs(parent.value[points][:, None] / own - 1.0).min(initial=1.0)
+    if apart > 1e-7:
+        yield "start", f"{_row(orbits, 0)}: points are {apart:.1e} from those of its parent"
 
 
 def once(found: list[Orbits]) -> Iterator[Fault]:
