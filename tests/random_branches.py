@@ -507,7 +507,7 @@ class Orbits:
     def integrated(self, which: Any, states: np.ndarray, spans: np.ndarray) -> Any:
         """States at whole forcing periods (the end of unforced ones), tangents, turning points."""
         states = np.asarray(states, float)
-        atol = RTOL * 1e-3 * float(self.size[which].min())
+        atol = max(RTOL * 1e-3 * float(self.size[which].min()), 1e-40)
         tight = {"rtol": RTOL, "atol": atol, "tangent": True}
         if self.is_forced:
             machines = [self.machines[i] for i in which]
@@ -893,6 +893,10 @@ def once(found: list[Orbits]) -> Iterator[Fault]:
                 segments = on_branch(other, orbits, i, own=a == b)
                 if segments:
                     text = f"{_row(orbits, i)} is on branch {a}, {_row(other, segments[0])}"
+                    closes = "closed" in orbits.ends and orbits.value[0] == orbits.value[-1]
+                    seam = {0, orbits.n - 2, orbits.n - 1}
+                    if a == b and closes and i in seam and segments[0] in seam:
+                        continue  # a closed branch ends at its first orbit
                     kind = "twice in a branch" if a == b else "on two branches"
                     if a == b and _is_past_start(orbits, i, segments[0]):
                         kind = "closed loop overlaps"

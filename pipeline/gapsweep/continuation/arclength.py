@@ -63,12 +63,15 @@ class Half:
         The crossing of the step from the orbit of that number.
     end : str
         Why it ends.
+    has_kink : bool
+        Whether it was searched behind a kink.
     """
 
     orbits: list[Orbit]
     references: list[Reference] = field(default_factory=list)
     crossings: dict[int, Orbit] = field(default_factory=dict)
     end: str = ""
+    has_kink: bool = False
 
     def step(self, i: int) -> Step:
         """From the i-th orbit to the next one."""
@@ -183,6 +186,7 @@ class Continuation:
         last = half.orbits[-1]
         behind = self._behind_kink(half.orbits, reference)
         if behind is not None:
+            half.has_kink = True
             return behind
         if orbit is not None and self._is_near_another(last, orbit):
             # Two branches are nearer than the smallest step, or cross: it may lie on either.
@@ -221,8 +225,15 @@ class Continuation:
             ASTRAY * distances,
         )
         # Those that pass as many contacts lie on this side.
-        behind = [each for each in found if each and each.n_contacts != last.n_contacts]
-        behind = [each for each in behind if not _is_passed(orbits, each)]
+        behind = [
+            each
+            for each in found
+            if each is not None
+            and each.n_contacts != last.n_contacts
+            and each.identity.is_prime
+            and last.identity.is_kept(each.identity)
+            and not _is_passed(orbits, each)
+        ]
         if not behind:
             return None
         nearest = min(behind, key=lambda each: float(((each.unknowns - u) ** 2).sum()))
@@ -247,6 +258,9 @@ class Continuation:
             return "window"
         if self.equations.has_period and self._ends_at_equilibrium(half):
             return "equilibrium"
+        if half.has_kink and _is_passed(half.orbits[:-1], last):  # it has turned round at a kink
+            del half.orbits[-1], half.references[-1]
+            return "step_too_small"
         closing = self._closing(first, half) if len(half.orbits) >= SHORTEST_LOOP else None
         if closing is not None:
             half.orbits[-1] = closing
@@ -337,10 +351,14 @@ def _between(before: Orbit, orbit: Orbit, last: Orbit) -> float | None:
 
 
 def _is_passed(orbits: Sequence[Orbit], orbit: Orbit) -> bool:
-    """Whether an orbit lies between two successive ones of a half, with as many contacts."""
+    """Whether an orbit lies on earlier ones of a half with as many contacts, or between them."""
     alike = np.array([each.n_contacts == orbit.n_contacts for each in orbits])
-    (rows,) = np.nonzero(alike[:-1] & alike[1:])
     places = np.array([each.unknowns for each in orbits])
+    way = float(((orbit.unknowns - places[-1]) ** 2).sum())
+    apart = ((orbit.unknowns - places[alike]) ** 2).sum(axis=1)
+    if apart.min(initial=np.inf) <= ON_CHORD**2 * way:
+        return True
+    (rows,) = np.nonzero(alike[:-1] & alike[1:])
     chords, to = places[rows + 1] - places[rows], orbit.unknowns - places[rows]
     squares = np.maximum((chords**2).sum(axis=1), np.finfo(float).tiny)
     share = (chords * to).sum(axis=1) / squares

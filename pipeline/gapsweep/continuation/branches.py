@@ -134,7 +134,7 @@ class Branches:
         """Drop what a loop holds twice, whose halves are longer than the way round it."""
         backward, half = branch.orbits[:start], replace(branch, orbits=branch.orbits[start:])
         held = on_branches(self.equations, replace(branch, orbits=backward), [half])
-        n_twice = next((k for k, number in enumerate(held) if number < 0), start)
+        n_twice = max((k + 1 for k, number in enumerate(held) if number >= 0), default=0)
         if n_twice:
             branch.orbits = branch.orbits[n_twice:]
             branch.ends = "closed", "closed"
