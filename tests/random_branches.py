@@ -488,6 +488,7 @@ class Orbits:
         self.is_forced = self.n > 0 and self.machines[0][2] is not None
         peaks = np.maximum(np.abs(branch["x_max"].values), np.abs(branch["x_min"].values))
         self.size = peaks.reshape(self.n, -1).max(axis=1)
+        self.size = np.maximum(self.size, 1e-9 * self.size.max(initial=0.0))  # at a Hopf point
         rate = TURN * self.multiple / self.period if self.is_forced else TURN / self.period
         n_q = 1 if peaks.ndim == 1 else peaks.shape[1]
         self.unit = np.abs(self.state).max(axis=0) * np.ones_like(self.state)

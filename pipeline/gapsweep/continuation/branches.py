@@ -11,7 +11,7 @@ from gapsweep.continuation.locate import Step, roots
 from gapsweep.continuation.orbits import Orbit, OrbitEquations, Reference
 from gapsweep.continuation.recognise import Branch, holders, is_known, on_branches
 from gapsweep.continuation.seed import Attractor, seeds
-from gapsweep.continuation.special import SignChange, Special, is_at, sign_changes
+from gapsweep.continuation.special import SignChange, Special, sign_changes
 from gapsweep.continuation.switch import switched, with_direction
 from gapsweep.continuation.thresholds import AT_ONCE, BESIDE_GRAZE, SHORTEST
 
@@ -154,10 +154,14 @@ class Branches:
         located = roots(self.continuation.corrector, steps, [change.value for *_, change in tasks])
         points: dict[tuple[int, int], list[tuple[float, int, Orbit]]] = {}
         for (half, i, change), point in zip(tasks, located, strict=True):
-            if point is None:
+            if point is None or not point[1].identity.is_part_of(half.orbits[i].identity):
                 self.n_lost += 1
-            else:
-                points.setdefault((id(half), i), []).append((point[0], change.kind, point[1]))
+                continue
+            is_at = change.is_at(point[1])
+            if change.kind == Special.TORUS and not is_at:  # two real multipliers with product 1
+                continue
+            kind = change.kind if is_at else Special.UNRESOLVED
+            points.setdefault((id(half), i), []).append((point[0], kind, point[1]))
         rows = []
         for half in halves:
             orbits = [half.orbits[0]]
@@ -177,18 +181,14 @@ class Branches:
         if cross is not None and cross is not step.after:  # else the branch ends there
             share = float((cross.unknowns - step.before.unknowns) @ step.chord) / step.size**2
             points = [*points, (share, cross.special, cross)]
-        grazes = [orbit.unknowns for _, kind, orbit in points if kind == Special.GRAZING]
+        grazes = [orbit for _, kind, orbit in points if kind == Special.GRAZING]
         found: list[Orbit] = []
         for _, kind, orbit in sorted(points, key=lambda point: point[0]):
-            is_near = [np.abs(u - orbit.unknowns).max() <= BESIDE_GRAZE for u in grazes]
             if kind == Special.FOLD and cross is not None and _is_near(orbit, cross):
                 continue
-            if not is_at(kind, orbit):
-                # Real multipliers with the product 1, multipliers that jump at a graze, or turning
-                # points that appear in pairs.
-                if kind == Special.TORUS or any(is_near):
-                    continue
-                kind = Special.UNRESOLVED
+            # Multipliers jump at a graze.
+            if kind == Special.UNRESOLVED and any(_is_near(orbit, graze) for graze in grazes):
+                continue
             # Symmetric orbits touch both walls together.
             same = kind == Special.GRAZING and found and found[-1].special == kind
             if same and np.abs(found[-1].unknowns - orbit.unknowns).max() <= AT_ONCE:

@@ -55,6 +55,10 @@ class Identity:
         apart = np.abs(self.section[:1] - other.section).max(axis=1)
         return bool(apart.min() <= ALIKE)
 
+    def is_part_of(self, before: "Identity") -> bool:
+        """Whether an orbit may lie on a branch with another one: both repeat themselves, or not."""
+        return self.is_prime or not before.is_prime
+
     def is_kept(self, after: "Identity") -> bool:
         """Whether an orbit and the next one of a branch are both alike in their halves, or neither,
         and both symmetric, or neither.

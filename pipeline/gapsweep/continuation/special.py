@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gapsweep.continuation.orbits import Orbit, OrbitEquations, motions
-from gapsweep.continuation.thresholds import ALIKE, AT_VALUE, REAL, UNLIKE, VERTICAL
+from gapsweep.continuation.thresholds import ALIKE, AT_VALUE, ON_WALL, REAL, UNLIKE, VERTICAL
 
 Array = NDArray[np.float64]
 
@@ -37,6 +37,18 @@ class SignChange:
 
     kind: int
     value: Callable[[Orbit], float]
+
+    def is_at(self, orbit: Orbit) -> bool:
+        """Whether a located orbit is the special point, not one where the function jumps."""
+        if self.kind == Special.PERIOD_DOUBLING:
+            return bool(np.abs(orbit.multipliers + 1.0).min() <= AT_VALUE)
+        if self.kind == Special.TORUS:
+            pairs = orbit.multipliers[np.abs(orbit.multipliers.imag) > REAL]
+            return bool(np.abs(np.abs(pairs) - 1.0).min(initial=np.inf) <= AT_VALUE)
+        if isinstance(self.value, Graze):
+            size = max(np.abs(x).max(initial=0.0) for x in orbit.turning[self.value.contact])
+            return abs(self.value(orbit)) <= ON_WALL * float(size)
+        return True
 
 
 class Special(IntEnum):
@@ -91,20 +103,6 @@ def torus(orbit: Orbit) -> float:
     """Product of all ``1 - μ_i μ_j`` [-]; 1 of fewer than two multipliers."""
     i, j = np.triu_indices(len(orbit.multipliers), 1)
     return float(np.prod(1.0 - orbit.multipliers[i] * orbit.multipliers[j]).real)
-
-
-def is_at(kind: int, orbit: Orbit) -> bool:
-    """Whether a multiplier of an orbit is where a kind of special point has it.
-
-    A torus bifurcation has a pair that is not real; two real ones with the product 1 are none.
-    """
-    multipliers = orbit.multipliers
-    if kind == Special.PERIOD_DOUBLING:
-        return bool(np.abs(multipliers + 1.0).min() <= AT_VALUE)
-    if kind == Special.TORUS:
-        pairs = multipliers[np.abs(multipliers.imag) > REAL]
-        return bool(np.abs(np.abs(pairs) - 1.0).min(initial=np.inf) <= AT_VALUE)
-    return True
 
 
 def crossing_kind(equations: OrbitEquations, orbit: Orbit) -> Special:

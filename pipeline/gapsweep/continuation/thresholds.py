@@ -66,6 +66,8 @@ VERTICAL = 1e-7
 # A multiplier so near the value that names a point is at it: near a double multiplier, rounding of
 # 1e-10 makes this.
 AT_VALUE = 1e-5
+# A turning point this near to a wall, as a share of the largest one, is on it.
+ON_WALL = 1e-7
 # Largest residual of an orbit at a crossing, for one unit of the derivatives, and singular value
 # that is zero, as a share of the next one.
 RESIDUAL, SINGULAR = 1e-9, 1e-5
