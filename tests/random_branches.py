@@ -21,6 +21,7 @@ from typing import Any
 
 import numpy as np
 import xarray as xr
+from scipy.optimize import root
 
 import gapsweep as gs
 from tests import piecewise_linear as exact
@@ -64,6 +65,7 @@ FAULTS = {
     "branch point": "branch_point of a symmetric machine",
     "asymmetric": "symmetry_breaking at an orbit that is not symmetric",
     "unexplained": "multipliers leave or enter the unit circle without a named point",
+    "turn": "the parameter turns without a fold, or a fold does not turn it",
     "missed graze": "number of wall crossings changes without a graze",
     "multipliers": "stored multipliers are not those of the orbit",
     "stable": "stable differs from the multipliers",
@@ -173,7 +175,7 @@ def _machine(draw: Draw, walls: Callable[[float], gs.Gap], ratio: float, **laws:
     oscillator = gs.Oscillator(
         mass=mass,
         omega_n=omega_n,
-        zeta=draw.log(0.005, 0.15),
+        zeta=draw.log(0.005, 0.1),
         alpha=stiffness / deflection**2 * draw.log(1e-2, 1.0) if is_cubic else 0.0,
         forcing=stiffness * deflection,
     )
@@ -183,7 +185,7 @@ def _machine(draw: Draw, walls: Callable[[float], gs.Gap], ratio: float, **laws:
 
 def _along(draw: Draw, oscillator: gs.Oscillator, law: Any, names: tuple[str, ...]) -> dict:
     """Parameter, its window and start, and the forcing frequency where it is another one."""
-    omega = oscillator.omega_n * draw.log(0.4, 2.5)
+    omega = oscillator.omega_n * draw.log(0.35, 2.0)
     along = draw.one("omega", *names)
     value = {
         "omega": omega,
@@ -195,18 +197,15 @@ def _along(draw: Draw, oscillator: gs.Oscillator, law: Any, names: tuple[str, ..
         "gap": law.gap.j_2,
         "j_2": law.gap.j_2,
     }[along]
-    least, most = {"omega": (0.75, 1.35), "mass": (0.7, 1.4), "K_c": (0.25, 4.0)}.get(
-        along, (0.4, 2.0)
-    )
-    low, high = draw.about(value, least, most)
-    at = value if draw.within(0.0, 1.0) < 0.6 else [value, draw.within(low, high)]
-    options = {"along": along, "between": (low, high), "at": at}
+    shares = {"omega": (0.6, 1.5), "mass": (0.6, 1.6), "K_c": (0.2, 6.0)}
+    low, high = draw.about(value, *shares.get(along, (0.3, 2.5)))
+    options = {"along": along, "between": (low, high), "at": [value, draw.within(low, high)]}
     if along != "omega":
         options["omega"] = omega
-    if draw.within(0.0, 1.0) < 0.4:
+    if draw.within(0.0, 1.0) < 0.6:
         x = law.gap.j_2 + law.gap.j_1 + oscillator.forcing / law.K_c
-        starts = draw.rng.uniform(-1.0, 1.0, (2, 2)) * [2.0 * x, 2.0 * x * TURN * omega]
-        options["starts"] = starts.tolist()
+        starts = draw.rng.uniform(-1.0, 1.0, (3, 2)) * [2.0 * x, 2.0 * x * TURN * omega]
+        options["starts"] = [[0.0, 0.0], *starts.tolist()]
     return options
 
 
@@ -220,14 +219,14 @@ def _asymmetric(draw: Draw) -> Scene:
 
 def _symmetric(draw: Draw) -> Scene:
     ratio = draw.log(2.0, 60.0)
-    o, law, *_ = _machine(draw, lambda d: gs.Gap(*[d * draw.within(0.2, 2.0)] * 2), ratio)
+    o, law, *_ = _machine(draw, lambda d: gs.Gap(*[d * draw.log(0.05, 2.0)] * 2), ratio)
     options = _along(draw, o, law, ("forcing", "K_c", "gap", "mass", "zeta"))
     return Scene("", o, law, options, is_symmetric=True, ratio=ratio)
 
 
 def _nearly(draw: Draw) -> Scene:
     ratio, off = draw.log(2.0, 60.0), draw.one(1e-2, 1e-3, 1e-4, 1e-5)
-    share = draw.within(0.2, 2.0)
+    share = draw.log(0.05, 2.0)
     o, law, *_ = _machine(draw, lambda d: gs.Gap(*[d * share] * 2), ratio)
     if draw.one(True, False):
         law = replace(law, gap=gs.Gap(law.gap.j_1, law.gap.j_2 * (1.0 + off)))
@@ -240,7 +239,7 @@ def _nearly(draw: Draw) -> Scene:
 
 def _hard(draw: Draw) -> Scene:
     ratio, is_even = draw.log(HARD, 500.0), draw.one(True, False, False)
-    lower, upper = draw.within(0.0, 1.0), draw.within(0.2, 2.0)
+    lower, upper = draw.within(0.0, 1.0), draw.log(0.05, 2.0)
     o, law, *_ = _machine(
         draw, lambda d: gs.Gap(d * (upper if is_even else lower), d * upper), ratio
     )
@@ -270,9 +269,20 @@ def _unequal(draw: Draw) -> Scene:
     return Scene("", o, law, options, ratio=ratio * max(1.0, K_ratio))
 
 
+def _smooth(draw: Draw) -> Scene:
+    """Walls with a layer of a thirtieth to a third of the gap."""
+    scene = draw.one(_asymmetric, _symmetric, _nearly)(draw)
+    law, along = scene.law, scene.options["along"]
+    smooth = gs.Tanh(law.K_c, law.gap, epsilon=draw.log(3.0, 30.0) / law.gap.j_2)
+    if along in ("gap", "j_2"):  # the layer would fill narrow gaps
+        scene = replace(scene, options=scene.options | {"between": draw.about(law.gap.j_2, 0.8, 2)})
+    options = {"at": float(np.mean(scene.options["between"]))}
+    return replace(scene, law=smooth, options=scene.options | options)
+
+
 def _loaded(draw: Draw) -> Scene:
     ratio = draw.log(2.0, 60.0)
-    o, law, stiffness, d = _machine(draw, lambda d: gs.Gap(*[d * draw.within(0.2, 2.0)] * 2), ratio)
+    o, law, stiffness, d = _machine(draw, lambda d: gs.Gap(*[d * draw.log(0.05, 2.0)] * 2), ratio)
     o = replace(o, mean_load=stiffness * d * draw.log(0.05, 1.0))
     names = ("forcing", "K_c", "gap", "mass", "mean_load")
     return Scene("", o, law, _along(draw, o, law, names), ratio=ratio)
@@ -282,7 +292,7 @@ def _chain(draw: Draw, n_contacts: int, **more: Any) -> tuple[Any, dict[str, Any
     """Two masses between springs of about 1 N/m, and walls at them."""
     masses, springs = draw.rng.uniform(0.7, 1.5, 2), draw.rng.uniform(0.6, 1.6, 3)
     stiffness = np.diag(springs[:2] + springs[1:]) - springs[1] * (1.0 - np.eye(2))
-    share = draw.log(0.02, 0.15)
+    share = draw.log(0.005, 0.1)
     names = ("one", "two")[:n_contacts]
     system = gs.System(
         mass=np.diag(masses),
@@ -311,8 +321,10 @@ def _two_coordinates(draw: Draw) -> Scene:
     omega = draw.log(0.5, 2.2) / TURN
     along = draw.one("omega", "K_c", "j_2" if not is_even else "gap")
     value = {"omega": omega, "K_c": law.K_c, "j_2": law.gap.j_2, "gap": law.gap.j_2}[along]
-    options = {"along": along, "between": draw.about(value, 0.75, 1.35), "at": value}
+    low, high = draw.about(value, 0.7, 1.4)
+    options = {"along": along, "between": (low, high), "at": [value, draw.within(low, high)]}
     options |= {"omega": omega} if along != "omega" else {}
+    options["starts"] = [np.zeros(4).tolist(), *draw.rng.uniform(-2.0, 2.0, (3, 4)).tolist()]
     return Scene("", system, law, options, is_even, ratio)
 
 
@@ -320,6 +332,7 @@ def _several_contacts(draw: Draw) -> Scene:
     system, laws, ratio = _chain(draw, 2)
     omega = draw.log(0.5, 2.2) / TURN
     options = {"along": "omega", "between": draw.about(omega, 0.75, 1.35), "at": omega}
+    options["starts"] = [np.zeros(4).tolist(), *draw.rng.uniform(-2.0, 2.0, (3, 4)).tolist()]
     return Scene("", system, laws, options, ratio=ratio)
 
 
@@ -366,12 +379,21 @@ def circulatory(
     )
 
 
-def growth(system: gs.System, stiffness: Any = None) -> float:
-    """Largest real part [1/s] of the eigenvalues of a system without contact about zero."""
-    n = len(system.mass)
-    k = np.asarray(system.stiffness if stiffness is None else stiffness, float)
-    inverse = np.linalg.inv(system.mass)
-    matrix = np.block([[np.zeros((n, n)), np.eye(n)], [-inverse @ k, -inverse @ system.damping]])
+def growth(system: gs.System, law: gs.Piecewise) -> float:
+    """Largest real part [1/s] of the eigenvalues about the equilibrium of `circulatory`."""
+    load = sum((each.amplitude for each in system.forcing), np.zeros(2))
+
+    def force(q: np.ndarray) -> np.ndarray:
+        cubic = sum(each.alpha * each.along * (each.along @ q) ** 3 for each in system.cubic)
+        return system.stiffness @ q + cubic + np.array([float(law.force(q[0])), 0.0]) - load
+
+    q = root(force, np.linalg.solve(system.stiffness, load), tol=1e-14).x
+    spring = law.K_c * (not -law.gap.j_1 < q[0] < law.gap.j_2)
+    stiffness = system.stiffness + np.diag([spring, 0.0])
+    for each in system.cubic:
+        square = 3.0 * each.alpha * (each.along @ q) ** 2
+        stiffness = stiffness + square * np.outer(each.along, each.along)
+    matrix = np.block([[np.zeros((2, 2)), np.eye(2)], [-stiffness, -system.damping]])
     return float(np.linalg.eigvals(matrix).real.max())
 
 
@@ -385,10 +407,11 @@ def _self_excited(draw: Draw) -> Scene:
         cubic = (-cubic[0], cubic[1])
     is_even, has_stop = draw.one(True, False), draw.one(True, False)
     j = draw.within(0.1, 0.6), draw.within(0.1, 0.6)
+    load = draw.one(0.0, 0.0, draw.within(0.01, 0.08))
     law = gs.Piecewise(draw.log(0.5, 20.0) * has_stop, gs.Gap(j[0], j[0] if is_even else j[1]))
 
     def model(feed: float) -> gs.System:
-        return circulatory(feed, k, damping, cubic, 0.0)
+        return circulatory(feed, k, damping, cubic, load)
 
     at = hopf * draw.within(1.03, 1.3)
     options = {
@@ -401,9 +424,9 @@ def _self_excited(draw: Draw) -> Scene:
         model,
         law,
         options,
-        is_even or not has_stop,
+        not load and (is_even or not has_stop),
         law.K_c,
-        lambda value: growth(model(value)),
+        lambda value: growth(model(value), law),
     )
 
 
@@ -438,6 +461,7 @@ SCENES: dict[str, Callable[[Draw], Scene]] = {
     "one wall": _one_sided,
     "unequal walls": _unequal,
     "mean load": _loaded,
+    "smooth walls": _smooth,
     "two coordinates": _two_coordinates,
     "several contacts": _several_contacts,
     "own parameter": _own_parameter,
@@ -656,6 +680,7 @@ def faults(scene: Scene, ds: xr.Dataset) -> Iterator[Fault]:
             [] if is_free else prime(orbits),
             [] if is_free else named(orbits),
             [] if is_free else explained(orbits),
+            [] if is_free else turned(orbits),
             ends(orbits),
             started(orbits, found),
         ):
@@ -827,16 +852,33 @@ def explained(orbits: Orbits) -> Iterator[Fault]:
         if abs(largest[i] - 1.0) > 1e-6 and (largest[i] < 1.0) != bool(stable[i]):
             yield "stable", f"{_row(orbits, i)}: {stable[i]}, largest multiplier {largest[i]:.9g}"
     outside = (np.abs(mu) > 1.0).sum(axis=1)
-    for a, b in itertools.pairwise(ordinary.tolist()):
-        here = set(names[a + 1 : b].tolist())
+    # Where a multiplier is on the unit circle, rounding decides on which side.
+    is_clear = np.abs(np.abs(mu) - 1.0).min(axis=1, initial=1.0) > 1e-7
+    for a, b in itertools.pairwise(ordinary[is_clear[ordinary]].tolist()):
+        here = set(names[a + 1 : b].tolist()) - {"none"}
         by_graze = "grazing" in here and orbits.scene.ratio >= HARD
         between = f"{_row(orbits, a)} to {b} {sorted(here)}"
-        if min(abs(np.abs(mu[[a, b]]) - 1.0).ravel()) < 1e-7:
-            continue  # rounding decides
         if outside[a] != outside[b] and not here - {"grazing"} and not by_graze:
             yield "unexplained", f"{between}: {outside[a]} to {outside[b]} multipliers outside"
         if n_contacts[a] != n_contacts[b] and not here & {"grazing", "unresolved"}:
             yield "missed graze", f"{between}: {n_contacts[a]} to {n_contacts[b]} crossings"
+
+
+def turned(orbits: Orbits) -> Iterator[Fault]:
+    """Folds at which the parameter goes on, and turns of the parameter that are no folds."""
+    low, high = orbits.branch.attrs["between"]
+    change = np.diff(orbits.value) / (high - low)
+    names = orbits.name
+    for i in range(1, orbits.n - 1):
+        if min(abs(change[i - 1]), abs(change[i])) < 1e-10:
+            continue  # rounding of the parameter decides
+        is_turn, here = change[i - 1] * change[i] < 0.0, set(names[i - 1 : i + 2].tolist())
+        if names[i] == "fold" and not is_turn:
+            yield "turn", f"{_row(orbits, i)}: the parameter goes on"
+        elif is_turn and not here - {"none", "grazing"}:
+            by_graze = "grazing" in here and orbits.scene.ratio >= HARD
+            if not by_graze:
+                yield "turn", f"{_row(orbits, i)}: no fold"
 
 
 def ends(orbits: Orbits) -> Iterator[Fault]:
@@ -990,7 +1032,10 @@ def exact_return(orbits: Orbits, i: int) -> float:
 
 
 def exact_machine(model: Any, law: Any) -> exact.System | None:
-    """Piecewise-linear equations of a machine; None of cubic springs."""
+    """Piecewise-linear equations of a machine; None of cubic springs and smooth laws."""
+    laws = law.values() if isinstance(law, dict) else [law]
+    if not all(isinstance(each, gs.Piecewise) for each in laws):
+        return None
     if isinstance(model, gs.Oscillator):
         if model.alpha:
             return None
