@@ -121,8 +121,8 @@ class Branches:
             orbits = [reversed_orbit(orbit) for orbit in backward[:0:-1]] + forward
             ends = "branch_point" if one_sided else halves[n + k].end, halves[k].end
             if halves[k].end == "closed":
-                orbits, ends = [*forward[:-1], forward[0]], ("closed", "closed")
-            start = len(orbits) - len(forward)
+                orbits, ends = forward[:-1], ("closed", "closed")
+            start = max(len(orbits) - len(forward), 0)
             orbits[start] = replace(orbits[start], across=None)
             branch = Branch(orbits=orbits, ends=ends, reference=reference.take([k]))
             if ends == ("max_steps", "max_steps"):

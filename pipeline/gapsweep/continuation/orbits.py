@@ -21,7 +21,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from gapsweep.continuation.family import Family, Window
 from gapsweep.continuation.identity import Identity
-from gapsweep.continuation.thresholds import DIFFERENCE
+from gapsweep.continuation.thresholds import DIFFERENCE, ONE_TURN
 from gapsweep.integrate.motions import Motions, merged
 from gapsweep.integrate.problem import Problems, Solver
 from gapsweep.integrate.simulate import prepared
@@ -297,8 +297,10 @@ class OrbitEquations:
             span = slice(ends[row] - events.n_extrema[row], ends[row])
             values, of = events.extrema[span], events.extrema_of[span]
             state = unknowns[k, :n] * size[k]
-            section = events.section[strobes[row] - events.n_section[row] : strobes[row]]
-            section = section if len(section) else state[None, :]
+            points = slice(strobes[row] - events.n_section[row], strobes[row])
+            section = self._section(
+                state, events.section[points], events.t_section[points] / motions.t[row]
+            )
             q = [np.append(values[of == i], state[i]) for i in range(self.n)]
             gaps = [values[of == self.first_gap + j] for j in range(self.n_contacts)]
             orbits.append(
@@ -320,6 +322,16 @@ class OrbitEquations:
                 )
             )
         return orbits
+
+    def _section(self, state: Array, section: Array, phase: Array) -> Array:
+        """Section points of an orbit, each once; at least its initial state.
+
+        A maximum at the start of an unforced orbit may be found at its end too.
+        """
+        if self.family.is_conservative or not len(section):
+            return state[None, :]
+        is_twice = self.has_period and len(section) > 1 and phase[-1] - phase[0] > ONE_TURN
+        return section[:-1] if is_twice else section
 
     def models_at(self, orbit: Orbit) -> Any:
         """The model of one orbit."""

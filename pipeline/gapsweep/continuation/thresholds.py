@@ -16,6 +16,8 @@ UNLIKE = 1e-5
 # Orbits of unforced systems start away from turning points, which come and go, by this share of
 # their period.
 OFF_TURNING = 0.137
+# Section points that are farther apart, in periods, are one point: no oscillation is so fast.
+ONE_TURN = 0.999
 
 # --- Newton's method ------------------------------------------------------------------------------
 
