@@ -19,11 +19,13 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from gapsweep.continuation.arclength import Continuation, reversed_orbit
-from gapsweep.continuation.branches import Branch, Branches
+from gapsweep.continuation.branches import Branches
 from gapsweep.continuation.dataset import dataset
 from gapsweep.continuation.family import Family, Window
 from gapsweep.continuation.orbits import Evaluation, Orbit, OrbitEquations, Reference
+from gapsweep.continuation.recognise import Branch
 from gapsweep.continuation.special import Graze, Special, nearest_graze
+from gapsweep.continuation.thresholds import DIFFERENCE
 from gapsweep.errors import ModelError
 from gapsweep.integrate.problem import Solver
 from gapsweep.model.oscillator import whole
@@ -55,7 +57,9 @@ class CurveEquations(OrbitEquations):
         super().__init__(family, windows, solver)
         self._condition = condition
 
-    def evaluate(self, unknowns: Array, reference: Reference) -> Evaluation:
+    def evaluate(
+        self, unknowns: Array, reference: Reference, difference: float = DIFFERENCE
+    ) -> Evaluation:
         m, d = unknowns.shape
         shifts = _DIFFERENCE * np.concatenate([np.zeros((1, d)), np.eye(d), -np.eye(d)])
         moved = unknowns[None, :, :] + shifts[:, None, :]
@@ -64,7 +68,7 @@ class CurveEquations(OrbitEquations):
         apart = np.einsum("imi->im", moved[1 : d + 1] - moved[d + 1 :])
         every = moved.reshape(-1, d)
         lanes = np.tile(np.arange(m), len(shifts))
-        whole = super().evaluate(every, reference.take(lanes))
+        whole = super().evaluate(every, reference.take(lanes), difference)
         # Those of the motions with the parameters as they are; an unknown tangent does no harm.
         orbits = super().orbits(
             every, np.zeros_like(every), reference.take(lanes), whole, np.arange(len(every))

@@ -4,9 +4,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from gapsweep.continuation.branches import Branch, Branches
+from gapsweep.continuation.branches import Branches
 from gapsweep.continuation.family import AMPLITUDE
 from gapsweep.continuation.orbits import Orbit
+from gapsweep.continuation.recognise import Branch
 from gapsweep.continuation.special import Special
 from gapsweep.model.oscillator import Oscillator
 from gapsweep.variables import COORDINATE, PARTS, Variable

@@ -9,10 +9,11 @@ import numpy as np
 import xarray as xr
 from numpy.typing import ArrayLike, NDArray
 
-from gapsweep.continuation.branches import Attractor, Branches
+from gapsweep.continuation.branches import Branches
 from gapsweep.continuation.dataset import dataset
 from gapsweep.continuation.family import Family, Window
 from gapsweep.continuation.orbits import OrbitEquations, motions
+from gapsweep.continuation.seed import Attractor
 from gapsweep.errors import ModelError
 from gapsweep.integrate.problem import Model, Solver
 from gapsweep.integrate.simulate import AnyLaw, simulate

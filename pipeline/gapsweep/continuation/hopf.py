@@ -93,7 +93,7 @@ def _equilibrium(
         if np.abs(step / size).max() <= CLOSED:
             break
     y = np.where(np.abs(y) > ROUNDING * size, y, 0.0)
-    return y, np.linalg.eigvals(_linearised(rates, y, size)[1])
+    return y, np.linalg.eigvals(_linearised(rates, y, size)[1]).astype(complex)
 
 
 def _linearised(rates: Any, y: Array, size: Array) -> tuple[Array, Array]:

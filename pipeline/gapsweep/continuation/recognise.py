@@ -89,19 +89,19 @@ def holders(
                 continue
             there = (low - EDGE <= place) & (place <= high + EDGE)
             for i in np.flatnonzero(there).tolist():
-                orbits = branch.orbits[i : i + 2]
-                reference = equations.reference_at(branch.reference, orbits[0])
-                tasks.append((k, number, Step(*orbits, reference)))
+                before, after = branch.orbits[i : i + 2]
+                reference = equations.reference_at(branch.reference, before)
+                tasks.append((k, number, Step(before, after, reference)))
     if not tasks:
         return found
     guesses = [_guess(equations, step, places[k]) for k, _, step in tasks]
-    orbits, _ = Corrector(equations).orbits(
+    nearby, _ = Corrector(equations).orbits(
         np.array(guesses),
         np.tile(along, (len(tasks), 1)),
         Reference.joined([step.reference for *_, step in tasks]),
         np.array([max(ASIDE_KNOWN * step.size, ALIKE) for *_, step in tasks]),
     )
-    for (k, number, step), orbit in zip(tasks, orbits, strict=True):
+    for (k, number, step), orbit in zip(tasks, nearby, strict=True):
         if orbit is not None and found[k] < 0:
             section = Identity(sections[k] / step.reference.size[0], 0.0)
             found[k] = number if orbit.identity.is_same(section) else -1
@@ -115,6 +115,6 @@ def _guess(equations: OrbitEquations, step: Step, place: float) -> Array:
         apart = ends[1] - ends[0]
         return step.before.unknowns + (place - ends[0]) / (apart or 1.0) * step.chord
     points = np.array([step.point(s) for s in _PARTS])
-    guess = points[np.abs(points[:, -1] - place).argmin()].copy()
+    guess: Array = points[np.abs(points[:, -1] - place).argmin()].copy()
     guess[-1] = place
     return guess
