@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 from scipy.integrate import solve_ivp
-from scipy.optimize import brentq, minimize_scalar
+from scipy.optimize import brentq, fsolve, minimize_scalar
 from scipy.special import ellipk
 from tests.exact_orbits import (
     TURN,
@@ -809,3 +809,106 @@ def test_a_branch_that_ends_at_its_range_says_so():
             zip(end.attrs["flag_values"], end.attrs["flag_meanings"].split(), strict=True)
         )
         assert {reasons[value] for value in end.values} <= {"window", "branch_point"}
+
+
+def flutter_in_two_cubic_springs(coupling):
+    """Two masses whose coupling is not symmetric: the origin loses its stability by a Hopf point."""
+    return gs.System(
+        mass=np.eye(2),
+        stiffness=[[1.0, coupling], [-coupling, 1.5]],
+        damping=0.02 * np.eye(2),
+        contacts={"none": [1.0, 0.0]},
+        cubic=[gs.Cubic(along=[1.0, 0.0], alpha=-1.0), gs.Cubic(along=[0.0, 1.0], alpha=1.5)],
+    )
+
+
+def test_cycles_end_at_the_hopf_point_of_the_equilibrium():
+    def growth(coupling):
+        return np.linalg.eigvals(first_order(flutter_in_two_cubic_springs(coupling))).real.max()
+
+    hopf = brentq(growth, 0.2, 0.3, xtol=1e-14)
+    ds = gs.branches(
+        flutter_in_two_cubic_springs,
+        NO_CONTACT,
+        along="coupling",
+        between=(0.15, 0.4),
+        at=0.3,
+        starts=[[0.1, 0.1, 0.0, 0.0]],
+    )
+    assert ds.sizes["branch"] == 1
+    branch = rows(ds, 0)
+    ((kind, step),) = special_points(branch)
+    assert kind == "hopf"
+    assert step in (0, branch.sizes["step"] - 1)
+    assert float(branch["coupling"][step]) == pytest.approx(hopf, abs=1e-8)
+    assert_allclose(branch["amplitude"].values[step], 0.0, atol=1e-12)
+    # Cycles exist on one side of the point.
+    assert (branch["coupling"].values >= hopf - 1e-8).all()
+
+
+def test_a_hopf_point_of_a_loaded_equilibrium_is_found():
+    """A constant load displaces the equilibrium, so that cubic springs change its eigenvalues."""
+    load = np.array([0.1, 0.05])
+
+    def loaded(coupling):
+        system = flutter_in_two_cubic_springs(coupling)
+        return replace(system, forcing=[gs.Harmonic(amplitude=load, k=0)])
+
+    def growth(coupling):
+        system, cubic = flutter_in_two_cubic_springs(coupling), np.array([-1.0, 1.5])
+        q = fsolve(lambda q: system.stiffness @ q + cubic * q**3 - load, [0.1, 0.05], xtol=1e-12)
+        matrix = first_order(system)
+        matrix[2:, :2] -= np.diag(3.0 * cubic * q**2)
+        return np.linalg.eigvals(matrix).real.max()
+
+    hopf = brentq(growth, 0.2, 0.25, xtol=1e-14)
+    window = 0.8 * hopf, 1.3 * hopf
+    at, starts = 1.1 * hopf, [[0.2, 0.15, 0.0, 0.0]]
+    ds = gs.branches(loaded, NO_CONTACT, "coupling", window, at=at, starts=starts)
+    branch = rows(ds, 0)
+    (step,) = (i for kind, i in special_points(branch) if kind == "hopf")
+    assert float(branch["coupling"][step]) == pytest.approx(hopf, abs=1e-8)
+
+
+def test_a_coordinate_that_stands_still_does_no_harm():
+    model = gs.System(
+        mass=np.eye(2),
+        stiffness=np.diag([30.0, 20.0]),
+        damping=np.diag([0.3, 0.2]),
+        contacts={"stop": [1.0, 0.0]},
+        forcing=[gs.Harmonic(amplitude=[1.0, 0.0])],
+    )
+    ds = gs.branches(model, gs.Piecewise(100.0, gs.Gap(0.02, 0.02)), between=(0.8, 1.2), at=1.0)
+    branch = rows(ds, 0)
+    alone = gs.Oscillator(
+        mass=1.0, omega_n=math.sqrt(30.0) / TURN, zeta=0.15 / math.sqrt(30.0), forcing=1.0
+    )
+    wall = gs.Piecewise(100.0, gs.Gap(0.02, 0.02))
+    again = rows(gs.branches(alone, wall, between=(0.8, 1.2), at=1.0), 0)
+    assert_allclose(branch["x_max"].max(), again["x_max"].max(), rtol=1e-3)
+    assert [kind for kind, _ in special_points(branch)] == [k for k, _ in special_points(again)]
+
+
+def test_a_branch_of_twice_the_period_ends_on_that_of_the_period():
+    """Started on the doubled orbit, `follow` finds the orbit of one period through its end."""
+    model, law, *_ = FORCED["two masses"]
+    low, high = 0.745 * RATE, 0.753 * RATE
+    ds = gs.branches(model, law, "omega", (low, high), at=0.749 * RATE, follow=1)
+    for number in ds["branch"].values:
+        branch = rows(ds, number)
+        for kind, step in special_points(branch):
+            if kind == "period_doubling":
+                one = 1.0 if step in (0, branch.sizes["step"] - 1) else -1.0
+                assert np.abs(multipliers(branch)[step] - one).min() < 1e-6
+
+
+def test_a_loop_longer_than_max_steps_holds_each_orbit_once():
+    law = gs.Piecewise(1.4e5, gs.Gap(0.2e-3, 0.6e-3))
+    model = gs.Oscillator(mass=3.0, omega_n=5.0, zeta=0.03, forcing=4.0, alpha=7e8)
+    whole = gs.branches(model, law, between=(4.0, 16.0), at=7.5)
+    loops = (whole["ends"] == 2) & (whole["begins"] == 2)
+    assert loops.any()
+    n = int(whole["n_orbits"].where(loops, 0).max())
+    half = gs.branches(model, law, between=(4.0, 16.0), at=7.5, max_steps=n // 2 + 10)
+    loop = int(half["n_orbits"].values.argmax())
+    assert abs(int(half["n_orbits"][loop]) - n) < 40

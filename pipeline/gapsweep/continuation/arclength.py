@@ -24,7 +24,6 @@ from gapsweep.continuation.newton import Corrector
 from gapsweep.continuation.orbits import Orbit, OrbitEquations, Reference
 from gapsweep.continuation.special import Special, crossing_kind
 from gapsweep.continuation.thresholds import (
-    ALIKE,
     ASIDE,
     ASTRAY,
     BEHIND,
@@ -250,7 +249,7 @@ class Continuation:
             is_free and not 0.0 <= places[1] <= 1.0 and abs(places[1] - 0.5) > abs(places[0] - 0.5)
         )
         found = half.crossings.get(len(half.orbits) - 2)
-        if found and not before.identity.is_kept(found.identity):
+        if found is not None and _ends_on(found):
             # Behind it lie the same orbits half a period later, or their mirror images.
             half.orbits[-1] = found
             return "branch_point"
@@ -316,6 +315,15 @@ class Continuation:
         return None
 
 
+def _ends_on(crossing: Orbit) -> bool:
+    """Whether a branch ends where it crosses one of half its period, or of symmetric orbits."""
+    if crossing.special == Special.PERIOD_DOUBLING:
+        return True
+    assert crossing.across is not None
+    is_stationary = abs(crossing.tangent[-1]) < abs(crossing.across[-1])
+    return crossing.special == Special.SYMMETRY_BREAKING and is_stationary
+
+
 def _leaves_crossing(first: Orbit, orbit: Orbit) -> bool:
     """Whether the second orbit of a branch lies on it, not on the one that crosses it."""
     assert first.across is not None
@@ -324,7 +332,7 @@ def _leaves_crossing(first: Orbit, orbit: Orbit) -> bool:
     if not own @ own < other @ other:
         return False
     # The branch whose parameter is stationary has orbits of twice the period, or less symmetry.
-    is_double = first.identity.halves <= ALIKE
+    is_double = first.identity.halves <= UNLIKE
     is_symmetric = first.special == Special.SYMMETRY_BREAKING
     if abs(first.tangent[-1]) < abs(first.across[-1]) and (is_double or is_symmetric):
         unlike = orbit.identity.halves if is_double else orbit.identity.asymmetry

@@ -155,7 +155,7 @@ class Branches:
         points: dict[tuple[int, int], list[tuple[float, int, Orbit]]] = {}
         for (half, i, change), point in zip(tasks, located, strict=True):
             if point is None or not point[1].identity.is_part_of(half.orbits[i].identity):
-                self.n_lost += 1
+                self.n_lost += change.kind != _WINDOW
                 continue
             is_at = change.is_at(point[1])
             if change.kind == Special.TORUS and not is_at:  # two real multipliers with product 1
@@ -167,7 +167,9 @@ class Branches:
             orbits = [half.orbits[0]]
             for i, after in enumerate(half.orbits[1:]):
                 named = self._named(half, i, points.get((id(half), i), []))
-                is_outside = bool(named) and named[-1].special == _WINDOW
+                # Also a branch that starts at an end of its window goes no farther.
+                is_outside = half.end == "window" and self.equations.family.is_conservative
+                is_outside &= i == len(half.orbits) - 2
                 orbits += [replace(each, special=max(each.special, 0)) for each in named]
                 orbits += [] if is_outside else [after]
             self.n_lost += sum(each.special == Special.UNRESOLVED for each in orbits)

@@ -25,6 +25,7 @@ from gapsweep.continuation.thresholds import (
     CROSSING_STEP,
     NEWTON_STEPS,
     RESIDUAL,
+    SECOND_DIFFERENCE,
     SINGULAR,
     SMALLEST,
 )
@@ -39,7 +40,7 @@ def crossing(equations: OrbitEquations, step: Step) -> Orbit | None:
     """
     a, b = step.before.branching, step.after.branching
     u = step.point(a / (a - b))
-    size = float(np.clip(0.01 * step.size, 10.0 * SMALLEST, CROSSING_DIFFERENCE))
+    size = float(np.clip(0.01 * step.size, 10.0 * SMALLEST, SECOND_DIFFERENCE))
     found = _solved(equations, u, step, size)
     if found is None:
         return None

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gapsweep.continuation.orbits import Orbit, OrbitEquations, motions
-from gapsweep.continuation.thresholds import ALIKE, AT_VALUE, ON_WALL, REAL, UNLIKE, VERTICAL
+from gapsweep.continuation.thresholds import AT_VALUE, ON_WALL, REAL, UNLIKE, VERTICAL
 
 Array = NDArray[np.float64]
 
@@ -107,9 +107,9 @@ def torus(orbit: Orbit) -> float:
 
 def crossing_kind(equations: OrbitEquations, orbit: Orbit) -> Special:
     """Kind of a crossing: with a branch of half the period, of symmetric orbits, or another one."""
-    if orbit.identity.halves <= ALIKE:
+    if orbit.identity.halves <= UNLIKE:
         return Special.PERIOD_DOUBLING
-    if orbit.identity.asymmetry > ALIKE:
+    if orbit.identity.asymmetry > UNLIKE:
         return Special.BRANCH_POINT
     models = equations.models_at(orbit)
     later = motions(models, equations.solver, orbit.state[None, :], 0.5 * orbit.period, np.inf)

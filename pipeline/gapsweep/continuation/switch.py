@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from gapsweep.continuation.orbits import Orbit, OrbitEquations, Reference
 from gapsweep.continuation.special import Special
-from gapsweep.continuation.thresholds import ALIKE
+from gapsweep.continuation.thresholds import UNLIKE
 
 Array = NDArray[np.float64]
 
@@ -38,7 +38,7 @@ def switched(
     assert orbit.across is not None
     reference = equations.reference_at(reference, orbit)
     is_doubling = orbit.special == Special.PERIOD_DOUBLING
-    ratio = 1.0 if not is_doubling else 0.5 if orbit.identity.halves <= ALIKE else 2.0
+    ratio = 1.0 if not is_doubling else 0.5 if orbit.identity.halves <= UNLIKE else 2.0
     unknowns, tangent, across = (x.copy() for x in (orbit.unknowns, orbit.across, orbit.tangent))
     reference.multiple = (ratio * reference.multiple).astype(np.int64)
     if equations.has_period:

@@ -7,8 +7,9 @@ Lengths are in scaled unknowns: the size of the state is 1, and so is the range 
 
 # Of a range, for derivatives by a parameter: contacts keep their order within it.
 DIFFERENCE = 1e-9
-# The same, and of the unknowns, for second derivatives at a crossing: rounding over it is 1e-10.
-CROSSING_DIFFERENCE = 1e-5
+# The same for a crossing, where rounding over it must not move the root; and steps in all unknowns
+# for second derivatives there, which Newton's method needs only roughly.
+CROSSING_DIFFERENCE, SECOND_DIFFERENCE = 1e-7, 1e-5
 # Orbits that a user's tolerances blur by less are the same; also halves of one orbit.
 ALIKE = 1e-6
 # Orbits whose halves differ by more are not alike; between, rounding near a crossing decides.
