@@ -861,7 +861,7 @@ def test_a_hopf_point_of_a_loaded_equilibrium_is_found():
         matrix[2:, :2] -= np.diag(3.0 * cubic * q**2)
         return np.linalg.eigvals(matrix).real.max()
 
-    hopf = brentq(growth, 0.2, 0.25, xtol=1e-14)
+    hopf = brentq(growth, 0.25, 0.3, xtol=1e-14)
     window = 0.8 * hopf, 1.3 * hopf
     at, starts = 1.1 * hopf, [[0.2, 0.15, 0.0, 0.0]]
     ds = gs.branches(loaded, NO_CONTACT, "coupling", window, at=at, starts=starts)

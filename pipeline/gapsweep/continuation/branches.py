@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from gapsweep.continuation.arclength import Continuation, Half, reversed_orbit
 from gapsweep.continuation.locate import Step, roots
 from gapsweep.continuation.orbits import Orbit, OrbitEquations, Reference
-from gapsweep.continuation.recognise import Branch, holders, is_known, on_branches
+from gapsweep.continuation.recognise import Branch, holders, is_known, own_part
 from gapsweep.continuation.seed import Attractor, seeds
 from gapsweep.continuation.special import SignChange, Special, sign_changes
 from gapsweep.continuation.switch import switched, with_direction
@@ -115,7 +115,7 @@ class Branches:
         lanes = np.concatenate([np.arange(n)] * (1 if one_sided else 2))
         halves = self.continuation.follow([*starts, *others], reference.take(lanes))
         rows = self.with_special_points(halves)
-        found = []
+        found: list[Branch] = []
         for k in range(n):
             forward, backward = rows[k], [] if one_sided else rows[n + k]
             orbits = [reversed_orbit(orbit) for orbit in backward[:0:-1]] + forward
@@ -125,19 +125,22 @@ class Branches:
             start = max(len(orbits) - len(forward), 0)
             orbits[start] = replace(orbits[start], across=None)
             branch = Branch(orbits=orbits, ends=ends, reference=reference.take([k]))
-            if ends == ("max_steps", "max_steps"):
-                self._close(branch, start)
+            if ends == ("max_steps", "max_steps"):  # of a loop, each may hold a part of the other
+                half = replace(branch, orbits=orbits[start:])
+                first, _ = own_part(
+                    self.equations, replace(branch, orbits=orbits[:start]), start, [half]
+                )
+                if first:
+                    branch.orbits, branch.ends, start = (
+                        orbits[first:],
+                        ("closed", "closed"),
+                        start - first,
+                    )
+            cut = [each for each in [*self.found, *found] if "max_steps" in each.ends]
+            first, last = own_part(self.equations, branch, start, cut)
+            branch.orbits = branch.orbits[first:last]
             found.append(branch)
         return found
-
-    def _close(self, branch: Branch, start: int) -> None:
-        """Drop what a loop holds twice, whose halves are longer than the way round it."""
-        backward, half = branch.orbits[:start], replace(branch, orbits=branch.orbits[start:])
-        held = on_branches(self.equations, replace(branch, orbits=backward), [half])
-        n_twice = max((k + 1 for k, number in enumerate(held) if number >= 0), default=0)
-        if n_twice:
-            branch.orbits = branch.orbits[n_twice:]
-            branch.ends = "closed", "closed"
 
     def with_special_points(self, halves: Sequence[Half]) -> list[list[Orbit]]:
         """The orbits of halves, special points and ends of the window among them."""

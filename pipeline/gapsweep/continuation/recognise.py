@@ -61,6 +61,24 @@ def on_branches(equations: OrbitEquations, branch: Branch, others: Sequence[Bran
     )
 
 
+def own_part(
+    equations: OrbitEquations, branch: Branch, start: int, others: Sequence[Branch]
+) -> tuple[int, int]:
+    """First orbit of a branch, and the one after its last, up to which no other branch holds them.
+
+    Parameters
+    ----------
+    start : int
+        Number of the orbit that the branch was followed from, in both directions.
+    others : sequence of Branch
+        Branches that `max_steps` has cut.
+    """
+    held = np.array(on_branches(equations, branch, others)) >= 0
+    before, after = np.flatnonzero(held[:start]), np.flatnonzero(held[start + 1 :])
+    first = int(before[-1]) + 1 if before.size else 0
+    return first, start + 1 + int(after[0]) if after.size else len(held)
+
+
 def holders(
     equations: OrbitEquations,
     places: Sequence[float],
