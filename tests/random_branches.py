@@ -32,14 +32,15 @@ RTOL = 1e-12
 CLOSES = 1e-8  # of an orbit's size: Newton's method ends at steps of 1e-10
 # Of an orbit's size: a smaller distance after a part of the period is a return. Branches of doubled
 # period have orbits down to 1e-8 from those of half the period where they begin in a kink.
-PRIME = 3e-9
+PRIME = 1e-9
 SAME = 1e-6  # of an orbit's size: nearer orbits at one parameter value are one
 # Of a multiplier at a located point: 1e-4, and its slope along the branch times ACCURACY of orbits,
 # 1e-9 of their size: stiff walls have kinks in which a multiplier passes 100 within 1e-6 of it. The
 # multiplier is smooth in the arclength; only in the parameter it is a square root at a fold.
 AT_ONE = 1e-4
 ACCURACY = 1e-9
-ON_WALL = 1e-7  # of an orbit's size, of a turning point at a graze
+ON_WALL = 1e-7  # of an orbit's size, of a turning point at a graze, and
+GROWN = 1e-10  # for every unit of the monodromy matrix, which errors of the start grow by
 BESIDE_GRAZE = 1e-8  # of the range: multipliers change at once there
 APART = 1e-4  # of an orbit's size: of orbits that are sought on branches, to their neighbours
 SYMMETRIC = 1e-5  # of an orbit's size: distance of the mirror image where symmetry breaks
@@ -753,7 +754,10 @@ def named(orbits: Orbits) -> Iterator[Fault]:
             pair = mu[i][np.abs(mu[i].imag) > 1e-6]
             if not len(pair) or np.abs(np.abs(pair) - 1.0).min() > AT_ONE:
                 yield "multiplier", f"{where}: no complex pair on the unit circle, {mu[i]}"
-        if name == "grazing" and (apart := clearance(orbits, i)) > ON_WALL:
+        if (
+            name == "grazing"
+            and (apart := clearance(orbits, i)) > ON_WALL + GROWN * orbits.growth[i]
+        ):
             yield "graze", f"{where}: nearest turning point {apart:.1e} off"
         if name in ("branch_point", "symmetry_breaking") and not orbits.scene.is_symmetric:
             yield (
