@@ -1182,7 +1182,10 @@ def examined(scene: Scene, n_attractors: int = 0, **changes: Any) -> Result:
         result.n_named.update(kinds(rows(ds, number)).tolist())
     del result.n_named["none"]
     if result.n_branches:
-        result.found += faults(scene, ds)
+        try:
+            result.found += faults(scene, ds)
+        except (np.linalg.LinAlgError, RuntimeError, ValueError) as error:  # orbits that are none
+            result.found.append(("exception", f"check: {type(error).__name__}: {error}"))
     else:
         result.note = "no branch"
     result.checking = time.process_time() - begin
