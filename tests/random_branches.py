@@ -34,11 +34,10 @@ CLOSES = 1e-8  # of an orbit's size: Newton's method ends at steps of 1e-10
 # period have orbits down to 1e-8 from those of half the period where they begin in a kink.
 PRIME = 1e-9
 SAME = 1e-6  # of an orbit's size: nearer orbits at one parameter value are one
-# Of a multiplier at a located point: 1e-4, and its slope along the branch times ACCURACY of orbits,
-# 1e-9 of their size: stiff walls have kinks in which a multiplier passes 100 within 1e-6 of it. The
-# multiplier is smooth in the arclength; only in the parameter it is a square root at a fold.
+# Of a multiplier at a located point: 1e-4, and its slope along the branch times the distance within
+# which an orbit closes: stiff walls have kinks in which a multiplier passes 100 within 1e-6 of the
+# size. It is smooth in the arclength; only in the parameter it is a square root at a fold.
 AT_ONE = 1e-4
-ACCURACY = 1e-9
 ON_WALL = 1e-7  # of an orbit's size, of a turning point at a graze, and
 GROWN = 1e-10  # for every unit of the monodromy matrix, which errors of the start grow by
 BESIDE_GRAZE = 1e-8  # of the range: multipliers change at once there
@@ -747,7 +746,7 @@ def named(orbits: Orbits) -> Iterator[Fault]:
         apart = min((float(np.abs(mu[i] - one).min()) for one in ones), default=0.0)
         is_child = i == 0 and orbits.parent >= 0  # the parent's point is judged
         is_kink = is_beside and any(_changes_sides(orbits, i, one) for one in ones)
-        allowed = AT_ONE + ACCURACY * _slope(orbits, mu, i) if apart > AT_ONE else AT_ONE
+        allowed = AT_ONE + CLOSES * _slope(orbits, mu, i) if apart > AT_ONE else AT_ONE
         if apart > allowed and not is_child and not is_kink:
             yield "multiplier", f"{where}: nearest to {ones} is {apart:.1e} off"
         if name == "torus":
@@ -788,7 +787,7 @@ def _slope(orbits: Orbits, mu: np.ndarray, i: int) -> float:
         if 0 <= k < orbits.n and orbits.multiple[k] == orbits.multiple[i]:
             apart = max(orbits.apart(orbits.state[k], orbits.state[i], i), orbits.near(i)[k])
             change = np.abs(np.poly(mu[k]) - np.poly(mu[i])).max()  # whatever their order
-            slopes.append(float(change) / max(float(apart), ACCURACY))
+            slopes.append(float(change) / max(float(apart), CLOSES))
     return max(slopes)
 
 
