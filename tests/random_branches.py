@@ -738,7 +738,7 @@ def named(orbits: Orbits) -> Iterator[Fault]:
             # Products and sums of eigenvalues do not depend on their order.
             scale = max(1.0, float(np.abs(mu[i]).max()))
             apart = abs(np.sort_complex(mu[i]) - np.sort_complex(stored[i])).max() / scale
-            if apart > 1e-3:
+            if apart > 1e-3 + CLOSES * _slope(orbits, mu, i) / scale:
                 yield "multipliers", f"{where}: {mu[i]} instead of {stored[i]}"
         ones = dict.fromkeys(("fold", "branch_point", "symmetry_breaking"), (1.0,)).get(name, ())
         if name == "period_doubling":  # of orbits of doubled period, 1 where they begin
