@@ -32,16 +32,15 @@ RTOL = 1e-12
 CLOSES = 1e-8  # of an orbit's size: Newton's method ends at steps of 1e-10
 # Of an orbit's size: a smaller distance after a part of the period is a return. Branches of doubled
 # period have orbits down to 1e-8 from those of half the period where they begin in a kink.
-PRIME = 3e-9
+PRIME = 1e-9
 SAME = 1e-6  # of an orbit's size: nearer orbits at one parameter value are one
-# A multiplier at a located point: Newton's 1e-10 times its slope along the branch, up to 1e5 of the
-# range next to a contact. It is linear in the arclength; only in the parameter it is a square root.
+# Of a multiplier at a located point: 1e-4, and its slope along the branch times the distance within
+# which an orbit closes: stiff walls have kinks in which a multiplier passes 100 within 1e-6 of the
+# size. It is smooth in the arclength; only in the parameter it is a square root at a fold.
 AT_ONE = 1e-4
-ON_WALL = 1e-7  # of an orbit's size, of a turning point at a graze
+ON_WALL = 1e-7  # of an orbit's size, of a turning point at a graze, and
+GROWN = 1e-10  # for every unit of the monodromy matrix, which errors of the start grow by
 BESIDE_GRAZE = 1e-8  # of the range: multipliers change at once there
-# Of the unknowns: where orbits about a point are so near, the branch has a kink, and Newton's 1e-10
-# times the slope of the multipliers is no small number. The multiplier must pass 1 or -1 there.
-KINK = 1e-6
 APART = 1e-4  # of an orbit's size: of orbits that are sought on branches, to their neighbours
 SYMMETRIC = 1e-5  # of an orbit's size: distance of the mirror image where symmetry breaks
 HARD = 100.0  # walls so many times as stiff as the spring: multipliers jump at grazes
@@ -250,7 +249,9 @@ def _hard(draw: Draw) -> Scene:
 def _short(draw: Draw, options: dict) -> dict:
     """A narrow window about the start."""
     at = float(np.ravel(options["at"])[0])
-    return {"between": draw.about(at, 0.85, 1.15), "at": at, "max_steps": 150, "follow": 1}
+    between = draw.about(at, 0.85, 1.15)
+    several = np.linspace(*between, 4)[1:].tolist()
+    return {"between": between, "at": several, "max_steps": 150, "follow": 1}
 
 
 def _one_sided(draw: Draw) -> Scene:
@@ -276,7 +277,7 @@ def _smooth(draw: Draw) -> Scene:
     smooth = gs.Tanh(law.K_c, law.gap, epsilon=draw.log(3.0, 30.0) / law.gap.j_2)
     if along in ("gap", "j_2"):  # the layer would fill narrow gaps
         scene = replace(scene, options=scene.options | {"between": draw.about(law.gap.j_2, 0.8, 2)})
-    options = {"at": float(np.mean(scene.options["between"]))}
+    options = {"at": np.linspace(*scene.options["between"], 4)[1:].tolist()}
     return replace(scene, law=smooth, options=scene.options | options)
 
 
@@ -723,7 +724,7 @@ def prime(orbits: Orbits) -> Iterator[Fault]:
 def _is_end(orbits: Orbits, i: int) -> bool:
     """Whether a branch of doubled period begins or ends here, or so near that orbits are alike."""
     ends = [k for k in (0, orbits.n - 1) if orbits.name[k] == "period_doubling"]
-    return any(orbits.apart(orbits.state[i], orbits.state[k], i) < KINK for k in ends)
+    return any(orbits.apart(orbits.state[i], orbits.state[k], i) < 1e3 * PRIME for k in ends)
 
 
 def named(orbits: Orbits) -> Iterator[Fault]:
@@ -738,22 +739,25 @@ def named(orbits: Orbits) -> Iterator[Fault]:
             # Products and sums of eigenvalues do not depend on their order.
             scale = max(1.0, float(np.abs(mu[i]).max()))
             apart = abs(np.sort_complex(mu[i]) - np.sort_complex(stored[i])).max() / scale
-            if apart > 1e-3:
+            if apart > 1e-3 + CLOSES * _slope(orbits, mu, i) / scale:
                 yield "multipliers", f"{where}: {mu[i]} instead of {stored[i]}"
         ones = dict.fromkeys(("fold", "branch_point", "symmetry_breaking"), (1.0,)).get(name, ())
         if name == "period_doubling":  # of orbits of doubled period, 1 where they begin
             ones = (-1.0, 1.0) if _is_halved(orbits, i) else (-1.0,)
         apart = min((float(np.abs(mu[i] - one).min()) for one in ones), default=0.0)
         is_child = i == 0 and orbits.parent >= 0  # the parent's point is judged
-        is_beside = is_beside or _is_kink(orbits, i)
         is_kink = is_beside and any(_changes_sides(orbits, i, one) for one in ones)
-        if apart > AT_ONE and not is_child and not is_kink:
+        allowed = AT_ONE + CLOSES * _slope(orbits, mu, i) if apart > AT_ONE else AT_ONE
+        if apart > allowed and not is_child and not is_kink:
             yield "multiplier", f"{where}: nearest to {ones} is {apart:.1e} off"
         if name == "torus":
             pair = mu[i][np.abs(mu[i].imag) > 1e-6]
             if not len(pair) or np.abs(np.abs(pair) - 1.0).min() > AT_ONE:
                 yield "multiplier", f"{where}: no complex pair on the unit circle, {mu[i]}"
-        if name == "grazing" and (apart := clearance(orbits, i)) > ON_WALL:
+        if (
+            name == "grazing"
+            and (apart := clearance(orbits, i)) > ON_WALL + GROWN * orbits.growth[i]
+        ):
             yield "graze", f"{where}: nearest turning point {apart:.1e} off"
         if name in ("branch_point", "symmetry_breaking") and not orbits.scene.is_symmetric:
             yield (
@@ -777,13 +781,15 @@ def _is_halved(orbits: Orbits, i: int) -> bool:
     return bool(orbits.apart(orbits.points[i][multiple // 2 - 1], orbits.state[i], i) < 1e-5)
 
 
-def _is_kink(orbits: Orbits, i: int) -> bool:
-    """Whether the orbits before and after are within rounding of a point."""
-    sides = [k for k in (i - 1, i + 1) if 0 <= k < orbits.n]
-    return all(
-        orbits.apart(orbits.state[k], orbits.state[i], i) < KINK and orbits.near(i)[k] < KINK
-        for k in sides
-    )
+def _slope(orbits: Orbits, mu: np.ndarray, i: int) -> float:
+    """Change of the multipliers from an orbit to its neighbours, over their distance."""
+    slopes = [0.0]
+    for k in (i - 1, i + 1):
+        if 0 <= k < orbits.n and orbits.multiple[k] == orbits.multiple[i]:
+            apart = max(orbits.apart(orbits.state[k], orbits.state[i], i), orbits.near(i)[k])
+            change = np.abs(np.poly(mu[k]) - np.poly(mu[i])).max()  # whatever their order
+            slopes.append(float(change) / max(float(apart), CLOSES))
+    return max(slopes)
 
 
 def _changes_sides(orbits: Orbits, i: int, one: float) -> bool:
@@ -1015,6 +1021,35 @@ def _meets(orbits: Orbits, i: int, state: np.ndarray) -> bool:
     return bool(apart.min() < 10.0 * SAME)
 
 
+def settled(scene: Scene, ds: xr.Dataset, n: int, seed: int) -> tuple[int, int]:
+    """Periodic attractors that random initial conditions lead to, and how many lie on a branch."""
+    found = [Orbits(scene, rows(ds, number)) for number in ds["branch"].values]
+    rng, (low, high) = np.random.default_rng(seed), ds.attrs["between"]
+    n_periodic = n_held = 0
+    for value in rng.uniform(low, high, n).tolist():
+        model, law, omega = scene.at(value)
+        start = rng.uniform(-2.0, 2.0, found[0].state.shape[1]) * found[0].unit[0]
+        if isinstance(model, gs.Oscillator):
+            response = gs.respond(model, law, omega, *start)
+            state = np.array([response.x_end, response.v_end])
+        else:
+            response = gs.respond(model, law, omega, **_parts(model.n, start))
+            ends = response.x_end, response.v_end, response.z_end
+            state = np.concatenate([np.ravel(each) for each in ends])
+        if not response.period_multiple or omega is None:
+            continue
+        n_periodic += 1
+        row = ds.isel(branch=[0], step=[0]).copy(deep=True)
+        row[scene.along][:] = value
+        row["period"][:] = response.period_multiple / omega
+        row["period_multiple"][:] = response.period_multiple
+        row["start_state"][:] = state
+        row["special"][:], row["n_orbits"][:] = 0, 1
+        attractor = Orbits(scene, rows(row, 0))
+        n_held += any(on_branch(each, attractor, 0, own=False) for each in found)
+    return n_periodic, n_held
+
+
 # --- The exact oracle ---------------------------------------------------------------------------
 
 
@@ -1122,7 +1157,7 @@ class Result:
     attractors: tuple[int, int] = (0, 0)
 
 
-def examined(scene: Scene, **changes: Any) -> Result:
+def examined(scene: Scene, n_attractors: int = 0, **changes: Any) -> Result:
     """One call and everything that is wrong with its answer."""
     scene = replace(scene, options=scene.options | changes)
     begin = time.process_time()
@@ -1142,6 +1177,8 @@ def examined(scene: Scene, **changes: Any) -> Result:
     result.found += [("warning", text) for text in sorted(numeric)]
     if ds is None:
         return result
+    if ds.sizes["branch"] and scene.along != "amplitude" and n_attractors:
+        result.attractors = settled(scene, ds, n_attractors, 0)
     begin = time.process_time()
     result.n_branches, result.n_orbits = ds.sizes["branch"], int(ds["n_orbits"].sum())
     result.n_lost = int(ds.attrs["n_lost"])
@@ -1149,7 +1186,10 @@ def examined(scene: Scene, **changes: Any) -> Result:
         result.n_named.update(kinds(rows(ds, number)).tolist())
     del result.n_named["none"]
     if result.n_branches:
-        result.found += faults(scene, ds)
+        try:
+            result.found += faults(scene, ds)
+        except (np.linalg.LinAlgError, RuntimeError, ValueError) as error:  # orbits that are none
+            result.found.append(("exception", f"check: {type(error).__name__}: {error}"))
     else:
         result.note = "no branch"
     result.checking = time.process_time() - begin
@@ -1191,6 +1231,9 @@ def table(done: list[Result]) -> None:
         f"{sum(each.checking for each in done):.0f} s"
     )
     print("special points:", dict(named_points))
+    n_periodic, n_held = (sum(each.attractors[k] for each in done) for k in (0, 1))
+    if n_periodic:
+        print(f"{n_held} of {n_periodic} attractors of random initial conditions lie on a branch")
     print(f"{'fault':28s} {'faults':>7s} {'scenes':>7s}  explanation")
     for kind, text in FAULTS.items():
         n = sum(one == kind for each in done for one, _ in each.found)
@@ -1198,10 +1241,13 @@ def table(done: list[Result]) -> None:
         print(f"{kind:28s} {n:7d} {scenes:7d}  {text}")
 
 
-def scenes(numbers: range, seed: int, changes: dict[str, Any]) -> Iterator[tuple[str, Result]]:
+def scenes(
+    numbers: range, seed: int, changes: dict[str, Any], n_attractors: int = 0
+) -> Iterator[tuple[str, Result]]:
     for number in numbers:
         scene = drawn(seed, number)
-        result = examined(scene, **({} if scene.along == "amplitude" else changes))
+        own = {} if scene.along == "amplitude" else changes
+        result = examined(scene, n_attractors, **own)
         yield f"--seed {seed} --only {number}", result
 
 
@@ -1214,6 +1260,9 @@ def main() -> None:
     parser.add_argument("--follow", type=int, help="for all scenes, instead of 0, 1 or 2")
     parser.add_argument("--steps", type=int, help="max_steps of all scenes")
     parser.add_argument("--nearly", action="store_true", help="the 32 nearly symmetric runs")
+    parser.add_argument(
+        "--attractors", type=int, default=0, help="random initial conditions of a scene"
+    )
     given = parser.parse_args()
     changes = {"follow": given.follow, "max_steps": given.steps}
     changes = {name: value for name, value in changes.items() if value is not None}
@@ -1223,7 +1272,7 @@ def main() -> None:
         scene = drawn(given.seed, given.only)
         print(scene.model, scene.law, scene.options | changes, sep="\n")
     if len(numbers):
-        printed(scenes(numbers, given.seed, changes))
+        printed(scenes(numbers, given.seed, changes, given.attractors))
     if given.nearly:
         printed((name, examined(scene, **changes)) for name, scene in nearly_symmetric())
 

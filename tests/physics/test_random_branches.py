@@ -11,7 +11,12 @@ from tests.random_branches import Scene, drawn, examined, faults, nearly_symmetr
 import gapsweep as gs
 
 
-@pytest.mark.parametrize(("seed", "number"), [])
+# Nearly symmetric, own parameter, two coordinates, self-excited, nearly symmetric and stiff,
+# two branches that meet, one wall, unequal walls with doublings.
+@pytest.mark.parametrize(
+    ("seed", "number"),
+    [(3, 1), (3, 10), (3, 22), (3, 25), (3, 43), (3, 60), (5, 4), (5, 5)],
+)
 def test_random_branches_have_no_faults(seed, number):
     result = examined(drawn(seed, number))
     assert result.n_branches
