@@ -341,14 +341,14 @@ def _leaves_crossing(first: Orbit, orbit: Orbit) -> bool:
 
 
 def _share(before: Array, last: Array, point: Array) -> float | None:
-    """Part of the chord of a step at a point that lies on it, None of one that does not."""
+    """Part of the chord of a step at a point; None of a point farther away than it is long."""
     along = last - before
     square = float(along @ along)
     if not square or not 0.0 <= float((point - before) @ along) <= square:
         return None
     share = float((point - before) @ along) / square
     aside = point - before - share * along
-    return share if float(aside @ aside) <= ON_CHORD**2 * square else None
+    return share if float(aside @ aside) <= square else None
 
 
 def _between(before: Orbit, orbit: Orbit, last: Orbit) -> float | None:
