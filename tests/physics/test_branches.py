@@ -34,6 +34,7 @@ from tests.exact_orbits import (
 from tests.random_scenes import random_cases
 
 import gapsweep as gs
+from gapsweep.continuation.family import Window
 from gapsweep.model.system import first_order
 
 RATE = 1.0 / TURN  # Hz at 1 rad/s
@@ -615,7 +616,7 @@ SOFT = gs.Piecewise(1.4e4, gs.Gap(0.4e-3, 0.4e-3))
         ({"along": "forcing", "between": (1.0, 2.0)}, "omega: missing; this model is forced"),
         (
             {"at": 8.0, "start": [10.0, 0.0]},
-            "start: .* no periodic orbit near it at omega = 8; ",
+            "start: .* no periodic orbit near it at omega = 8 within",
         ),
         ({"at": 8.0, "start": [1.0, 2.0, 3.0]}, r"start = \[.*\]: must be a state of 2 numbers"),
         ({"start": [0.0, 0.0]}, "at: missing; give the value of omega"),
@@ -627,6 +628,10 @@ SOFT = gs.Piecewise(1.4e4, gs.Gap(0.4e-3, 0.4e-3))
         ({"along": "amplitude"}, "along = 'amplitude': .* forcing and damping must be 0"),
         ({"at": 8.0, "start": [0.0, 0.0], "starts": [0.0, 0.0]}, "start and starts: "),
         ({"at": [8.0, 9.0], "start": [0.0, 0.0]}, r"at = \[8.0, 9.0\]: .*one value of omega"),
+        (
+            {"along": "forcing", "between": (0.0, 5.0), "at": 0.0, "omega": 9.0},
+            r"starts: no motion .*\(3 equilibrium\)",
+        ),
     ],
 )
 def test_bad_input_gives_one_line(options, message):
@@ -663,6 +668,97 @@ def test_free_motions_stay_within_their_window():
     model = gs.Oscillator(zeta=0.0, omega_n=RATE, mass=1.0, alpha=1.0, forcing=0.0)
     ds = gs.branches(model, NO_CONTACT, "amplitude", (0.5, 1.0))
     assert float(ds["amplitude"].min()) >= 0.5 * (1.0 - 1e-9)
+
+
+def free(**changes):
+    """An undamped oscillator with a cubic spring, and a wall on one side where asked for."""
+    return gs.Oscillator(
+        **{"zeta": 0.0, "omega_n": RATE, "mass": 1.0, "alpha": 1.0, "forcing": 0.0} | changes
+    )
+
+
+def duffing(*loads):
+    """The oscillator without contact: x'' + (0.1 x' if it is forced) + x + x³."""
+    return gs.System(
+        mass=[[1.0]],
+        stiffness=[[1.0]],
+        damping=[[0.1 * len(loads)]],
+        cubic=[gs.Cubic(along=[1.0], alpha=1.0)],
+        forcing=loads,
+    )
+
+
+def test_a_system_without_contacts_has_the_branches_of_walls_out_of_reach():
+    window, at = (0.8 * RATE, 4.0 * RATE), RATE
+    system = duffing(gs.Harmonic(amplitude=[0.5]))
+    ours = rows(gs.branches(system, {}, between=window, at=at), 0)
+    other = free(zeta=0.05, forcing=0.5)
+    walls = rows(gs.branches(other, NO_CONTACT, "omega", window, at=at), 0)
+    folds = [
+        [branch["omega"].values[i] for _, i in special_points(branch)] for branch in (ours, walls)
+    ]
+    assert len(folds[0]) == 2
+    assert_allclose(*folds, rtol=1e-9)
+
+
+def test_free_motions_of_a_system_without_contacts_have_elliptic_periods():
+    branch = rows(gs.branches(duffing(), {}, along="amplitude", between=(0.1, 2.0)), 0)
+    a = branch["amplitude"].values
+    periods = 4.0 * ellipk(a**2 / (2.0 * (1.0 + a**2))) / np.sqrt(1.0 + a**2)
+    assert_allclose(branch["period"].values, periods, rtol=1e-9)
+    assert_allclose([a.min(), a.max()], [0.1, 2.0], rtol=1e-9)
+
+
+def test_free_motions_start_with_every_amplitude_and_stay_between():
+    """A bilinear oscillator: its amplitude is not the displacement from which it starts."""
+    model, law = free(alpha=0.0), gs.Piecewise(8.0, gs.Gap(0.0, 0.0), K_ratio=0.0)
+    ds = gs.branches(model, law, "amplitude", (0.3, 0.8), at=[0.4, 0.7])
+    assert_allclose(ds["attractor_amplitude"], [0.4, 0.7], rtol=1e-9)
+    a = rows(ds, 0)["amplitude"].values
+    assert_allclose([a.min(), a.max()], [0.3, 0.8], rtol=1e-9)
+    with pytest.raises(gs.ModelError, match=r"at = .*: must be left out"):
+        gs.branches(model, law, "amplitude", (0.3, 0.8), at=0.4, start=[0.5, 0.0])
+    outside = gs.branches(model, law, "amplitude", (0.3, 0.8), start=[1.5, 0.0])
+    assert float(outside["amplitude"].max()) <= 0.8 * (1.0 + 1e-9)
+    response = gs.respond(duffing(), {}, q_0=[0.5])
+    ds = gs.branches(duffing(), {}, "amplitude", (0.3, 0.8), start=response)
+    assert float(ds["attractor_amplitude"][0]) == pytest.approx(0.5, rel=1e-6)
+
+
+def coupled(rate):
+    """Two masses whose coupling feeds one from the other: flutter beyond 0.251."""
+    return gs.System(
+        mass=np.eye(2),
+        stiffness=[[1.0, rate], [-rate, 1.5]],
+        damping=0.02 * np.eye(2),
+        cubic=[gs.Cubic(along=each, alpha=1.0) for each in ([1.0, 0.0], [0.0, 1.5])],
+    )
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("law", [{}, gs.law(lambda x: 0.5 * x**3, K_c=0.0, gap=gs.Gap(0.0, 0.0))])
+def test_default_starts_leave_the_equilibrium_without_warnings(law):
+    def make(rate):
+        return replace(coupled(rate), contacts={"spring": [1.0, 0.0]} if law else {})
+
+    ds = gs.branches(make, law, "rate", (0.3, 0.4), at=0.35)
+    assert ds.sizes["branch"] >= 1
+    with pytest.raises(gs.ModelError, match=r"starts: no motion .* \(\d+ equilibrium\)"):
+        gs.branches(make, law, "rate", (0.05, 0.1), at=0.07)
+
+
+@pytest.mark.filterwarnings("error")
+def test_a_motion_that_starts_where_it_counts_as_diverged_gives_no_warning():
+    response = gs.respond(coupled(0.3), {}, q_0=[1e9, 0.0])
+    assert response.status == gs.Status.DIVERGED
+
+
+@pytest.mark.parametrize("ends", [(1.0, 1e6), (0.3, 7.7), (1e-3, 0.7), (-0.1, 0.7)])
+def test_a_window_has_the_values_that_it_was_given(ends):
+    window = Window.of("K_c", ends)
+    assert (window.value(0.0), window.value(1.0)) == ends
+    assert window.value(np.array([0.0, 2.0, -1.0])).tolist() == [ends[0], ends[1], ends[0]]
+    assert (window.place(ends[0]), window.place(ends[1])) == (0.0, 1.0)
 
 
 TURNS_BACK = 17  # a drawn scene whose branch turns back at a graze

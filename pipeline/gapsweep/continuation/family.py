@@ -69,14 +69,15 @@ class Window:
     def value(self, place: Any) -> Any:
         """Parameter values at places from 0 to 1; beyond, those at the ends."""
         place = np.clip(place, 0.0, 1.0)
+        found = self.low + place * (self.high - self.low)
         if self._is_logarithmic:
-            return self.low * np.exp(place * math.log(self.high / self.low))
-        return self.low + place * (self.high - self.low)
+            found = self.low * np.exp(place * math.log(self.high / self.low))
+        return np.where(place == 1.0, self.high, found)[()]  # rounding must not miss the end
 
     def place(self, value: Any) -> Any:
         """Places from 0 to 1 of parameter values."""
         if self._is_logarithmic:
-            return np.log(np.asarray(value) / self.low) / math.log(self.high / self.low)
+            return np.log(np.asarray(value) / self.low) / np.log(self.high / self.low)
         return (np.asarray(value) - self.low) / (self.high - self.low)
 
 
@@ -120,7 +121,7 @@ class Family:
             raise ModelError(f"omega: {said}")
 
     def _check(self, name: str) -> None:
-        if name in ("omega", AMPLITUDE) and self._laws:
+        if name in ("omega", AMPLITUDE):
             return
         if callable(self.model) and name in inspect.signature(self.model).parameters:
             return
