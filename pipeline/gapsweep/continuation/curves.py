@@ -13,24 +13,29 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from gapsweep.continuation.arclength import Continuation, reversed_orbit
+from gapsweep.continuation.arclength import Continuation, Half, reversed_orbit
 from gapsweep.continuation.branches import Branch, Branches
-from gapsweep.continuation.dataset import dataset
-from gapsweep.continuation.family import Family, Window
+from gapsweep.continuation.dataset import POINT, dataset, special_points
+from gapsweep.continuation.family import AMPLITUDE, Family, Window
+from gapsweep.continuation.locate import roots
 from gapsweep.continuation.orbits import Evaluation, Orbit, OrbitEquations, Reference
 from gapsweep.continuation.special import Graze, Special, nearest_graze
 from gapsweep.errors import ModelError
-from gapsweep.integrate.problem import Solver
+from gapsweep.integrate.problem import Model, Solver
+from gapsweep.integrate.simulate import AnyLaw
 from gapsweep.model.oscillator import whole
 
 Array = NDArray[np.float64]
 
 _DIFFERENCE = 1e-7  # of the scaled unknowns, for derivatives of g
+_STILL = 1e-3  # component of a cusp's tangent along the parameters, over that of its neighbours
+_CLOSES = 1e-6  # residual of an orbit of the model, over its size
 _TARGETS = {Special.FOLD: 1.0, Special.PERIOD_DOUBLING: -1.0}
 
 
@@ -87,6 +92,8 @@ def special_curve(
     second: str,
     between: tuple[float, float],
     *,
+    oscillator: Model | Callable[..., Model] | None = None,
+    law: AnyLaw | None = None,
     max_steps: int = 500,
 ) -> xr.Dataset:
     """Return the curve of a special point of a branch over two parameters.
@@ -94,21 +101,25 @@ def special_curve(
     Parameters
     ----------
     branches : Dataset
-        Result of `gapsweep.branches` in the same process.
+        Result of `gapsweep.branches`, or a file with branches, as ``branches.nc`` of a study.
     point : int
-        Number of the special point from 0, counted along each branch, branch after branch. Folds,
-        period doublings, torus bifurcations and grazes have curves.
+        Number of the special point, as of `ds.gapsweep.special_points()`. Folds, period doublings,
+        torus bifurcations and grazes have curves.
     second : str
         Second parameter, named as `along` of `gapsweep.branches`.
     between : tuple of float
         Range of the second parameter, ascending. The first parameter keeps its range.
+    oscillator, law
+        Those of the branches, as in `gapsweep.branches`; required for branches from a file.
     max_steps : int
         Largest number of points on either side, 2 to 100000.
 
     Returns
     -------
     Dataset
-        Both parameters and the variables of `branches` over `step`.
+        Both parameters and the variables of `branches` over `step`, a closed curve once.
+        ``special`` marks the cusps of a curve of folds; ``stable`` is 1 where all multipliers are
+        within the unit circle but those that the bifurcation has on it.
 
     Raises
     ------
@@ -124,15 +135,22 @@ def special_curve(
     >>> curve["omega"].dims
     ('step',)
     """
-    family = branches.encoding.get("family")
-    if not isinstance(family, Family):
-        raise ModelError("branches: must come from gapsweep.branches in this process")
-    if family.is_conservative:
-        raise ModelError("branches: free motions along 'amplitude' have no curves")
     row, kind = _row(branches, point)
-    first = Window.of(family.names[0], branches.attrs["between"])
+    family, name = branches.encoding.get("family"), str(branches.attrs["along"])
+    if name == AMPLITUDE:
+        raise ModelError("branches: free motions along 'amplitude' have no curves")
+    value = float(row[name])
+    if oscillator is not None and law is not None:
+        omega = branches.attrs.get("forcing_frequency", row.coords.get("omega"))
+        omega = None if name == "omega" or omega is None else float(omega)
+        family = Family(oscillator, law, omega, (name,), {name: value})
+    if not isinstance(family, Family):
+        raise ModelError(
+            "oscillator, law: missing; a file does not hold them: "
+            f"gs.special_curve(branches, {point}, {second!r}, {between!r}, oscillator=..., law=...)"
+        )
+    first = Window.of(name, branches.attrs["between"])
     windows = first, Window.of(second, between)
-    value = float(row[first.name])
     fixed = family.value_of(second, {first.name: value})
     if not windows[1].low <= fixed <= windows[1].high:
         raise ModelError(
@@ -157,24 +175,56 @@ def special_curve(
     halves = continuation.follow(
         [found[0], reversed_orbit(found[0])], reference.take(np.zeros(2, int))
     )
-    found_all = Branches(equations=equations, max_steps=max_steps)
-    forward, backward = found_all.with_special_points(halves)
-    orbits = [replace(o, special=int(kind)) for o in [*backward[:0:-1], *forward]]
+    forward, backward = (_with_cusps(continuation, half, kind) for half in halves)
+    orbits = forward
+    if halves[0].end != "closed":
+        orbits = [*map(reversed_orbit, backward[:0:-1]), *forward]
     ends = halves[1].end, halves[0].end
+    found_all = Branches(equations=equations, max_steps=max_steps)
     found_all.found = [Branch(orbits=orbits, ends=ends, reference=reference)]
-    return dataset(found_all).isel(branch=0, drop=True)
+    made = dataset(found_all).isel(branch=0, drop=True)
+    made["stable"][:] = [_is_stable(orbit, kind) for orbit in orbits]
+    return made.assign_attrs(curve=kind.name.lower(), second=second)
+
+
+def _with_cusps(continuation: Continuation, half: Half, kind: Special) -> list[Orbit]:
+    """The orbits of one side of a curve; of folds with its cusps.
+
+    There the curve turns back in the plane of both parameters: they stand still along it.
+    """
+    orbits = half.orbits[:1]
+    for i, (before, after) in enumerate(pairwise(half.orbits)):
+        a, b = before.tangent[-2:], after.tangent[-2:]
+        if kind == Special.FOLD and a @ b < 0.0:
+
+            def along(orbit: Orbit, way: Array = b - a) -> float:
+                return float(orbit.tangent[-2:] @ way)
+
+            (found,) = roots(continuation.corrector, [half.step(i)], [along])
+            if found and np.abs(found[1].tangent[-2:]).max() <= _STILL * np.abs([a, b]).max():
+                orbits.append(replace(found[1], special=int(Special.CUSP)))
+        orbits.append(after)
+    return orbits
+
+
+def _is_stable(orbit: Orbit, kind: Special) -> bool:
+    """Whether all multipliers but those of the bifurcation lie within the unit circle."""
+    apart = np.abs(np.abs(orbit.multipliers) - 1.0)
+    if kind in _TARGETS:
+        apart = np.abs(orbit.multipliers - _TARGETS[kind])
+    n = {Special.GRAZING: 0, Special.TORUS: 2}.get(kind, 1)
+    return bool((np.abs(orbit.multipliers[np.argsort(apart)[n:]]) < 1.0).all())
 
 
 def _row(branches: xr.Dataset, point: int) -> tuple[xr.Dataset, Special]:
     """The orbit of a special point, and its kind."""
-    places = np.argwhere(branches["special"].values > 0)
-    number = whole("point", point, 0, max(len(places) - 1, 0))
-    if not len(places):
+    points = special_points(branches)
+    number = whole("point", point, 0, max(points.sizes[POINT] - 1, 0))
+    if not points.sizes[POINT]:
         raise ModelError("branches: have no special points")
-    branch, step = places[number].tolist()
-    row = branches.isel(branch=branch, step=step)
+    row = points.isel({POINT: number})
     kind = Special(int(row["special"]))
-    if kind in (Special.BRANCH_POINT, Special.SYMMETRY_BREAKING):
+    if kind not in (*_TARGETS, Special.TORUS, Special.GRAZING):
         raise ModelError(
             f"point = {point}: is a {kind.name.lower()}; must be a fold, a period doubling, "
             "a torus bifurcation or a graze"
@@ -197,6 +247,8 @@ def _start(equations: OrbitEquations, row: xr.Dataset, values: Array) -> tuple[O
     if equations.has_period:
         reference.rate = equations.rates(state, unknowns)
     found = equations.evaluate(unknowns, reference)
+    if not found.is_ok[0] or np.abs(found.residual).max() > _CLOSES:
+        raise ModelError("oscillator, law: must be those of the branches; the orbit does not close")
     tangent = np.zeros_like(unknowns)
     (orbit,) = equations.orbits(unknowns, tangent, reference, found, np.zeros(1, np.intp))
     return orbit, reference

@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     import xarray as xr
 
 BRANCH, STEP, STATE, MULTIPLIER, ATTRACTOR = "branch", "step", "state", "multiplier", "attractor"
+POINT = "point"
 _POINT = (BRANCH, STEP)
 _ENDS = ("none", "window", "closed", "branch_point", "max_steps", "step_too_small", "equilibrium")
 END_FLAGS = tuple((name, i) for i, name in enumerate(_ENDS))
@@ -106,6 +107,15 @@ def dataset(found: Branches) -> "xr.Dataset":
         made.attrs["forcing_frequency"] = family.omega
     made.encoding["family"] = family
     return made
+
+
+def special_points(found: "xr.Dataset") -> "xr.Dataset":
+    """Special points over `point`: those of each branch in its order, branch after branch."""
+    import xarray as xr
+
+    found = found if BRANCH in found.dims else found.expand_dims(BRANCH)
+    places = np.argwhere(found["special"].transpose(BRANCH, STEP).values > 0).T
+    return found.isel({n: xr.DataArray(i, dims=POINT) for n, i in zip(_POINT, places, strict=True)})
 
 
 def _value(name: str, orbit: Orbit, swept: list[str], *, is_free: bool) -> Any:

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from gapsweep.continuation.branches import Attractor, Branches, motions
 from gapsweep.continuation.dataset import dataset
 from gapsweep.continuation.family import Family, Window
-from gapsweep.continuation.orbits import Orbit, OrbitEquations
+from gapsweep.continuation.orbits import OrbitEquations
 from gapsweep.errors import ModelError
 from gapsweep.integrate.problem import Model, Solver
 from gapsweep.integrate.simulate import AnyLaw, simulate
@@ -29,7 +29,6 @@ _CLOSE = 1e-3  # a motion that comes back so near, as a share of its size, close
 _AWAY = 2.0  # initial displacements beyond the walls, in distances of the walls
 # The same of unforced systems, whose equilibrium leads nowhere; without walls in metres.
 _DISPLACED = 1e-3, 0.03, 1.0, 30.0
-_SCALINGS, _SAME_AMPLITUDE = 20, 1e-9  # free motions that are released, until they have theirs
 
 
 def branches(
@@ -66,8 +65,8 @@ def branches(
         `Response`, or eight values.
     start : Response or array_like, optional
         First orbit: a periodic response, or an initial state (displacements, velocities,
-        first-order states) near an orbit. By default the attractors of motions from `starts`; of
-        free motions those released from rest, with each amplitude of `at`.
+        first-order states) near an orbit. By default the attractors of motions from `starts`; free
+        motions are released from rest, with the first coordinate at each value of `at`.
     omega : float, optional
         Forcing frequency [Hz], if it is not the parameter.
     starts : array_like, shape (n, n_states), optional
@@ -109,21 +108,25 @@ def branches(
     solver = Solver.of("compiled", rtol, atol)
     equations = OrbitEquations(family, (window,), solver)
     found = Branches(equations=equations, max_steps=whole("max_steps", max_steps, 2, 100_000))
-    found.add(_attractors(equations, places, start, starts))
-    if family.is_conservative:
-        for branch in found.found:
-            branch.orbits = [orbit for orbit in branch.orbits if _is_inside(equations, orbit)]
-        found.found = [branch for branch in found.found if branch.orbits]
+    if start is None and not family.is_conservative:
+        at_values = np.asarray(places or window.value((np.arange(_VALUES) + 0.5) / _VALUES))
+        states = _states(equations, starts)
+        every = np.repeat(at_values, len(states)), np.tile(states, (len(at_values), 1))
+        found.add(settled(equations, *every))
+        tried = f"states {states.tolist()} at {along} = {at_values.tolist()}"
+    else:
+        found.add(_attractors(equations, places, start, starts))
+        tried = f"{len(found.attractors)} known orbits"
     if not found.found:
         name = "starts" if start is None else "start"
         raise ModelError(
             f"{name}: Newton's method finds no periodic orbit near it at {along} = "
-            f"{found.attractors[0].value:g} within between = ({window.low:g}, {window.high:g}); "
-            "use a steady response, as start=gs.respond(...)"
+            f"{found.attractors[0].value:g}; use a steady response, as start=gs.respond(...)"
         )
     for _ in range(follow):
         found.follow()
-    return dataset(found)
+    tried += "; other initial conditions may lead to further branches"
+    return dataset(found).assign_attrs(initial_conditions=tried)
 
 
 def _attractors(
@@ -132,7 +135,7 @@ def _attractors(
     start: Response | ArrayLike | None,
     starts: ArrayLike | None,
 ) -> list[Attractor]:
-    """Orbits that branches start from."""
+    """Orbits that are known, or those of free motions."""
     window, n_states = equations.windows[0], equations.n_states
     if start is not None and starts is not None:
         raise ModelError("start and starts: give one of them only")
@@ -152,8 +155,7 @@ def _attractors(
                 name = "at" if is_parameter else "omega"
                 raise ModelError(f"{name} = {called:g}: must be omega = {own:g} of the response")
             at = _inside(window, own) if is_parameter else at
-        if is_free:
-            at = [float(np.ravel(start.amplitude)[0])]
+        at = _inside(window, np.ravel(start.amplitude)[0]) if is_free else at
         if at is None:
             raise ModelError(f"at: missing; give the value of {window.name} of the response")
         return [_attractor(start, at[0], n_states)]
@@ -169,11 +171,8 @@ def _attractors(
             raise ModelError(f"at: missing; give the value of {window.name} of the orbit start")
         multiple = _periods(equations, at[0], state)
         return [Attractor(value=at[0], section=state[None, :], period=np.nan, multiple=multiple)]
-    if is_free:
-        return [_free(equations, np.eye(n_states)[0], value) for value in at or [window.low]]
-    values = np.asarray(at or window.value((np.arange(_VALUES) + 0.5) / _VALUES))
-    states = _states(equations, starts)
-    return settled(equations, np.repeat(values, len(states)), np.tile(states, (len(values), 1)))
+    values = at or [float(window.value(0.5))]
+    return [_free(equations, value * np.eye(n_states)[0]) for value in values]
 
 
 def settled(equations: OrbitEquations, values: Array, states: Array) -> list[Attractor]:
@@ -233,11 +232,8 @@ def _periods(equations: OrbitEquations, value: float, state: Array) -> int:
     return 1 + int(np.argmax(apart <= _CLOSE))
 
 
-def _free(equations: OrbitEquations, state: Array, amplitude: float | None = None) -> Attractor:
-    """A free motion from rest, up to the next maximum of its first coordinate.
-
-    With an amplitude the state is scaled until the first coordinate has it.
-    """
+def _free(equations: OrbitEquations, state: Array) -> Attractor:
+    """A free motion from rest, up to the next maximum of its first coordinate."""
     model, laws = equations.family.example, equations.family.laws_at({})
     law = dict(zip(model.contacts, laws, strict=True))
     if not state[0]:
@@ -245,30 +241,16 @@ def _free(equations: OrbitEquations, state: Array, amplitude: float | None = Non
     n, slowest = model.n, model.slowest or model.fastest
     if not slowest:
         raise ModelError("start: this System has no natural frequency; give a Response")
-    state = state * (amplitude or 1.0)
-    for _ in range(_SCALINGS):
-        run = simulate(
-            model,
-            law,
-            q_0=state[:n],
-            v_0=state[n : 2 * n],
-            t_end=20.0 / slowest,
-            rtol=1e-11,
-            atol=1e-14,
-        )
-        if not len(run.t_section):
-            raise ModelError("start: the motion does not return; give another amplitude")
-        found = 0.5 * float(np.ptp([state[0], *run.extrema[model.coordinates[0]]]))
-        if amplitude is None or math.isclose(found, amplitude, rel_tol=_SAME_AMPLITUDE):
-            break
-        state = state * (amplitude / found)
+    run = simulate(
+        model, law, q_0=state[:n], v_0=state[n : 2 * n], t_end=20.0 / slowest,
+        rtol=DEFAULT_RTOL, atol=DEFAULT_ATOL,
+    )  # fmt: skip
+    if not len(run.t_section):
+        raise ModelError("start: the motion does not return; give another amplitude")
+    turns = [state[0], *run.extrema[model.coordinates[0]]]
+    (amplitude,) = _inside(equations.windows[0], 0.5 * np.ptp(turns))
     period = float(run.t_section[0])
-    return Attractor(value=found, section=state[None, :], period=period, multiple=1)
-
-
-def _is_inside(equations: OrbitEquations, orbit: Orbit) -> bool:
-    place = float(equations.window_places(orbit)[0])
-    return -_SAME_AMPLITUDE <= place <= 1.0 + _SAME_AMPLITUDE
+    return Attractor(value=amplitude, section=state[None, :], period=period, multiple=1)
 
 
 def _inside(window: Window, at: ArrayLike) -> list[float]:

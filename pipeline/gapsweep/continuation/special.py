@@ -51,11 +51,14 @@ class Special(IntEnum):
     BRANCH_POINT = 4
     GRAZING = 5
     SYMMETRY_BREAKING = 6
+    HOPF = 7
+    UNRESOLVED = 8
+    CUSP = 9
 
     @property
     def symbol(self) -> str:
         """The field's abbreviation."""
-        return ("", "LP", "PD", "NS", "BP", "GR", "SB")[self]
+        return ("", "LP", "PD", "NS", "BP", "GR", "SB", "H", "?", "CP")[self]
 
 
 def crossings(

@@ -7,7 +7,14 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from gapsweep.continuation.dataset import BRANCH, STEP, VARIABLES
+from gapsweep.continuation.dataset import (
+    BRANCH,
+    MULTIPLIER,
+    POINT,
+    STEP,
+    VARIABLES,
+    special_points,
+)
 from gapsweep.continuation.special import Special
 from gapsweep.errors import DatasetError
 from gapsweep.report import scales
@@ -16,6 +23,7 @@ from gapsweep.report.selection import places, scene
 from gapsweep.report.style import colour
 from gapsweep.study.grid import COORDINATE
 from gapsweep.study.schema import COORDINATES
+from gapsweep.variables import to_dataframe
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -24,6 +32,7 @@ Array = NDArray[np.float64]
 
 FREQUENCY, REPRESENTATION = "frequency", "representation"
 _OF_ORBITS = "stable", "special", "period_multiple"
+_TOLD = "period_multiple", MULTIPLIER
 KINDS = {
     Special.FOLD: ("o", "fold"),
     Special.PERIOD_DOUBLING: ("s", "period doubling"),
@@ -31,6 +40,9 @@ KINDS = {
     Special.BRANCH_POINT: ("^", "branch point"),
     Special.SYMMETRY_BREAKING: ("P", "symmetry breaking"),
     Special.GRAZING: ("v", "graze"),
+    Special.HOPF: ("*", "Hopf"),
+    Special.UNRESOLVED: ("x", "unresolved"),
+    Special.CUSP: ("d", "cusp"),
 }
 _COLOURS = "#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00", "#666666"
 _MOST_NAMES = 8  # branches in a legend
@@ -53,6 +65,23 @@ def shown(found: xr.Dataset, names: Sequence[str], wanted: Mapping[str, Any]) ->
         about = {"units": "Hz", "long_name": "frequency of the orbit"}
         found = found.assign({FREQUENCY: (1.0 / found["period"]).assign_attrs(about)})
     return scene(found, dict.fromkeys([*names, *_OF_ORBITS], (BRANCH, STEP)), wanted)
+
+
+def special_table(found: xr.Dataset) -> Any:
+    """Special points as a `pandas.DataFrame`; see `GapsweepAccessor.special_points`."""
+    names = [default_axis(found), str(found.attrs.get("second", ""))]
+    points = special_points(found)
+    parts = points["multiplier_real"] + 1j * points["multiplier_imag"]
+    off = abs(abs(parts.fillna(0.0)) - 1.0)
+    symbols = [Special(kind).symbol for kind in points["special"].values.tolist()]
+    points = points.assign(
+        kind=points["special"],
+        symbol=(POINT, np.array(symbols, object)),
+        nearest=parts.isel({MULTIPLIER: off.argmin(MULTIPLIER)}),
+    )
+    frame = to_dataframe(points).set_index(POINT).rename(columns={"nearest": MULTIPLIER})
+    wanted = *points.coords, BRANCH, STEP, "kind", "symbol", *names, "x_max", *_TOLD
+    return frame[[c for name in dict.fromkeys(wanted) for c in frame if c.split("[")[0] == name]]
 
 
 def default_axis(found: xr.Dataset) -> str:
