@@ -12,18 +12,15 @@ Derivatives of g are central differences.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
-from itertools import pairwise
 
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from gapsweep.continuation.arclength import Continuation, Half, reversed_orbit
+from gapsweep.continuation.arclength import Continuation, reversed_orbit
 from gapsweep.continuation.branches import Branch, Branches
 from gapsweep.continuation.dataset import POINT, dataset, special_points
 from gapsweep.continuation.family import AMPLITUDE, Family, Window
-from gapsweep.continuation.locate import roots
 from gapsweep.continuation.orbits import Evaluation, Orbit, OrbitEquations, Reference
 from gapsweep.continuation.special import Graze, Special, nearest_graze
 from gapsweep.errors import ModelError
@@ -34,7 +31,7 @@ from gapsweep.model.oscillator import whole
 Array = NDArray[np.float64]
 
 _DIFFERENCE = 1e-7  # of the scaled unknowns, for derivatives of g
-_STILL = 1e-3  # component of a cusp's tangent along the parameters, over that of its neighbours
+_STILL = 1e-4  # component of a cusp's tangent along the parameters
 _CLOSES = 1e-6  # residual of an orbit of the model, over its size
 _TARGETS = {Special.FOLD: 1.0, Special.PERIOD_DOUBLING: -1.0}
 
@@ -175,36 +172,18 @@ def special_curve(
     halves = continuation.follow(
         [found[0], reversed_orbit(found[0])], reference.take(np.zeros(2, int))
     )
-    forward, backward = (_with_cusps(continuation, half, kind) for half in halves)
-    orbits = forward
-    if halves[0].end != "closed":
-        orbits = [*map(reversed_orbit, backward[:0:-1]), *forward]
-    ends = halves[1].end, halves[0].end
     found_all = Branches(equations=equations, max_steps=max_steps)
+    forward, backward = found_all.with_special_points(halves)
+    orbits = [*map(reversed_orbit, backward[:0:-1]), *forward]
+    if halves[0].end == "closed":
+        orbits = [*forward[:-1], forward[0]]
+    # Where the curve has a corner, as at a graze, the parameters do not stand still.
+    orbits = [o for o in orbits if not o.special or np.abs(o.tangent[-2:]).max() <= _STILL]
+    ends = halves[1].end, halves[0].end
     found_all.found = [Branch(orbits=orbits, ends=ends, reference=reference)]
     made = dataset(found_all).isel(branch=0, drop=True)
     made["stable"][:] = [_is_stable(orbit, kind) for orbit in orbits]
     return made.assign_attrs(curve=kind.name.lower(), second=second)
-
-
-def _with_cusps(continuation: Continuation, half: Half, kind: Special) -> list[Orbit]:
-    """The orbits of one side of a curve; of folds with its cusps.
-
-    There the curve turns back in the plane of both parameters: they stand still along it.
-    """
-    orbits = half.orbits[:1]
-    for i, (before, after) in enumerate(pairwise(half.orbits)):
-        a, b = before.tangent[-2:], after.tangent[-2:]
-        if kind == Special.FOLD and a @ b < 0.0:
-
-            def along(orbit: Orbit, way: Array = b - a) -> float:
-                return float(orbit.tangent[-2:] @ way)
-
-            (found,) = roots(continuation.corrector, [half.step(i)], [along])
-            if found and np.abs(found[1].tangent[-2:]).max() <= _STILL * np.abs([a, b]).max():
-                orbits.append(replace(found[1], special=int(Special.CUSP)))
-        orbits.append(after)
-    return orbits
 
 
 def _is_stable(orbit: Orbit, kind: Special) -> bool:

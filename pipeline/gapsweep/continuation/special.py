@@ -72,6 +72,9 @@ def crossings(
         Whether the branch begins at the first one, where another branch crosses it.
     """
     if len(equations.windows) > 1:  # all are special points
+        a, b = before.tangent[-2:], after.tangent[-2:]
+        if a @ b < 0.0:  # the curve turns back in the plane of its parameters
+            yield Crossing(Special.CUSP, lambda orbit: float(orbit.tangent[-2:] @ (b - a)))
         return
     if not equations.family.is_conservative:
         tests = {Special.PERIOD_DOUBLING: doubling, Special.TORUS: torus}

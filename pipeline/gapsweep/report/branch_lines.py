@@ -8,6 +8,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from gapsweep.continuation.dataset import (
+    ATTRACTOR,
     BRANCH,
     MULTIPLIER,
     POINT,
@@ -121,9 +122,8 @@ def in_scene(found: xr.Dataset, here: xr.Dataset, dim: str, prefix: str = "") ->
 def label(variable: xr.DataArray) -> str:
     """The label of an axis: a parameter is called as in other datasets."""
     words = scales.long_name(variable).removesuffix(" along the branch")
-    return scales.axis_label(
-        variable, COORDINATES[words][1].long_name if words in COORDINATES else words
-    )
+    is_known = words in COORDINATES and words != "gap"  # there of both walls
+    return scales.axis_label(variable, COORDINATES[words][1].long_name if is_known else words)
 
 
 def is_log(variable: xr.DataArray) -> bool:
@@ -150,7 +150,12 @@ def caption(found: xr.Dataset | None, here: xr.Dataset, along: str) -> str:
     if branches is None:
         return ""
     marks = [f"{k.symbol}: {KINDS[k][1]}" for k in KINDS if (branches["special"] == k).any()]
-    return f" Lines: periodic orbits, dashed where unstable. {', '.join(marks)}{'.' * bool(marks)}"
+    words = f" Lines: periodic orbits, dashed where unstable. {', '.join(marks)}{'.' * bool(marks)}"
+    if found is None or "attractor_on_branch" not in found:
+        return words
+    inside = in_scene(found, here, ATTRACTOR, "attractor_")
+    n = int((found["attractor_on_branch"].values[inside] < 0).sum())
+    return words + f" {n} of {inside.sum()} periodic attractors lie on no branch." * bool(n)
 
 
 def draw(
@@ -206,8 +211,11 @@ def of_orbits(branches: xr.Dataset, *names: str) -> list[Array]:
 
 
 def _looks(branches: xr.Dataset) -> list[tuple[str, str]]:
-    """Colour and name of every branch."""
+    """Colour and name of every branch; a curve has the name of its special point."""
     n = branches.sizes[BRANCH]
+    if "curve" in branches.attrs:
+        kind = Special[branches.attrs["curve"].upper()]
+        return [(_COLOURS[kind - 1], f"{kind.symbol} {KINDS[kind][1]}")] * n
     if REPRESENTATION in branches.coords:
         labels = np.broadcast_to(branches[REPRESENTATION].values, n).tolist()
         if len(set(labels)) > 1:
@@ -241,7 +249,7 @@ def lines(branches: xr.Dataset, along: str, height: str) -> Iterator[tuple[int, 
 def name_points(axes: "Axes", branches: xr.Dataset, along: str, height: str) -> None:
     """Symbols next to special points where they overlap no other; called when all else is drawn.
 
-    The rarest kind comes first.
+    The rarest kind comes first. Points of a kind that are closer than a symbol have one.
     """
     x, y, special = of_orbits(branches, along, height, "special")
     there = np.isfinite(x) & np.isfinite(y)
@@ -253,7 +261,11 @@ def name_points(axes: "Axes", branches: xr.Dataset, along: str, height: str) -> 
     is_inside = axes.bbox.padded(-0.5 * size[1]).contains
     taken = np.empty((0, 2))
     for kind in sorted(KINDS, key=lambda kind: int((special == kind).sum())):
+        named = np.empty((0, 2))
         for branch, step in np.argwhere(there & (special == kind)):
+            if (np.abs(at[branch, step] - named) < size).all(axis=1).any():
+                continue
+            named = np.vstack([named, at[branch, step]])
             centres = at[branch, step] + 0.5 * _WAYS * size
             is_free = ~(np.abs(centres[:, None] - taken) < size).all(axis=2).any(axis=1)
             is_free &= [is_inside(*centre) for centre in centres]
