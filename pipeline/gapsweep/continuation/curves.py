@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from gapsweep.continuation.arclength import Continuation, reversed_orbit
 from gapsweep.continuation.branches import Branch, Branches
-from gapsweep.continuation.dataset import POINT, dataset, special_points
+from gapsweep.continuation.dataset import dataset, special_points
 from gapsweep.continuation.family import AMPLITUDE, Family, Window
 from gapsweep.continuation.orbits import Evaluation, Orbit, OrbitEquations, Reference
 from gapsweep.continuation.special import Graze, Special, nearest_graze
@@ -27,6 +27,7 @@ from gapsweep.errors import ModelError
 from gapsweep.integrate.problem import Model, Solver
 from gapsweep.integrate.simulate import AnyLaw
 from gapsweep.model.oscillator import whole
+from gapsweep.variables import POINT
 
 Array = NDArray[np.float64]
 
@@ -182,17 +183,7 @@ def special_curve(
     ends = halves[1].end, halves[0].end
     found_all.found = [Branch(orbits=orbits, ends=ends, reference=reference)]
     made = dataset(found_all).isel(branch=0, drop=True)
-    made["stable"][:] = [_is_stable(orbit, kind) for orbit in orbits]
     return made.assign_attrs(curve=kind.name.lower(), second=second)
-
-
-def _is_stable(orbit: Orbit, kind: Special) -> bool:
-    """Whether all multipliers but those of the bifurcation lie within the unit circle."""
-    apart = np.abs(np.abs(orbit.multipliers) - 1.0)
-    if kind in _TARGETS:
-        apart = np.abs(orbit.multipliers - _TARGETS[kind])
-    n = {Special.GRAZING: 0, Special.TORUS: 2}.get(kind, 1)
-    return bool((np.abs(orbit.multipliers[np.argsort(apart)[n:]]) < 1.0).all())
 
 
 def _row(branches: xr.Dataset, point: int) -> tuple[xr.Dataset, Special]:

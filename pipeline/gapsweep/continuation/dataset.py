@@ -9,20 +9,19 @@ from gapsweep.continuation.family import AMPLITUDE
 from gapsweep.continuation.orbits import Orbit
 from gapsweep.continuation.special import Special
 from gapsweep.model.oscillator import Oscillator
-from gapsweep.variables import COORDINATE, PARTS, Variable
+from gapsweep.variables import COORDINATE, PARTS, POINT, Variable
 
 if TYPE_CHECKING:
     import xarray as xr
 
 BRANCH, STEP, STATE, MULTIPLIER, ATTRACTOR = "branch", "step", "state", "multiplier", "attractor"
-POINT = "point"
 _POINT = (BRANCH, STEP)
 _ENDS = ("none", "window", "closed", "branch_point", "max_steps", "step_too_small", "equilibrium")
 END_FLAGS = tuple((name, i) for i, name in enumerate(_ENDS))
 SPECIAL_FLAGS = tuple((kind.name.lower(), int(kind)) for kind in Special)
 _STATUS = (("ok", 0), ("not_requested", 1))
 _STABLE = (("none", -1), ("unstable", 0), ("stable", 1))
-_NEUTRAL = 1e-6  # by which multipliers of free motions are off the unit circle
+_NEUTRAL = 1e-6  # by which multipliers of free motions and on curves are off the unit circle
 
 VARIABLES = {
     "period": Variable("f8", "s", "period of the orbit"),
@@ -72,16 +71,14 @@ def dataset(found: Branches) -> "xr.Dataset":
         name: Variable("f8", _UNITS.get(name, ""), f"{name} along the branch") for name in names
     }
     table = swept | VARIABLES
+    is_neutral = family.is_conservative or len(equations.windows) > 1  # as on curves
     is_system = not isinstance(family.model, Oscillator) and equations.first_gap > 0
     data: dict[str, Any] = {}
     for name, variable in table.items():
         dims = tuple(d for d in variable.dims if d != COORDINATE or model.n > 1)
         values = np.full([sizes[d] for d in (*_POINT, *dims)], variable.missing, variable.dtype)
         for i, branch in enumerate(branches):
-            rows = [
-                _value(name, orbit, names, is_free=family.is_conservative)
-                for orbit in branch.orbits
-            ]
+            rows = [_value(name, orbit, names, is_neutral=is_neutral) for orbit in branch.orbits]
             values[i, : len(rows)] = np.reshape(rows, (len(rows), *values.shape[2:]))
         form = variable.of_systems if is_system else variable
         data[name] = ((*_POINT, *dims), values, form.attributes)
@@ -118,7 +115,7 @@ def special_points(found: "xr.Dataset") -> "xr.Dataset":
     return found.isel({n: xr.DataArray(i, dims=POINT) for n, i in zip(_POINT, places, strict=True)})
 
 
-def _value(name: str, orbit: Orbit, swept: list[str], *, is_free: bool) -> Any:
+def _value(name: str, orbit: Orbit, swept: list[str], *, is_neutral: bool) -> Any:
     """One value of an orbit."""
     if name in swept:
         return orbit.parameters[swept.index(name)]
@@ -128,7 +125,7 @@ def _value(name: str, orbit: Orbit, swept: list[str], *, is_free: bool) -> Any:
         return 0
     if name == "stable":
         largest = np.abs(orbit.multipliers).max(initial=0.0)
-        return int(largest <= 1.0 + _NEUTRAL if is_free else largest < 1.0)
+        return int(largest <= 1.0 + _NEUTRAL if is_neutral else largest < 1.0)
     if name == "multiplier_real":
         return orbit.multipliers.real
     if name == "multiplier_imag":

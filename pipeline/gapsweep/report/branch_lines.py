@@ -7,15 +7,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from gapsweep.continuation.dataset import (
-    ATTRACTOR,
-    BRANCH,
-    MULTIPLIER,
-    POINT,
-    STEP,
-    VARIABLES,
-    special_points,
-)
+from gapsweep.continuation.dataset import ATTRACTOR, BRANCH, STEP, VARIABLES, special_points
 from gapsweep.continuation.special import Special
 from gapsweep.errors import DatasetError
 from gapsweep.report import scales
@@ -24,7 +16,7 @@ from gapsweep.report.selection import places, scene
 from gapsweep.report.style import colour
 from gapsweep.study.grid import COORDINATE
 from gapsweep.study.schema import COORDINATES
-from gapsweep.variables import to_dataframe
+from gapsweep.variables import MULTIPLIER, POINT, to_dataframe
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -70,7 +62,7 @@ def shown(found: xr.Dataset, names: Sequence[str], wanted: Mapping[str, Any]) ->
 
 def special_table(found: xr.Dataset) -> Any:
     """Special points as a `pandas.DataFrame`; see `GapsweepAccessor.special_points`."""
-    names = [default_axis(found), str(found.attrs.get("second", ""))]
+    names = [str(found.attrs.get(name, "")) for name in ("along", "second")]
     points = special_points(found)
     parts = points["multiplier_real"] + 1j * points["multiplier_imag"]
     off = abs(abs(parts.fillna(0.0)) - 1.0)
@@ -147,15 +139,15 @@ def behind(
 def caption(found: xr.Dataset | None, here: xr.Dataset, along: str) -> str:
     """The caption of branches, with a leading blank; empty if none is drawn."""
     branches = of_scene(found, here, along)
-    if branches is None:
+    if found is None or branches is None:
         return ""
     marks = [f"{k.symbol}: {KINDS[k][1]}" for k in KINDS if (branches["special"] == k).any()]
     words = f" Lines: periodic orbits, dashed where unstable. {', '.join(marks)}{'.' * bool(marks)}"
-    if found is None or "attractor_on_branch" not in found:
-        return words
-    inside = in_scene(found, here, ATTRACTOR, "attractor_")
-    n = int((found["attractor_on_branch"].values[inside] < 0).sum())
-    return words + f" {n} of {inside.sum()} periodic attractors lie on no branch." * bool(n)
+    if "attractor_on_branch" in found:
+        inside = in_scene(found, here, ATTRACTOR, "attractor_")
+        n = int((found["attractor_on_branch"].values[inside] < 0).sum())
+        words += f" {n} of {inside.sum()} periodic attractors lie on no branch." * bool(n)
+    return words
 
 
 def draw(
