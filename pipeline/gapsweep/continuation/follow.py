@@ -116,7 +116,7 @@ def branches(
         tried = f"states {states.tolist()} at {along} = {at_values.tolist()}"
     else:
         found.add(_attractors(equations, places, start, starts))
-        tried = f"{len(found.attractors)} known orbits"
+        tried = "free motions" if start is None else "the orbit given as start"
     if not found.found:
         name = "starts" if start is None else "start"
         raise ModelError(
@@ -285,4 +285,4 @@ def _states(equations: OrbitEquations, starts: ArrayLike | None) -> Array:
     displaced = [0.0, *(_AWAY * wall for wall in walls)]
     if equations.has_period:
         displaced += [max(map(abs, walls), default=1.0) * part for part in _DISPLACED]
-    return np.unique(np.outer(displaced, np.eye(n)[0]), axis=0)
+    return np.unique(np.outer(displaced, np.eye(n)[0]) + 0.0, axis=0)  # no -0.0
