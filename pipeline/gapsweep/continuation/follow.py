@@ -155,7 +155,7 @@ def _attractors(
                 name = "at" if is_parameter else "omega"
                 raise ModelError(f"{name} = {called:g}: must be omega = {own:g} of the response")
             at = _inside(window, own) if is_parameter else at
-        at = _inside(window, np.ravel(start.amplitude)[0]) if is_free else at
+        at = _inside(window, np.ravel(start.amplitude)[0].item(), "amplitude") if is_free else at
         if at is None:
             raise ModelError(f"at: missing; give the value of {window.name} of the response")
         return [_attractor(start, at[0], n_states)]
@@ -248,16 +248,16 @@ def _free(equations: OrbitEquations, state: Array) -> Attractor:
     if not len(run.t_section):
         raise ModelError("start: the motion does not return; give another amplitude")
     turns = [state[0], *run.extrema[model.coordinates[0]]]
-    (amplitude,) = _inside(equations.windows[0], 0.5 * np.ptp(turns))
+    (amplitude,) = _inside(equations.windows[0], 0.5 * float(np.ptp(turns)), "amplitude")
     period = float(run.t_section[0])
     return Attractor(value=amplitude, section=state[None, :], period=period, multiple=1)
 
 
-def _inside(window: Window, at: ArrayLike) -> list[float]:
-    values: list[float] = _numbers("at", at).tolist()
+def _inside(window: Window, at: ArrayLike, name: str = "at") -> list[float]:
+    values: list[float] = _numbers(name, at).tolist()
     if not values or not all(window.low <= value <= window.high for value in values):
         raise ModelError(
-            f"at = {at!r}: must lie within between = ({window.low:g}, {window.high:g})"
+            f"{name} = {at!r}: must lie within between = ({window.low:g}, {window.high:g})"
         )
     return values
 
