@@ -190,10 +190,9 @@ def special_curve(
 def _row(branches: xr.Dataset, point: int) -> tuple[xr.Dataset, Special]:
     """The orbit of a special point, and its kind."""
     points = special_points(branches)
-    number = whole("point", point, 0, max(points.sizes[POINT] - 1, 0))
     if not points.sizes[POINT]:
         raise ModelError("branches: have no special points")
-    row = points.isel({POINT: number})
+    row = points.isel({POINT: whole("point", point, 0, points.sizes[POINT] - 1)})
     kind = Special(int(row["special"]))
     if kind not in (*_TARGETS, Special.TORUS, Special.GRAZING):
         raise ModelError(

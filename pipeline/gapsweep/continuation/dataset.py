@@ -85,7 +85,13 @@ def dataset(found: Branches) -> "xr.Dataset":
     for name, variable in OF_BRANCH.items():
         rows = [_of_branch(name, branch) for branch in branches]
         data[name] = ((BRANCH,), np.array(rows, variable.dtype), variable.attributes)
-    data |= _attractors(found)
+    for name, of, words in (
+        ("attractor_on_branch", "branch", "branch of the attractor, -1: none"),
+        (f"attractor_{window.name}", "value", f"{window.name} of the attractor"),
+    ):
+        values = np.array([getattr(each, of) for each in found.attractors])
+        values = values.astype("i4" if of == "branch" else float)
+        data[name] = ((ATTRACTOR,), values, {"long_name": words})
     coordinates: dict[str, Any] = {BRANCH: np.arange(len(branches)), STEP: np.arange(longest)}
     if model.n > 1:
         labels = list(model.coordinates)
@@ -139,21 +145,3 @@ def _of_branch(name: str, branch: Branch) -> int:
     if name == "parent":
         return branch.parent
     return _ENDS.index(branch.ends[0 if name == "begins" else 1])
-
-
-def _attractors(found: Branches) -> dict[str, Any]:
-    """Which attractors lie on which branch."""
-    name = found.equations.windows[0].name
-    dims, some = (ATTRACTOR,), found.attractors
-    return {
-        "attractor_on_branch": (
-            dims,
-            np.array([each.branch for each in some], "i4"),
-            {"long_name": "branch of the attractor, -1: none"},
-        ),
-        f"attractor_{name}": (
-            dims,
-            np.array([each.value for each in some], float),
-            {"long_name": f"{name} of the attractor"},
-        ),
-    }
