@@ -69,14 +69,15 @@ class Window:
     def value(self, place: Any) -> Any:
         """Parameter values at places from 0 to 1; beyond, those at the ends."""
         place = np.clip(place, 0.0, 1.0)
+        found = self.low + place * (self.high - self.low)
         if self._is_logarithmic:
-            return self.low * np.exp(place * math.log(self.high / self.low))
-        return self.low + place * (self.high - self.low)
+            found = self.low * np.exp(place * math.log(self.high / self.low))
+        return np.where(place == 1.0, self.high, found)[()]  # rounding must not miss the end
 
     def place(self, value: Any) -> Any:
         """Places from 0 to 1 of parameter values."""
         if self._is_logarithmic:
-            return np.log(np.asarray(value) / self.low) / math.log(self.high / self.low)
+            return np.log(np.asarray(value) / self.low) / np.log(self.high / self.low)
         return (np.asarray(value) - self.low) / (self.high - self.low)
 
 
@@ -120,7 +121,7 @@ class Family:
             raise ModelError(f"omega: {said}")
 
     def _check(self, name: str) -> None:
-        if name in ("omega", AMPLITUDE) and self._laws:
+        if name in ("omega", AMPLITUDE):
             return
         if callable(self.model) and name in inspect.signature(self.model).parameters:
             return
@@ -213,23 +214,20 @@ class Family:
         if name == "omega" and self.omega is not None:
             return self.omega
         given = {**self.values, **values}
-        model, default = self.model_at(given), inspect.Parameter.empty
-        if callable(self.model):
-            known = inspect.signature(self.model).parameters
-            default = known[name].default if name in known else default
-        laws = self.laws_at(given)
-        found = [getattr(law, name) for law in laws if name in _names(law) and name != "gap"]
+        model, laws = self.model_at(given), self.laws_at(given)
         if name == "gap" and any(law.gap.j_1 != law.gap.j_2 for law in laws):
             raise ModelError("second = 'gap': the walls differ; use 'j_1' or 'j_2'")
-        if name in _GAP:
-            found = [getattr(law.gap, "j_1" if name == "gap" else name) for law in laws]
-        if isinstance(model, Oscillator) and name in _names(model):
-            found = [getattr(model, name)]
-        if default is not inspect.Parameter.empty:
-            found = [default]
-        if not found:
+        known: dict[str, Any] = {}
+        for law in laws[::-1]:
+            known |= {each: getattr(law, each) for each in _names(law)}
+            known |= {"gap": law.gap.j_1, "j_1": law.gap.j_1, "j_2": law.gap.j_2}
+        known |= {each: getattr(model, each) for each in _names(model)}
+        if callable(self.model):
+            parameters = inspect.signature(self.model).parameters.values()
+            known |= {p.name: p.default for p in parameters if p.default is not p.empty}
+        if name not in known:
             raise ModelError(f"second = {name!r}: not a parameter of the model, or without a value")
-        return float(found[0])
+        return float(known[name])
 
     def models(self, windows: tuple[Window, ...], places: Array) -> Models:
         """Models at places in windows of the parameters.

@@ -63,16 +63,20 @@ class Special(IntEnum):
     SYMMETRY_BREAKING = 6
     HOPF = 7
     UNRESOLVED = 8
+    CUSP = 9
 
     @property
     def symbol(self) -> str:
         """The field's abbreviation."""
-        return ("", "LP", "PD", "NS", "BP", "GR", "SB", "H", "?")[self]
+        return ("", "LP", "PD", "NS", "BP", "GR", "SB", "H", "?", "CP")[self]
 
 
 def sign_changes(before: Orbit, after: Orbit, equations: OrbitEquations) -> Iterator[SignChange]:
     """Test functions that change their sign from one orbit of a branch to the next."""
     if len(equations.windows) > 1:  # all are special points
+        a, b = before.tangent[-2:], after.tangent[-2:]
+        if a @ b < 0.0:  # the curve turns back in the plane of its parameters
+            yield SignChange(Special.CUSP, lambda orbit: float(orbit.tangent[-2:] @ (b - a)))
         return
     if not equations.family.is_conservative:
         tests = {Special.FOLD: fold, Special.PERIOD_DOUBLING: doubling, Special.TORUS: torus}

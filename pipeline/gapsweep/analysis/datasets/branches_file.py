@@ -210,6 +210,7 @@ def _assembled(study: Study, parts: list[_SceneBranches]) -> xr.Dataset:
         **study.attributes,
         numerics_fingerprint=numerics_fingerprint(),
         between=[min(axis), max(axis)],
+        initial_conditions="attractors.nc; other initial conditions may lead to further branches",
         **settings,
     )
 
