@@ -410,8 +410,10 @@ def slow_run(folder, *prefix):
     (folder / "tiny.toml").write_text(slow + '[solver]\nengine = "scipy"\nrtol = 1e-8\n')
     command = [sys.executable, "-c", "from gapsweep.cli import main; main()", "run", "tiny.toml"]
     process = subprocess.Popen(
-        [*prefix, *command], cwd=folder, stderr=subprocess.PIPE, text=True, start_new_session=True
-    )
+        [*prefix, *command], cwd=folder, stderr=subprocess.PIPE, text=True, start_new_session=True,
+        # SIGINT is ignored if a script started pytest with &.
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
+    )  # fmt: skip
     wait_for_points(folder, 3)
     return process
 
