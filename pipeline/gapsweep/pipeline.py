@@ -8,6 +8,7 @@ everything up to date ends before they would be loaded.
 
 from __future__ import annotations
 
+import math
 import os
 import warnings
 from collections.abc import Callable, Iterator, Mapping
@@ -34,6 +35,7 @@ from gapsweep.execution.plan import Plan
 from gapsweep.execution.plan import plan as make_plan
 from gapsweep.execution.progress import DEFAULT_TIMEOUT, OnProgress, Progress, tell
 from gapsweep.execution.recorder import Recorder
+from gapsweep.model.oscillator import checked, whole
 from gapsweep.run_folder import (
     CLAIMS,
     RESPONSES,
@@ -54,6 +56,7 @@ from gapsweep.status import Status
 from gapsweep.store import netcdf
 from gapsweep.store.artefact import alone_in
 from gapsweep.store.cache import Cache
+from gapsweep.study.axes import MAX_POINTS
 from gapsweep.study.grid import Selection
 from gapsweep.study.study import Study
 from gapsweep.study_code import check_modules
@@ -61,6 +64,8 @@ from gapsweep.study_code import check_modules
 if TYPE_CHECKING:
     import xarray as xr
     from distributed import Client
+
+_MOST_WORKERS = 1024  # of one machine
 
 
 @dataclass(frozen=True, slots=True)
@@ -146,7 +151,6 @@ def run(
     ('representation', 'K_c', 'gap', 'omega', 'initial_condition')
     """
     study = Study.of(study)
-    _check_client(client)
     with progress_bar() if on_progress is None else nullcontext(on_progress) as observer:
         outcome = carry_out(
             study,
@@ -186,6 +190,7 @@ def carry_out(
     batch: int | None = None,
 ) -> Outcome:
     """`run`, with the outcome instead of the dataset."""
+    _check_call(client, workers=workers, batch=batch, timeout=timeout)
     folder, path = run_folder(study, out), cache_path(cache)
     check_writable(folder)
     check_owner(study, folder)
@@ -290,6 +295,7 @@ def plan(
     <Plan: 1 sweep points, 0 in the cache, 1 missing, 0 failed>
     """
     study = Study.of(study)
+    _check_call(timeout=timeout)
     path, say = cache_path(cache), partial(tell, on_progress, Progress(0, 0))
     _try_out_own_laws(study, timeout, say)
     say("looking up cached points")
@@ -440,7 +446,7 @@ def bench(
     say : callable, optional
         Called with what is measured next.
     timeout : float
-        Time [s] that a call of a user's law may take.
+        Time [s] that a call of a user's law may take, ``> 0``.
 
     Returns
     -------
@@ -457,6 +463,7 @@ def bench(
         raise StudyError(
             [f"{study.source}: bench: missing; add [bench] with scenarios and methods"]
         )
+    _check_call(timeout=timeout)
     folder = run_folder(study, out)
     check_writable(folder)
     study, say = Study.of(study), say or (lambda _: None)
@@ -528,7 +535,7 @@ def query(
     (1, 1)
     """
     study = Study.of(study)
-    _check_client(client)
+    _check_call(client, workers=workers)
     selection, path = study.select(**wanted), cache_path(cache)
     with progress_bar() if on_progress is None else nullcontext(on_progress) as observer:
         _try_out_own_laws(study, DEFAULT_TIMEOUT, partial(tell, observer, Progress(0, 0)))
@@ -548,8 +555,15 @@ def query(
         return _exported(study, _as_stored(planned, store), store, selection, progress)
 
 
-def _check_client(client: Any) -> None:
-    """Refuse what is no Dask client, even if nothing is computed."""
+def _check_call(
+    client: Any = None, *, workers: int = 1, batch: int | None = None, timeout: float = math.inf
+) -> None:
+    """Refuse arguments that cannot be used before anything starts, even if nothing is computed."""
+    whole("workers", workers, 1, _MOST_WORKERS)
+    if batch is not None:
+        whole("batch", batch, 1, MAX_POINTS)
+    if timeout != math.inf:
+        checked("timeout", timeout, low=0.0, strict=True)
     if client is not None and not hasattr(client, "nthreads"):
         raise ClusterError(
             f"client = {client!r:.80}: must be a distributed.Client; select by name, as omega=9.0"

@@ -9,13 +9,22 @@ import os
 import re
 import tempfile
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from gapsweep.errors import StoreError
 from gapsweep.store import netcdf
-from gapsweep.store.artefact import alone_in, digests, is_intact, is_recorded, recording, sha256
+from gapsweep.store.artefact import (
+    alone_in,
+    digests,
+    is_intact,
+    is_recorded,
+    reading,
+    recording,
+    sha256,
+    text_of,
+)
 from gapsweep.store.state import NO_FOLDER, RunState
 from gapsweep.study.study import Study
 
@@ -43,12 +52,26 @@ def run_folder(study: Study, out: str | Path | None) -> Path:
 
     Absolute, as `cache_path`: the user's code may change the current folder.
     """
-    return (Path(out) if out is not None else RUNS / study.name).absolute()
+    return _path("out", RUNS / study.name if out is None else out)
 
 
 def cache_path(cache: str | Path | None) -> Path:
     """The folder of the cache: the argument, else ``GAPSWEEP_CACHE``, else ``data/cache``."""
-    return Path(cache or os.environ.get("GAPSWEEP_CACHE") or DEFAULT_CACHE).absolute()
+    given = os.environ.get("GAPSWEEP_CACHE") or DEFAULT_CACHE if cache is None else cache
+    return _path("cache", given)
+
+
+def _path(name: str, value: Any) -> Path:
+    """A path that the operating system can have, absolute."""
+    try:
+        path = Path(value).absolute()
+        with suppress(FileNotFoundError, NotADirectoryError, PermissionError):
+            path.stat()
+    except (TypeError, ValueError, OSError) as error:
+        why = getattr(error, "strerror", None) or error
+        example = f'{name}="data/my-{name}"'
+        raise StoreError(f"{name} = {value!r:.80}: must be a folder, as {example}: {why}") from None
+    return path
 
 
 def check_owner(study: Study, folder: Path) -> None:
@@ -138,8 +161,9 @@ def read_json(path: Path) -> dict[str, Any] | None:
         raise StoreError(
             f"{path}: {why}; 'gapsweep {command} {path.parent} --study FILE' rewrites it"
         )
-    found: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
-    return found if is_of_run(path) else None
+    with reading(path.parent):
+        found: dict[str, Any] = json.loads(text_of(path))
+        return found if is_of_run(path) else None
 
 
 def as_text(made_from: MadeFrom) -> str:
@@ -166,7 +190,7 @@ def reason_to_make(path: Path, now: MadeFrom) -> str | None:
 def _linked(path: Path) -> Iterator[Path]:
     """The files in folders below a page that it links to."""
     if path.suffix == ".html":
-        page = path.read_text(encoding="utf-8", errors="replace")
+        page = text_of(path)
         for name in dict.fromkeys(re.findall(r'href="(\w+/[\w.-]+)"', page)):
             yield path.parent / name
 
@@ -191,8 +215,8 @@ def _recorded(path: Path) -> MadeFrom:
         if path.suffix == ".nc":
             return dict(json.loads(netcdf.attributes(path).get("made_from", "{}")))
         if path.suffix == ".json":
-            return dict(json.loads(path.read_text(encoding="utf-8"))["made_from"])
-        found = re.search(_META, path.read_text(encoding="utf-8", errors="replace"))
+            return dict(json.loads(text_of(path))["made_from"])
+        found = re.search(_META, text_of(path))
         return dict(json.loads(html.unescape(found[1]))) if found else {}
-    except (OSError, ValueError, TypeError, KeyError):
+    except (OSError, ValueError, TypeError, KeyError, RecursionError):
         return {}

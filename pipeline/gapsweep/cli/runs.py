@@ -89,18 +89,20 @@ def claims(folder: Path, study: Path | None, as_json: bool) -> int:
     from gapsweep import pipeline
     from gapsweep.console import busy, print_table
     from gapsweep.run_folder import CLAIMS
+    from gapsweep.store.artefact import reading
 
     with busy("evaluating the claims"):
         decided = pipeline.claims(folder, options.loaded(study, None) if study else None)
     if as_json:
         click.echo(json.dumps(decided, ensure_ascii=False))
         return FINISHED
-    rows = [
-        (str(one["id"]), one["verdict"], f"{one['place']}: {one['claim']}\n{one['sentence']}")
-        for one in decided["claims"]
-    ]
-    print_table(("id", "verdict", "claim and result"), rows)
-    counts = ", ".join(f"{n} {verdict}" for verdict, n in decided["counts"].items())
+    with reading(folder):
+        rows = [
+            (str(one["id"]), one["verdict"], f"{one['place']}: {one['claim']}\n{one['sentence']}")
+            for one in decided["claims"]
+        ]
+        counts = ", ".join(f"{n} {verdict}" for verdict, n in decided["counts"].items())
+        print_table(("id", "verdict", "claim and result"), rows)
     click.echo(f"{len(decided['claims'])} claims: {counts}")
     if study:
         click.echo(f"written: {folder / CLAIMS}")

@@ -7,6 +7,7 @@ from collections.abc import Callable
 from typing import Any
 
 from gapsweep.errors import GapsweepError
+from gapsweep.model.oscillator import whole
 
 _LARGEST_PORT = 65535
 
@@ -26,8 +27,7 @@ class Explorer:
         # Fills a visitor's document, and returns what ends the work for it.
         self._fill = fill
         self._ends: list[Callable[[], None]] = []
-        if not 0 <= port <= _LARGEST_PORT:
-            raise GapsweepError(f"port {port}: must be 0 to {_LARGEST_PORT}; 0: any that is free")
+        whole("port", port, 0, _LARGEST_PORT)
         self._is_up = threading.Event()
         self._failure = "cannot be opened"
         self._thread = threading.Thread(target=self._serve, args=(port,), daemon=True)

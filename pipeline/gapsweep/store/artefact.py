@@ -5,6 +5,7 @@ renamed into place. Its SHA-256 stands in ``SHA256SUMS`` beside it, in the form 
 ``sha256sum --check`` reads; while a file is replaced, the old and the new one stand there.
 """
 
+import errno
 import hashlib
 import os
 import platform
@@ -12,6 +13,7 @@ import re
 import warnings
 from collections.abc import Callable, Collection, Iterable, Iterator
 from contextlib import contextmanager, suppress
+from io import BufferedReader
 from pathlib import Path
 from uuid import uuid4
 
@@ -21,6 +23,7 @@ from gapsweep.errors import GapsweepError, StoreError, described
 from gapsweep.store.filesystem import fcntl
 
 SUMS = "SHA256SUMS"
+_LONGEST = 2**26  # bytes of a text; those of the largest runs are a tenth of it
 _SOON = 100e6  # bytes, read in a quarter of a second at worst, or a second from a slow disk
 
 
@@ -103,8 +106,8 @@ def is_intact(path: Path) -> bool | None:
     if not known:
         return None
     try:
-        return path.is_file() and sha256(path) in known  # a pipe would be waited for
-    except OSError:  # it cannot be read
+        return sha256(path) in known
+    except OSError:  # it cannot be read, or is a pipe
         return False
 
 
@@ -135,9 +138,32 @@ def is_recorded(path: Path) -> bool:
     return bool(digests(path))
 
 
+def text_of(path: Path) -> str:
+    """Text of a file in a folder that anybody may have written.
+
+    Raises
+    ------
+    OSError
+        If the file cannot be read, is larger than 64 MB, or is a pipe or a device, which may never
+        end.
+    """
+    with _opened(path) as file:
+        found = file.read(_LONGEST + 1)
+    if len(found) > _LONGEST:
+        raise OSError(errno.EFBIG, f"larger than {_LONGEST} bytes", str(path))
+    return found.decode(errors="replace")
+
+
+def _opened(path: Path) -> BufferedReader:
+    """A file that is open for reading; a pipe is an error, for it would be waited for."""
+    if path.exists() and not path.is_file():
+        raise OSError(errno.EINVAL, "not a regular file", str(path))
+    return path.open("rb")
+
+
 def sha256(path: Path) -> str:
     """SHA-256 of a file in hex."""
-    with path.open("rb") as file:
+    with _opened(path) as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
@@ -148,7 +174,7 @@ def digests(path: Path) -> list[str]:
 
 def _sums(folder: Path) -> list[tuple[str, str]]:
     try:
-        lines = (folder / SUMS).read_text(encoding="utf-8", errors="replace").splitlines()
+        lines = text_of(folder / SUMS).splitlines()
     except OSError:  # not there, or something else in its place
         return []
     pairs = (line.partition("  ") for line in lines)

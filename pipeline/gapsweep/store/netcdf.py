@@ -5,6 +5,7 @@ lock. A file is opened again before it takes its place, and says in `made_from` 
 made from, so that it is made again only when that has changed.
 """
 
+import errno
 import json
 import os
 import platform
@@ -177,12 +178,18 @@ def _is_ours(path: Path) -> bool:
     return bool(digests(path)) or attributes(path).get("source") == SOURCE
 
 
+def _opened(path: Path) -> netCDF4.Dataset:
+    if not path.is_file():  # for a pipe the library would wait
+        raise FileNotFoundError(errno.ENOENT, "no such file", str(path))
+    return netCDF4.Dataset(path)
+
+
 def attributes(path: Path) -> dict[str, Any]:
     """Attributes of a NetCDF file; none if it is damaged or cannot be read."""
     if is_intact(path) is False:  # the library can search in damaged files without end
         return {}
     try:
-        with netCDF4.Dataset(path) as dataset:
+        with _opened(path) as dataset:
             return {name: dataset.getncattr(name) for name in dataset.ncattrs()}
     except (OSError, RuntimeError, UnicodeError, AttributeError):
         return {}
@@ -191,13 +198,15 @@ def attributes(path: Path) -> dict[str, Any]:
 def values(path: Path, name: str) -> NDArray[Any]:
     """A small variable of a NetCDF file; empty if it cannot be read."""
     try:
-        with netCDF4.Dataset(path) as dataset:
+        with _opened(path) as dataset:
             return np.asarray(dataset[name][:])
     except (OSError, RuntimeError, IndexError):
         return np.empty(0)
 
 
-def read(path: str | Path, *, lazy: bool = False) -> "xr.Dataset":
+def read(
+    path: str | Path, *, lazy: bool = False, chunks: Mapping[str, int] | str | None = None
+) -> "xr.Dataset":
     """Return the dataset of a NetCDF file of a run.
 
     The file is first compared with its SHA-256 in ``SHA256SUMS`` of its folder.
@@ -209,6 +218,9 @@ def read(path: str | Path, *, lazy: bool = False) -> "xr.Dataset":
     lazy : bool
         Whether to read values at first use, for files larger than the memory. The dataset must be
         closed before a run writes into its folder.
+    chunks : mapping of str to int, or 'auto', optional
+        Sizes of Dask arrays by dimension, as for `xarray.open_dataset`: ``{}`` takes the chunks of
+        the file. Implies `lazy`.
 
     Raises
     ------
@@ -232,9 +244,12 @@ def read(path: str | Path, *, lazy: bool = False) -> "xr.Dataset":
     # half a second to import, which a run without anything to do can spare
     import xarray as xr
 
+    if not isinstance(path, str | os.PathLike):
+        raise StoreError(f"path = {path!r:.80}: must be a path, as 'data/runs/quick/responses.nc'")
     path = Path(path)
-    if path.is_dir():
-        raise StoreError(f"{path}: is a folder; name a file, as {path / 'responses.nc'}")
+    if path.exists() and not path.is_file():
+        kind = "a folder" if path.is_dir() else "not a regular file"
+        raise StoreError(f"{path}: is {kind}; name a file, as {path / 'responses.nc'}")
     try:
         intact = is_intact(path)
         if intact is False:
@@ -242,7 +257,10 @@ def read(path: str | Path, *, lazy: bool = False) -> "xr.Dataset":
                 f"{path}: damaged or changed since it was written (its SHA-256 differs from "
                 "SHA256SUMS); 'gapsweep run' rewrites it from the cache"
             )
-        opened = (xr.open_dataset if lazy else xr.load_dataset)(path, engine="netcdf4")
+        if lazy or chunks is not None:
+            opened = xr.open_dataset(path, engine="netcdf4", chunks=chunks)
+        else:
+            opened = xr.load_dataset(path, engine="netcdf4")
         for coordinate in opened.coords.values():
             coordinate.load()  # else whenever datasets are put together
     except StoreError:

@@ -6,7 +6,7 @@ is running, but whose process is gone or has been silent for long, is reported a
 
 import json
 import platform
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field, fields, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -14,7 +14,7 @@ from typing import Any
 import psutil
 
 from gapsweep.errors import StoreError
-from gapsweep.store.artefact import replacing
+from gapsweep.store.artefact import replacing, text_of
 
 STATE = "run.json"
 RUNNING, FINISHED, INTERRUPTED, FAILED, DIED = (
@@ -85,8 +85,10 @@ class RunState:
         """
         path = folder / STATE
         try:
-            values: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+            values: dict[str, Any] = json.loads(text_of(path))
             found = cls(**values)
+            if not all(type(getattr(found, one.name)) is one.type for one in fields(cls)):
+                raise TypeError
             is_dead = found.state == RUNNING and not found.is_alive
         except FileNotFoundError:
             raise StoreError(f"{path}: no such file; 'gapsweep run' writes it") from None
@@ -94,7 +96,7 @@ class RunState:
             raise StoreError(f"{folder}: {NO_FOLDER}") from None
         except OSError as error:
             raise StoreError(f"{path}: cannot be read: {error.strerror}") from None
-        except (ValueError, TypeError):
+        except (ValueError, TypeError, RecursionError):
             raise StoreError(f"{path}: not the state of a run; run the study again") from None
         if is_dead:
             return replace(found, state=DIED, message="its process ended; run again to resume")
