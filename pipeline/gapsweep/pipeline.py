@@ -198,7 +198,7 @@ def carry_out(
     stages = stages_of(study)
     if planned.n_missing:
         check_modules(study)  # now, though what they make comes last
-    say = partial(tell, on_progress, Progress(planned.n_points, planned.n_hits))
+    say = partial(tell, on_progress, planned.progress)
     connect = partial(_connected, client, workers, scheduler, say)
     with Recorder(folder, study, path, planned, on_progress) as recorder:
 
@@ -236,7 +236,8 @@ def carry_out(
                 planned = _as_stored(planned, store)
                 exports = [stage for stage in stages if POINTS in stage.sources]
                 make(exports, replace(run, points=(planned, store)))
-            failures = _failures(planned)
+                failures = _failures(planned)
+                recorder.note(sum(failures.values()), _reasons(planned, store))
             del planned, store  # a tenth of a gigabyte of keys at a million points
             make([stage for stage in stages if POINTS not in stage.sources], run)
     doubts = []
@@ -544,11 +545,10 @@ def query(
             with Cache(path, read_only=True) as store:
                 planned = make_plan(study, store, selection=selection)
                 if not planned.n_missing:
-                    done = Progress(planned.n_points, planned.n_hits)
-                    return _exported(study, planned, store, selection, done)
+                    return _exported(study, planned, store, selection, planned.progress)
         else:
             planned = make_plan(study, selection=selection)
-        say = partial(tell, observer, Progress(planned.n_points, planned.n_hits))
+        say = partial(tell, observer, planned.progress)
         connect = partial(_connected, client, workers, scheduler, say)
         progress = _computed(study, planned, path, observer, connect)
     with Cache(path, read_only=True) as store:
@@ -607,7 +607,7 @@ def _computed(
 
     `begin` is called once it is there, before anything is computed.
     """
-    before = Progress(planned.n_points, planned.n_hits)
+    before = planned.progress
     if not planned.n_missing:
         begin()
         return before
@@ -646,3 +646,15 @@ def _connected(
 def _failures(planned: Plan) -> dict[str, int]:
     counts = {s.label: int(np.sum(planned.status == s)) for s in Status if s.failed}
     return {label: n for label, n in counts.items() if n}
+
+
+def _reasons(planned: Plan, store: Cache) -> str:
+    """Numbers of failed points by status, each with the message of its first point."""
+    reasons = []
+    for status, n in zip(*np.unique(planned.status, return_counts=True), strict=True):
+        place = store.place(planned.keys[[np.argmax(planned.status == status)]])
+        if Status(status).failed and place is not None:
+            _, contents, row = place
+            message = contents.responses.row(row).message
+            reasons.append(f"{n} {Status(status).label}: {message:.200}".rstrip(": "))
+    return "; ".join(reasons)

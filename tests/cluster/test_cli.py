@@ -267,6 +267,13 @@ def test_failed_points_end_with_their_own_exit_code(gapsweep, folder):
     done = gapsweep(folder, "run", "tiny.toml")
     assert done.returncode == 3
     assert "failed points: 2 error" in done.stderr
+    told = [json.loads(gapsweep(folder, "status", "data/runs/tiny", "--json").stdout)]
+    assert gapsweep(folder, "run", "tiny.toml").returncode == 3
+    told += [json.loads(gapsweep(folder, "status", "data/runs/tiny", "--json").stdout)]
+    counts = [[state[name] for name in ("hits", "computed", "failed")] for state in told]
+    assert counts == [[0, 4, 2], [4, 0, 2]]
+    assert all("2 error: " in state["message"] for state in told)
+    assert all("ZeroDivisionError" in state["message"] for state in told)
 
 
 @pytest.mark.parametrize(

@@ -111,8 +111,7 @@ def execute(
         time limit is none.
     """
     timeout = time_limit(timeout)
-    before = Progress(plan.n_points, plan.n_hits)
-    check_workers(client, partial(tell, on_progress, before, "waiting for workers"))
+    check_workers(client, partial(tell, on_progress, plan.progress, "waiting for workers"))
     with WorkLocks(cache.path, plan.keys.data) as claims:
         run = _Execution(study, plan, cache, claims, client, batch, timeout, retry_failed)
         try:
@@ -145,7 +144,7 @@ class _Execution:
         self.largest_hit = Status.OUT_OF_FIT_RANGE if retry_failed else max(Status)
         # What must be computed although it is stored: failures, and what follows them in a sweep.
         self.is_stale = plan.is_missing & (plan.status >= 0)
-        self.progress = Progress(plan.n_points, plan.n_hits)
+        self.progress = plan.progress
         self.is_repeated = repeated(plan)
         missing = once(plan, self.is_repeated)
         self.blocks = shuffled(plan, missing)

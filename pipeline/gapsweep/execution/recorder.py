@@ -34,6 +34,7 @@ class Recorder:
             cache=str(cache.absolute()),
             points=planned.n_points,
             hits=planned.n_hits,
+            failed=planned.progress.n_failed,
         )
         self.written = -np.inf
 
@@ -49,6 +50,10 @@ class Recorder:
             self.write()
         if self.on_progress is not None:
             self.on_progress(progress)
+
+    def note(self, n_failed: int, reasons: str) -> None:
+        """Keep the number of failed points, and why the points failed, for the state at the end."""
+        self.state = replace(self.state, failed=n_failed, message=reasons)
 
     def write(self) -> None:
         """Store the state now."""
