@@ -23,6 +23,7 @@ from rich.progress import (
 from rich.progress import Progress as Bar
 from rich.table import Column, Table
 
+from gapsweep.errors import printable
 from gapsweep.execution.progress import OnProgress, Progress
 
 _SOON_SECONDS, _LINE_SECONDS = 3.0, 10.0
@@ -33,7 +34,7 @@ def print_table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> None:
 
     Numbers are aligned right; texts that are too long continue in the next line.
     """
-    texts = list(rows)
+    texts = [[printable(cell) for cell in row] for row in rows]
     table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0))
     for i, title in enumerate(head):
         is_text = any(not _is_number(row[i]) for row in texts)
@@ -48,7 +49,7 @@ def print_text(text: str) -> None:
     """Print a paragraph as wide as the terminal, broken between words."""
     print(
         textwrap.fill(
-            text,
+            printable(text),
             Console().width,
             subsequent_indent="  ",
             break_long_words=False,

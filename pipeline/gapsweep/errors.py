@@ -19,6 +19,7 @@ from collections.abc import Sequence
 # Ctrl-C, the end of a batch job and that of a terminal: what a run stops at, to be resumed later.
 STOPPING = signal.SIGINT, signal.SIGTERM, getattr(signal, "SIGHUP", signal.SIGTERM)
 _LONGEST = 300  # characters of an error that is somebody else's
+_CONTROL = dict.fromkeys({*range(32), *range(127, 160)} - {*b"\t\n"})
 _MOST = 100  # problems of a study that are listed
 
 
@@ -55,6 +56,11 @@ class DatasetError(GapsweepError, ValueError):
 
 class ClusterError(GapsweepError, RuntimeError):
     """A Dask cluster cannot be reached or was lost."""
+
+
+def printable(text: str) -> str:
+    """A text of anybody's without control characters but tabs and ends of lines."""
+    return text.translate(_CONTROL)
 
 
 def described(error: BaseException) -> str:

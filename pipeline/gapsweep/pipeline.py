@@ -102,6 +102,7 @@ def run(
     batch: int | None = None,
     timeout: float = DEFAULT_TIMEOUT,
     retry_failed: bool = False,
+    dashboard: bool = False,
     on_progress: OnProgress | None = None,
 ) -> xr.Dataset:
     """Compute a study, store its datasets and report, and open the responses.
@@ -119,7 +120,7 @@ def run(
     cache : path, optional
         Folder of the cache; by default ``$GAPSWEEP_CACHE``, else ``data/cache``.
     workers : int
-        Number of processes of the local cluster, ``>= 1``.
+        Number of processes of the local cluster, 1 to 1024.
     scheduler : str, optional
         Address of a running Dask scheduler.
     batch : int, optional
@@ -128,6 +129,8 @@ def run(
         CPU time limit of a point [s], ``> 0``; a point that exceeds it has status ``timed_out``.
     retry_failed : bool
         Whether to recompute points whose stored status is a failure.
+    dashboard : bool
+        Whether the local cluster serves Dask's dashboard, at ``http://127.0.0.1:8787/status``.
     on_progress : callable, optional
         Called with the `Progress`; None shows a progress bar.
 
@@ -162,6 +165,7 @@ def run(
             batch=batch,
             timeout=timeout,
             retry_failed=retry_failed,
+            dashboard=dashboard,
             on_progress=observer,
         )
     for doubt in outcome.doubts:
@@ -188,6 +192,7 @@ def carry_out(
     workers: int = 2,
     scheduler: str | None = None,
     batch: int | None = None,
+    dashboard: bool = False,
 ) -> Outcome:
     """`run`, with the outcome instead of the dataset."""
     _check_call(client, workers=workers, batch=batch, timeout=timeout)
@@ -199,7 +204,7 @@ def carry_out(
     if planned.n_missing:
         check_modules(study)  # now, though what they make comes last
     say = partial(tell, on_progress, planned.progress)
-    connect = partial(_connected, client, workers, scheduler, say)
+    connect = partial(_connected, client, workers, scheduler, say, dashboard)
     with Recorder(folder, study, path, planned, on_progress) as recorder:
 
         def begin() -> None:
@@ -630,7 +635,11 @@ def _computed(
 
 @contextmanager
 def _connected(
-    client: Client | None, workers: int, scheduler: str | None, say: Callable[[str], None]
+    client: Client | None,
+    workers: int,
+    scheduler: str | None,
+    say: Callable[[str], None],
+    dashboard: bool = False,
 ) -> Iterator[Client]:
     """The client of a call, or one of a cluster that is started or joined."""
     if client is not None:
@@ -639,7 +648,7 @@ def _connected(
     from gapsweep.execution.cluster import cluster
 
     say(f"connecting to {scheduler}" if scheduler else "starting the workers")
-    with cluster(workers, scheduler) as connected:
+    with cluster(workers, scheduler, dashboard=dashboard) as connected:
         yield connected
 
 

@@ -259,3 +259,48 @@ def test_further_axes_are_dimensions_after_the_frequency(tables, client, tmp_pat
     with gs.open(tmp_path / "out" / "attractors.nc") as sets:
         assert sets["x_max"].dims == (*found["x_max"].dims[:-1], "attractor")
         assert (sets["n_attractors"] > 0).all()
+
+
+_LEFTOVERS = """
+import sys, urllib.request
+import gapsweep as gs
+from gapsweep.execution.cluster import cluster
+
+def answer(port):
+    try:
+        return urllib.request.urlopen(f"http://127.0.0.1:{port}{path}").status
+    except urllib.error.HTTPError as error:
+        return error.code
+
+for dashboard in (False, True):
+    with cluster(1, dashboard=dashboard) as client:
+        ports = [client.cluster.scheduler.http_server.port]
+        ports += client.run(lambda dask_worker: dask_worker.http_server.port).values()
+        for path in ("/status", "/info/main/workers.html", "/health", "/metrics"):
+            print(dashboard, path, *map(answer, ports))
+study = gs.Study.load("own.toml")
+gs.run(study, out="out", cache="cache", workers=1).close()
+"""
+
+
+def test_a_run_serves_no_page_and_leaves_no_temporary_file(tables, tmp_path):
+    """Though its processes end with a kill, and the code of the study has a folder of its own."""
+    (tmp_path / "temporary").mkdir()
+    (tmp_path / "own.py").write_text("def soft(x):\n    return 1e4 * x\n")
+    (tmp_path / "own.toml").write_text(
+        '[study]\nname = "own"\n[[sweep]]\nrepresentation = "own:soft"\nK_c = 1e4\n'
+        'gap = [4e-4, 4e-4]\nomega = [9.0, 20.0]\n[solver]\nengine = "scipy"\nrtol = 1e-4\n'
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", _LEFTOVERS], cwd=tmp_path, capture_output=True, text=True,
+        env=os.environ | {"TMPDIR": str(tmp_path / "temporary")}, timeout=120,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    answers = [line.split() for line in done.stdout.splitlines()]
+    off = [codes for dashboard, _, *codes in answers if dashboard == "False"]
+    assert off == [["404", "404"]] * 4, done.stdout
+    assert ["True", "/status", "200"] in [line[:3] for line in answers], done.stdout
+    deadline = time.monotonic() + 10.0
+    while left := sorted(path.name for path in (tmp_path / "temporary").iterdir()):
+        assert time.monotonic() < deadline, left
+        time.sleep(0.05)

@@ -421,6 +421,24 @@ def test_a_state_that_no_run_has_written_is_one_line(tmp_path, wrong):
     assert not whole.is_hidden_in(tmp_path)
 
 
+def test_a_terminal_is_sent_no_commands_of_a_folder(gapsweep, finished, tmp_path):
+    out, bad = shutil.copytree(finished / "out", tmp_path / "out"), "\x1b]0;a\x07b\x9b31m\r"
+    state = RunState.read(out)
+    replace(state, study=bad, message=bad).write(out)
+    claims = [{"id": 1, "verdict": bad, "place": bad, "claim": bad, "sentence": bad}]
+    made_from = {"responses.nc": sha256(out / "responses.nc")}
+    with recording(out / "claims.json", lambda _: True) as temporary:
+        whole = {"claims": claims, "counts": {bad: 1}, "made_from": made_from}
+        temporary.write_text(json.dumps(whole))
+    for command in ("status", "claims"):
+        for options in ([], ["--json"]):
+            done = gapsweep(tmp_path, command, "out", *options)
+            assert done.returncode == 0, done.stderr
+            assert "]0;ab31m" in done.stdout or options
+            shown = done.stdout + done.stderr
+            assert not [c for c in shown if (ord(c) < 32 and c != "\n") or 127 <= ord(c) < 160]
+
+
 def test_status_names_files_that_are_not_as_written(tmp_path):
     def told():
         said = CliRunner().invoke(commands, ["status", str(tmp_path)])

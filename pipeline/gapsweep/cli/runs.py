@@ -30,19 +30,19 @@ def status(folder: Path, as_json: bool) -> int:
     # An active run replaces files, damaged ones too.
     damaged, unread = (None, None) if state.state == RUNNING else checked(folder)
     if as_json:
-        click.echo(json.dumps(asdict(state) | {"damaged": damaged, "not_checked": unread}))
+        options.echo(json.dumps(asdict(state) | {"damaged": damaged, "not_checked": unread}))
         return FINISHED
-    click.echo(f"{state.study}: {state.state}{f' ({state.message})' if state.message else ''}")
-    click.echo(
+    options.echo(f"{state.study}: {state.state}{f' ({state.message})' if state.message else ''}")
+    options.echo(
         f"{state.hits + state.computed} of {state.points} points: {state.hits} from the cache, "
         f"{state.computed} computed, {state.failed} failed"
     )
-    click.echo(f"started {state.started} on {state.host}")
-    click.echo(f"updated {state.updated}")
+    options.echo(f"started {state.started} on {state.host}")
+    options.echo(f"updated {state.updated}")
     if damaged:
-        click.echo(f"damaged or missing: {options.first(damaged)}; 'gapsweep run' repairs them")
+        options.echo(f"damaged or missing: {options.first(damaged)}; 'gapsweep run' repairs them")
     if unread:
-        click.echo(
+        options.echo(
             f"not checked (large): {options.first(unread)}; check with sha256sum --check {SUMS}"
         )
     return FINISHED
@@ -67,7 +67,7 @@ def report(folder: Path, study: Path | None) -> int:
 
     with busy("writing the report"):
         shown = pipeline.report(folder, options.loaded(study, None) if study else None)
-    click.echo(f"report: {shown}")
+    options.echo(f"report: {shown}")
     return FINISHED
 
 
@@ -94,7 +94,7 @@ def claims(folder: Path, study: Path | None, as_json: bool) -> int:
     with busy("evaluating the claims"):
         decided = pipeline.claims(folder, options.loaded(study, None) if study else None)
     if as_json:
-        click.echo(json.dumps(decided, ensure_ascii=False))
+        options.echo(json.dumps(decided, ensure_ascii=False))
         return FINISHED
     with reading(folder):
         rows = [
@@ -103,9 +103,9 @@ def claims(folder: Path, study: Path | None, as_json: bool) -> int:
         ]
         counts = ", ".join(f"{n} {verdict}" for verdict, n in decided["counts"].items())
         print_table(("id", "verdict", "claim and result"), rows)
-    click.echo(f"{len(decided['claims'])} claims: {counts}")
+    options.echo(f"{len(decided['claims'])} claims: {counts}")
     if study:
-        click.echo(f"written: {folder / CLAIMS}")
+        options.echo(f"written: {folder / CLAIMS}")
     return FINISHED
 
 
@@ -135,7 +135,7 @@ def explore(path: Path | None, port: int, no_browser: bool) -> int:
     from gapsweep.explorer.widget import explore_path
 
     page = explore_path(path, port)
-    click.echo(f"{page.url} (Ctrl-C closes it)")
+    options.echo(f"{page.url} (Ctrl-C closes it)")
     if not no_browser:
         click.launch(page.url)
     with suppress(KeyboardInterrupt):

@@ -1,6 +1,7 @@
 """The Dask cluster a run works on: a local one, or any that is already there."""
 
 import logging
+import tempfile
 import time
 import warnings
 from collections.abc import Callable, Iterator, Mapping
@@ -16,6 +17,7 @@ from gapsweep.execution.workers import end_workers, start_workers, worker_proces
 from gapsweep.study.software import software
 
 _CONNECT_SECONDS = 10
+_DASHBOARD_PORT = 8787  # Dask's own; if it is taken Dask chooses another and warns
 _WAIT_SECONDS = 0.1
 _LOOK_SECONDS = 0.01
 # What goes wrong on a worker becomes the status of its points; its log only repeats it.
@@ -33,9 +35,17 @@ _LOCAL_SETTINGS = {
     "distributed.worker.memory.monitor-interval": "1s",
 }
 
+# Nothing is served to whoever connects.
+_NO_PAGES: dict[str, list[str]] = {
+    "distributed.scheduler.http.routes": [],
+    "distributed.worker.http.routes": [],
+}
+
 
 @contextmanager
-def cluster(workers: int, scheduler: str | None = None) -> Iterator[Client]:
+def cluster(
+    workers: int, scheduler: str | None = None, *, dashboard: bool = False
+) -> Iterator[Client]:
     """A client of a local cluster of worker processes, or of a running scheduler.
 
     Parameters
@@ -45,6 +55,8 @@ def cluster(workers: int, scheduler: str | None = None) -> Iterator[Client]:
     scheduler : str, optional
         Address of a running scheduler, as ``tcp://127.0.0.1:8786``; for ``tls://`` the keys are
         those of Dask's configuration.
+    dashboard : bool
+        Whether a local cluster serves Dask's dashboard to this machine.
 
     Raises
     ------
@@ -52,7 +64,8 @@ def cluster(workers: int, scheduler: str | None = None) -> Iterator[Client]:
         If the scheduler cannot be reached, or no local cluster starts.
     """
     if scheduler is None:
-        with dask.config.set(_LOCAL_SETTINGS), _local(workers) as client:
+        settings = _LOCAL_SETTINGS | ({} if dashboard else _NO_PAGES)
+        with dask.config.set(settings), _local(workers, dashboard) as client:
             yield client
         return
     try:
@@ -67,14 +80,22 @@ def cluster(workers: int, scheduler: str | None = None) -> Iterator[Client]:
 
 
 @contextmanager
-def _local(workers: int) -> Iterator[Client]:
+def _local(workers: int, dashboard: bool) -> Iterator[Client]:
     # Free ports on the loopback, so that no other cluster is disturbed. Temporary TLS keys, so that
     # no other process of the machine can run code in the workers or in this process.
     options: dict[str, Any] = {"host": "127.0.0.1", "security": True, "silence_logs": _SILENT}
+    page = f"127.0.0.1:{_DASHBOARD_PORT if dashboard else 0}"
     with (
+        tempfile.TemporaryDirectory(prefix="gapsweep-", ignore_cleanup_errors=True) as folder,
+        dask.config.set({"temporary-directory": folder}),
         _quiet("distributed.batched"),  # of connections to workers that died
-        worker_process() as process,  # which imports while the scheduler starts
-        LocalCluster(n_workers=0, dashboard_address="127.0.0.1:0", **options) as local,
+        worker_process(folder) as process,  # which imports while the scheduler starts
+        LocalCluster(
+            n_workers=0,
+            dashboard_address=page,
+            scheduler_kwargs={"dashboard": dashboard},
+            **options,
+        ) as local,
     ):
         memory = MEMORY_LIMIT // workers
         options |= {"security": local.security, "nthreads": 1, "memory_limit": memory}
@@ -85,7 +106,8 @@ def _local(workers: int) -> Iterator[Client]:
                     if process.poll() is not None:
                         raise ClusterError(
                             f"no local cluster of {workers} workers: a worker process died during "
-                            "startup, perhaps for lack of memory; try fewer --workers"
+                            "startup, perhaps for lack of memory, processes "
+                            "or open files (ulimit -a); try fewer --workers"
                         )
                     time.sleep(_LOOK_SECONDS)
                 yield client

@@ -16,6 +16,7 @@ from contextlib import suppress
 from math import ceil
 from multiprocessing import Pipe
 from multiprocessing.connection import Connection
+from tempfile import TemporaryDirectory
 from typing import Any, TypeVar
 
 import psutil
@@ -25,6 +26,7 @@ from gapsweep.errors import ClusterError, ModelError, described
 from gapsweep.execution.workers import end_group, search_path
 from gapsweep.status import Status
 from gapsweep.study.software import software
+from gapsweep.user_code.load import TEMPORARY
 
 try:
     import resource
@@ -108,11 +110,14 @@ class Isolated:
 
     def _started(self) -> "subprocess.Popen[bytes]":
         self._pipe, theirs = Pipe()
+        self._folder = TemporaryDirectory(
+            prefix="gapsweep-", dir=os.environ.get(TEMPORARY), ignore_cleanup_errors=True
+        )
         with theirs:
             process = self._process = subprocess.Popen(
                 [sys.executable, "-P", "-c", _CHILD, str(theirs.fileno())],
                 pass_fds=[theirs.fileno()],
-                env=os.environ | {"PYTHONPATH": search_path()},
+                env=os.environ | {"PYTHONPATH": search_path(), TEMPORARY: self._folder.name},
                 stdin=subprocess.DEVNULL,
                 stdout=subprocess.DEVNULL,
                 stderr=subprocess.DEVNULL,
@@ -150,6 +155,7 @@ class Isolated:
                 process.wait(patience)
             end_group(process.pid)
             process.wait()
+            self._folder.cleanup()
 
 
 def time_limit(timeout: float) -> float:

@@ -104,4 +104,12 @@ def shuffled(plan: Plan, missing: Rows) -> Iterator[Rows]:
         plan.representation(np.array([block[0] for block in blocks])), return_index=True
     )
     others = np.setdiff1d(np.arange(len(blocks)), leading)
-    return iter([blocks[i] for i in (*leading, *others)])
+    heads, tails = zip(*(_halves(block, plan.follows) for block in blocks), strict=True)
+    order = [tails[i] for i in leading] + [heads[i] for i in leading]
+    return filter(len, order + [half[i] for i in others for half in (tails, heads)])
+
+
+def _halves(block: Rows, follows: NDArray[np.bool_]) -> tuple[Rows, Rows]:
+    """A block cut before one of its sweeps, drawn at random: runs that share no locks differ."""
+    at = random.choice(np.flatnonzero(is_first_of_sweep(block, follows)))
+    return block[:at], block[at:]
