@@ -4,19 +4,24 @@ The room of a process is bounded by the operating system (RLIMIT_FSIZE), so that
 file system is needed: no file may grow beyond the limit.
 """
 
+import errno
 import os
 import re
 import resource
 import subprocess
 import sys
+from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
 
 import pytest
 
 import gapsweep as gs
+from gapsweep.execution.recorder import Recorder
+from gapsweep.store.artefact import remedy
 from gapsweep.store.cache import Cache
 from gapsweep.store.maintenance import verify
+from gapsweep.store.state import RunState
 
 STUDY = """
 [study]
@@ -31,6 +36,10 @@ settle_tol = 1e-2
 n_periods = 16
 max_period_multiple = 8
 """
+SMALL = {
+    "study": {"name": "small"},
+    "sweep": [{"representation": "piecewise", "K_c": 1e4, "gap": [4e-4, 4e-4], "omega": 9.0}],
+}
 RUN = "from gapsweep.cli import main; main()"
 
 
@@ -118,3 +127,29 @@ def test_a_closed_output_hinders_nothing(folder):
     command = f"{sys.executable} -c '{RUN}' plan full.toml >&-"
     done = subprocess.run(["sh", "-c", command], cwd=folder, stderr=subprocess.PIPE, text=True)
     assert (done.returncode, done.stderr) == (0, "")
+
+
+def test_a_state_that_finds_no_room_for_a_new_file_takes_that_of_the_old(tmp_path, monkeypatch):
+    """As on a full disk, on which status told of a run that died."""
+    plan = gs.plan(gs.Study.from_dict(SMALL), cache=tmp_path / "none")
+    recorder = Recorder(tmp_path, gs.Study.from_dict(SMALL), tmp_path, plan, None)
+    recorder.write()
+
+    @contextmanager
+    def full(path, **_):
+        raise gs.StoreError("No space left on device")
+        yield
+
+    monkeypatch.setattr("gapsweep.store.state.replacing", full)
+    with pytest.raises(ZeroDivisionError), recorder:
+        raise ZeroDivisionError("of the run")
+    state = RunState.read(tmp_path)
+    assert (state.state, state.message) == ("failed", "of the run")
+
+
+def test_the_remedy_is_that_of_the_cause(tmp_path):
+    full, denied = (OSError(code, "why") for code in (errno.ENOSPC, errno.EACCES))
+    assert "free disk space" in remedy(tmp_path, full)
+    assert "free disk space" in remedy(tmp_path, RuntimeError("of a library"))
+    assert "permissions" in remedy(tmp_path, denied)
+    assert "none was removed" in remedy(tmp_path / "none", full)

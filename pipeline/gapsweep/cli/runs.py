@@ -1,6 +1,7 @@
 """Commands on the folder of a run, and the explorer."""
 
 import json
+import tempfile
 from contextlib import suppress
 from dataclasses import asdict
 from pathlib import Path
@@ -136,8 +137,11 @@ def explore(path: Path | None, port: int, no_browser: bool) -> int:
 
     page = explore_path(path, port)
     options.echo(f"{page.url} (Ctrl-C closes it)")
-    if not no_browser:
-        click.launch(page.url)
-    with suppress(KeyboardInterrupt):
+    with tempfile.TemporaryDirectory() as private, suppress(KeyboardInterrupt):
+        if not no_browser:
+            # All users of the machine can read the browser's command line, none but ours the file.
+            link = Path(private) / "explore.html"
+            link.write_text(f'<meta http-equiv="refresh" content="0; url={page.url}">')
+            click.launch(link.as_uri())
         page.wait()
     return FINISHED

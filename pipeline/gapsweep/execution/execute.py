@@ -47,6 +47,7 @@ from gapsweep.study.study import Study
 # A task takes at most this part of a thread's share of what is left, so that all end together.
 _PART_OF_SHARE = 0.5
 _MIN_BATCH = 64
+_KNOWN = 0.1  # of the points, from which on the costs of the others are estimated
 _WINDOW = 3  # tasks in flight per worker thread
 _COMMIT_SECONDS = 0.5
 _COMMIT_POINTS = 4096
@@ -149,6 +150,7 @@ class _Execution:
         missing = once(plan, self.is_repeated)
         self.blocks = shuffled(plan, missing)
         self.n_new = len(missing)
+        self.n_left = np.bincount(plan.representation(missing))  # by representation
         self.n_once = plan.n_missing - len(missing)  # computed under another label only
         # What comes before new points: the rest of a block, and of long sweeps.
         self.begun: deque[Rows] = deque()
@@ -167,6 +169,9 @@ class _Execution:
         while True:
             self._refill(completed)
             if on_progress is not None:
+                n_known = self.progress.n_done - self.progress.n_hits
+                if n_known >= _KNOWN * self.plan.n_missing:
+                    self.progress.seconds_left = self.costs.seconds_left(self.n_left)
                 on_progress(self.progress)
             if self.in_flight:
                 future = next(completed)
@@ -263,6 +268,7 @@ class _Execution:
         n_ours = int(self.is_repeated[hits].sum())
         self.progress.n_computed += n_ours
         self.progress.n_shared += len(hits) - n_ours
+        self.n_left[self._representation(rows[0])] -= np.sum(is_hit)
         return rows[~is_hit]
 
     def _tiles(self, rows: Rows) -> list[Tile]:
@@ -329,14 +335,16 @@ class _Execution:
                 Responses.of([failed] * len(tile), tile.points.kind.structure), ""
             )
         ]
-        self._keep(job, TaskResult(slabs, 0.0, software()))
+        self._keep(job, TaskResult(slabs, 0.0, 0.0, software()))
 
     def _keep(self, job: _Job, result: TaskResult) -> None:
         self.arrived += result.slabs
         self.progress.n_computed += len(job.rows)
         self.progress.n_failed += sum(slab.n_failed for slab in result.slabs)
+        representation = self._representation(job.rows[0])
+        self.n_left[representation] -= len(job.rows)
         if result.seconds:
-            self.costs.add(self._representation(job.rows[0]), len(job.rows), result.seconds)
+            self.costs.add(representation, len(job.rows), result.seconds, result.spent)
         self.held.append(job.claimed)
         due = time.monotonic() - self.last_commit > _COMMIT_SECONDS
         n_arrived = sum(slab.n_points for slab in self.arrived)

@@ -1,6 +1,8 @@
 """Which missing points make a task: in what order they come, and how many of them fill one."""
 
 import random
+import time
+from collections import deque
 from collections.abc import Iterator
 
 import numpy as np
@@ -14,6 +16,7 @@ _TASK_SECONDS = 4.0
 # A task has the time of one point: it aims at so much of it, for costs differ.
 _PART_OF_TIMEOUT = 0.25
 MAX_BATCH = 16384
+_RECENT_SECONDS = 60.0
 # Before any cost is known: a compiled kernel wants its lanes filled, scipy takes seconds a point.
 _FIRST_BATCH = {"compiled": 16, "scipy": 1}
 # A long sweep comes back in parts, so that a kill costs one of them and not the whole sweep.
@@ -67,15 +70,39 @@ class Costs:
         self.aim = min(_TASK_SECONDS, _PART_OF_TIMEOUT * timeout)  # s for a task
         self.seconds: dict[int, float] = {}
         self.n_points: dict[int, int] = {}
+        # When tasks came back of late, and the processor time [s] of all tasks until then.
+        self.spent: deque[tuple[float, float]] = deque()
 
-    def add(self, representation: int, n_points: int, seconds: float) -> None:
-        """Learn from a task."""
+    def add(
+        self, representation: int, n_points: int, seconds: float, spent: float | None = None
+    ) -> None:
+        """Learn from a task that has spent some processor time [s], that of compiling included."""
+        if not self.knows(representation):  # until now workers compiled, or waited for each other
+            self.spent.clear()
+        now, before = time.monotonic(), self.spent[-1][1] if self.spent else 0.0
+        self.spent.append((now, before + (seconds if spent is None else spent)))
+        while len(self.spent) > 2 and self.spent[1][0] < now - _RECENT_SECONDS:
+            self.spent.popleft()
         self.seconds[representation] = self.seconds.get(representation, 0.0) + seconds
         self.n_points[representation] = self.n_points.get(representation, 0) + n_points
 
     def knows(self, representation: int) -> bool:
         """Whether a point of this representation has been computed."""
         return representation in self.n_points
+
+    def seconds_left(self, n_left: NDArray[np.integer]) -> float | None:
+        """Time [s] that points of each representation take; None until all are compiled.
+
+        From the processor time that tasks got per second of late: the machine may be busy.
+        """
+        representations = np.flatnonzero(n_left > 0).tolist()
+        if not self.spent or not all(map(self.knows, representations)):
+            return None
+        (begin, before), (now, spent) = self.spent[0], self.spent[-1]
+        if spent == before or now - begin < _TASK_SECONDS:
+            return None
+        costs = (n_left[r] * self.seconds[r] / self.n_points[r] for r in representations)
+        return float(sum(costs) * (now - begin) / (spent - before))
 
     def room(self, representation: int) -> int:
         """Points that fill a task."""

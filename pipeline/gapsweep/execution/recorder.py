@@ -70,6 +70,9 @@ class Recorder:
             self._store(replace(self.state, state=FINISHED))
         elif self.written > -np.inf:
             state = INTERRUPTED if isinstance(error, KeyboardInterrupt) else FAILED
-            # The disk may be full: that is what the error says already.
-            with suppress(StoreError):
-                self._store(replace(self.state, state=state, message=str(error)))
+            last = replace(self.state, state=state, message=str(error))
+            try:
+                self._store(last)
+            except StoreError:  # the disk may be full
+                with suppress(OSError):
+                    last.overwrite(self.folder)

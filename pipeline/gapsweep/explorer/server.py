@@ -44,6 +44,7 @@ class Explorer:
         from bokeh.application.handlers.function import FunctionHandler
         from bokeh.server.server import Server
         from tornado.ioloop import IOLoop
+        from tornado.routing import HostMatches, Rule
 
         asyncio.set_event_loop(asyncio.new_event_loop())
         self._loop = IOLoop.current()
@@ -58,6 +59,9 @@ class Explorer:
                 prefix=path,
                 io_loop=self._loop,
             )
+            pages = self._server._tornado
+            ours = Rule(HostMatches(r"localhost|127\.0\.0\.1"), pages.wildcard_router)
+            pages.default_router.rules[:] = [ours]  # also if somebody has seen the path
             self._server.start()
             self.url, self._failure = f"http://localhost:{self._server.port}{path}/", ""
         except OSError as error:

@@ -28,7 +28,13 @@ _SOON = 100e6  # bytes, read in a quarter of a second at worst, or a second from
 
 
 @contextmanager
-def replacing(path: Path, is_ours: Callable[[Path], bool] | None = None) -> Iterator[Path]:
+def replacing(
+    path: Path,
+    is_ours: Callable[[Path], bool] | None = None,
+    *,
+    is_new: bool = False,
+    durable: bool = True,
+) -> Iterator[Path]:
     """A temporary path that takes the place of `path` when the block ends without error.
 
     Parameters
@@ -36,6 +42,10 @@ def replacing(path: Path, is_ours: Callable[[Path], bool] | None = None) -> Iter
     path : Path
     is_ours : callable, optional
         Whether a file that is there already may be replaced; any may if None.
+    is_new : bool
+        Whether nobody can have written this file before, so that no process has left one.
+    durable : bool
+        Whether the file must outlive a loss of power.
 
     Raises
     ------
@@ -48,7 +58,8 @@ def replacing(path: Path, is_ours: Callable[[Path], bool] | None = None) -> Iter
         )
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        _remove_leftovers(path)
+        if not is_new:
+            _remove_leftovers(path)
         name = f".{path.name}.{platform.node()}.{os.getpid()}.{uuid4().hex}"
         temporary = path.with_name(name)
         temporary.touch(exist_ok=False)
@@ -56,9 +67,11 @@ def replacing(path: Path, is_ours: Callable[[Path], bool] | None = None) -> Iter
         raise StoreError(f"{path}: cannot be written: {error.strerror}") from None
     try:
         yield temporary
-        _flush(temporary)
+        if durable:
+            _flush(temporary)
         temporary.replace(path)
-        _flush(path.parent)
+        if durable:
+            _flush(path.parent)
     except GapsweepError:
         raise
     except OSError as error:
@@ -179,6 +192,16 @@ def _sums(folder: Path) -> list[tuple[str, str]]:
         return []
     pairs = (line.partition("  ") for line in lines)
     return [(digest, name) for digest, _, name in pairs if name]  # none in a line that was cut
+
+
+def remedy(folder: Path, error: Exception) -> str:
+    """What to do about a folder that cannot be written; libraries have no code for a full disk."""
+    if not folder.is_dir():
+        return f"{folder} was removed; run again"
+    code = getattr(error.__cause__ or error, "errno", None)
+    if code in (None, errno.ENOSPC, errno.EDQUOT, errno.EFBIG):
+        return "free disk space and run again"
+    return "check the permissions of the folder and run again"
 
 
 @contextmanager

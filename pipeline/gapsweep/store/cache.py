@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from gapsweep.errors import StoreError
 from gapsweep.model.structure import AnyStructure, OscillatorStructure
 from gapsweep.response.result import Responses
+from gapsweep.store.artefact import remedy
 from gapsweep.store.index import MISSING, Index
 from gapsweep.store.segments import SUFFIX, Frame, packed, read, scan, write
 from gapsweep.store.slab import Slab, Stored, stored
@@ -263,7 +264,7 @@ class Cache:
         n_missed = 0
         while n_missed < 3:
             frame = self._frames[number]
-            with _store_errors(frame.path), suppress(FileNotFoundError):
+            with _store_errors(self.path), suppress(FileNotFoundError):
                 slab = read(frame)
                 if slab is None:
                     self._warn(frame.path)
@@ -303,8 +304,9 @@ def _store_errors(path: Path) -> Iterator[None]:
         yield
     except OSError as error:
         raise StoreError(
-            f"{error.filename or path}: {error.strerror or error}; free disk space and run "
-            "again, or choose another folder with --cache; stored points are kept"
+            f"{error.filename or path}: {error.strerror or error}; "
+            f"{remedy(path, error)}, or choose another folder with --cache; stored points "
+            "are kept"
         ) from None
 
 

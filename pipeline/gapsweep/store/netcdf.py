@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gapsweep.errors import STOPPING, GapsweepError, StoreError
-from gapsweep.store.artefact import digests, is_intact, recording
+from gapsweep.store.artefact import digests, is_intact, recording, remedy
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -169,7 +169,7 @@ def _errors(path: Path) -> Iterator[None]:
     except (OSError, RuntimeError) as error:
         reason = getattr(error, "strerror", None) or error
         raise StoreError(
-            f"{path}: cannot be written: {reason}; free disk space and run again"
+            f"{path}: cannot be written: {reason}; {remedy(path.parent, error)}"
         ) from None
 
 

@@ -70,9 +70,18 @@ class RunState:
 
     def write(self, folder: Path) -> None:
         """Store the state as of now."""
-        with replacing(folder / STATE) as temporary:
-            text = json.dumps(asdict(replace(self, updated=_now())), indent=1)
-            temporary.write_text(text + "\n", encoding="utf-8")
+        with replacing(folder / STATE, durable=False) as temporary:
+            temporary.write_text(self._text, encoding="utf-8")
+
+    def overwrite(self, folder: Path) -> None:
+        """Store the state in the file that is there; on a full disk that has room for it."""
+        with (folder / STATE).open("r+", encoding="utf-8") as file:
+            file.write(self._text)
+            file.truncate()
+
+    @property
+    def _text(self) -> str:
+        return json.dumps(asdict(replace(self, updated=_now())), indent=1) + "\n"
 
     @classmethod
     def read(cls, folder: Path) -> "RunState":
