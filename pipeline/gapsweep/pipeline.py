@@ -102,7 +102,6 @@ def run(
     batch: int | None = None,
     timeout: float = DEFAULT_TIMEOUT,
     retry_failed: bool = False,
-    dashboard: bool = False,
     on_progress: OnProgress | None = None,
 ) -> xr.Dataset:
     """Compute a study, store its datasets and report, and open the responses.
@@ -129,8 +128,6 @@ def run(
         CPU time limit of a point [s], ``> 0``; a point that exceeds it has status ``timed_out``.
     retry_failed : bool
         Whether to recompute points whose stored status is a failure.
-    dashboard : bool
-        Whether the local cluster serves Dask's dashboard, at ``http://127.0.0.1:8787/status``.
     on_progress : callable, optional
         Called with the `Progress`; None shows a progress bar.
 
@@ -165,7 +162,6 @@ def run(
             batch=batch,
             timeout=timeout,
             retry_failed=retry_failed,
-            dashboard=dashboard,
             on_progress=observer,
         )
     for doubt in outcome.doubts:
@@ -242,7 +238,8 @@ def carry_out(
                 exports = [stage for stage in stages if POINTS in stage.sources]
                 make(exports, replace(run, points=(planned, store)))
                 failures = _failures(planned)
-                recorder.note(sum(failures.values()), _reasons(planned, store))
+                n_failed, why = sum(failures.values()), _reasons(planned, store)
+                recorder.state = replace(recorder.state, failed=n_failed, message=why)
             del planned, store  # a tenth of a gigabyte of keys at a million points
             make([stage for stage in stages if POINTS not in stage.sources], run)
     doubts = []

@@ -14,17 +14,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from gapsweep.errors import StoreError
-from gapsweep.store import netcdf
-from gapsweep.store.artefact import (
-    alone_in,
-    digests,
-    is_intact,
-    is_recorded,
-    reading,
-    recording,
-    sha256,
-    text_of,
-)
+from gapsweep.store import artefact, netcdf
+from gapsweep.store.artefact import alone_in, digests, is_intact, is_recorded, recording, sha256
 from gapsweep.store.state import NO_FOLDER, RunState
 from gapsweep.study.study import Study
 
@@ -64,14 +55,12 @@ def cache_path(cache: str | Path | None) -> Path:
 def _path(name: str, value: Any) -> Path:
     """A path that the operating system can have, absolute."""
     try:
-        path = Path(value).absolute()
         with suppress(FileNotFoundError, NotADirectoryError, PermissionError):
-            path.stat()
+            os.stat(value)
+        return Path(value).absolute()
     except (TypeError, ValueError, OSError) as error:
-        why = getattr(error, "strerror", None) or error
-        example = f'{name}="data/my-{name}"'
-        raise StoreError(f"{name} = {value!r:.80}: must be a folder, as {example}: {why}") from None
-    return path
+        why = f"{name} = {value!r:.80}: must be the path of a folder: {error!s:.80}"
+        raise StoreError(why) from None
 
 
 def check_owner(study: Study, folder: Path) -> None:
@@ -161,9 +150,8 @@ def read_json(path: Path) -> dict[str, Any] | None:
         raise StoreError(
             f"{path}: {why}; 'gapsweep {command} {path.parent} --study FILE' rewrites it"
         )
-    with reading(path.parent):
-        found: dict[str, Any] = json.loads(text_of(path))
-        return found if is_of_run(path) else None
+    found: dict[str, Any] = json.loads(artefact.text_of(path))
+    return found if is_of_run(path) else None
 
 
 def as_text(made_from: MadeFrom) -> str:
@@ -190,7 +178,7 @@ def reason_to_make(path: Path, now: MadeFrom) -> str | None:
 def _linked(path: Path) -> Iterator[Path]:
     """The files in folders below a page that it links to."""
     if path.suffix == ".html":
-        page = text_of(path)
+        page = artefact.text_of(path)
         for name in dict.fromkeys(re.findall(r'href="(\w+/[\w.-]+)"', page)):
             yield path.parent / name
 
@@ -215,8 +203,8 @@ def _recorded(path: Path) -> MadeFrom:
         if path.suffix == ".nc":
             return dict(json.loads(netcdf.attributes(path).get("made_from", "{}")))
         if path.suffix == ".json":
-            return dict(json.loads(text_of(path))["made_from"])
-        found = re.search(_META, text_of(path))
+            return dict(json.loads(artefact.text_of(path))["made_from"])
+        found = re.search(_META, artefact.text_of(path))
         return dict(json.loads(html.unescape(found[1]))) if found else {}
     except (OSError, ValueError, TypeError, KeyError, RecursionError):
         return {}

@@ -102,7 +102,7 @@ def test_workers_and_batches_do_not_change_a_bit(tables, client, tmp_path):
 @pytest.mark.parametrize("timeout", [0.5, 5.0, 600.0])
 def test_a_task_aims_at_less_than_the_time_that_a_point_may_take(timeout):
     costs = Costs("compiled", timeout)
-    costs.add(0, n_points=100, seconds=1.0)
+    costs.add(0, n_points=100, seconds=1.0, spent=1.0)
     assert 1 < costs.room(0) <= 0.5 * timeout * 100
 
 

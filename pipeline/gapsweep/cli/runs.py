@@ -92,7 +92,7 @@ def claims(folder: Path, study: Path | None, as_json: bool) -> int:
     from gapsweep.run_folder import CLAIMS
     from gapsweep.store.artefact import reading
 
-    with busy("evaluating the claims"):
+    with reading(folder), busy("evaluating the claims"):
         decided = pipeline.claims(folder, options.loaded(study, None) if study else None)
     if as_json:
         options.echo(json.dumps(decided, ensure_ascii=False))

@@ -17,7 +17,6 @@ from gapsweep.execution.workers import end_workers, start_workers, worker_proces
 from gapsweep.study.software import software
 
 _CONNECT_SECONDS = 10
-_DASHBOARD_PORT = 8787  # Dask's own; if it is taken Dask chooses another and warns
 _WAIT_SECONDS = 0.1
 _LOOK_SECONDS = 0.01
 # What goes wrong on a worker becomes the status of its points; its log only repeats it.
@@ -36,10 +35,7 @@ _LOCAL_SETTINGS = {
 }
 
 # Nothing is served to whoever connects.
-_NO_PAGES: dict[str, list[str]] = {
-    "distributed.scheduler.http.routes": [],
-    "distributed.worker.http.routes": [],
-}
+_ROUTES = "distributed.scheduler.http.routes", "distributed.worker.http.routes"
 
 
 @contextmanager
@@ -64,7 +60,7 @@ def cluster(
         If the scheduler cannot be reached, or no local cluster starts.
     """
     if scheduler is None:
-        settings = _LOCAL_SETTINGS | ({} if dashboard else _NO_PAGES)
+        settings = _LOCAL_SETTINGS | ({} if dashboard else dict.fromkeys(_ROUTES, ()))
         with dask.config.set(settings), _local(workers, dashboard) as client:
             yield client
         return
@@ -84,18 +80,14 @@ def _local(workers: int, dashboard: bool) -> Iterator[Client]:
     # Free ports on the loopback, so that no other cluster is disturbed. Temporary TLS keys, so that
     # no other process of the machine can run code in the workers or in this process.
     options: dict[str, Any] = {"host": "127.0.0.1", "security": True, "silence_logs": _SILENT}
-    page = f"127.0.0.1:{_DASHBOARD_PORT if dashboard else 0}"
+    page = f"127.0.0.1:{8787 if dashboard else 0}"  # Dask warns if it takes another port
+    pages = {"dashboard_address": page, "scheduler_kwargs": {"dashboard": dashboard}}
     with (
         tempfile.TemporaryDirectory(prefix="gapsweep-", ignore_cleanup_errors=True) as folder,
         dask.config.set({"temporary-directory": folder}),
         _quiet("distributed.batched"),  # of connections to workers that died
         worker_process(folder) as process,  # which imports while the scheduler starts
-        LocalCluster(
-            n_workers=0,
-            dashboard_address=page,
-            scheduler_kwargs={"dashboard": dashboard},
-            **options,
-        ) as local,
+        LocalCluster(n_workers=0, **pages, **options) as local,
     ):
         memory = MEMORY_LIMIT // workers
         options |= {"security": local.security, "nthreads": 1, "memory_limit": memory}

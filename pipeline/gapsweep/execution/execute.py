@@ -19,7 +19,7 @@ from distributed.scheduler import KilledWorker
 
 from gapsweep.errors import ClusterError
 from gapsweep.execution.cluster import check_workers
-from gapsweep.execution.isolated import time_limit
+from gapsweep.execution.isolated import LONGEST
 from gapsweep.execution.plan import Plan
 from gapsweep.execution.portions import (
     MAX_BATCH,
@@ -108,10 +108,9 @@ def execute(
     Raises
     ------
     ClusterError
-        If all workers run other code, or the cluster is lost; what arrived is stored. Or if the
-        time limit is none.
+        If all workers run other code, or the cluster is lost; what arrived is stored.
     """
-    timeout = time_limit(timeout)
+    timeout = min(timeout, LONGEST)
     check_workers(client, partial(tell, on_progress, plan.progress, "waiting for workers"))
     with WorkLocks(cache.path, plan.keys.data) as claims:
         run = _Execution(study, plan, cache, claims, client, batch, timeout, retry_failed)

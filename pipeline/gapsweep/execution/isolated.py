@@ -35,7 +35,7 @@ except ImportError:  # not a POSIX system: calls have no limits there but that o
 
 Result = TypeVar("Result")
 
-_LONGEST = 1e8  # s: the operating system takes no infinite limit
+LONGEST = 1e8  # s: the operating system takes no infinite limit
 _START_SECONDS = 120.0
 _LOOK_SECONDS = 0.1
 _LEAVE_SECONDS = 2.0
@@ -70,7 +70,7 @@ class Isolated:
     """
 
     def __init__(self, timeout: float, memory: int | None = None) -> None:
-        self.timeout, self.memory = time_limit(timeout), int(memory or MEMORY_LIMIT)
+        self.timeout, self.memory = min(timeout, LONGEST), int(memory or MEMORY_LIMIT)
         self._process: subprocess.Popen[bytes] | None = None
 
     def __enter__(self) -> "Isolated":
@@ -156,13 +156,6 @@ class Isolated:
             end_group(process.pid)
             process.wait()
             self._folder.cleanup()
-
-
-def time_limit(timeout: float) -> float:
-    """A time limit [s], checked to be > 0."""
-    if not timeout > 0.0:
-        raise ClusterError(f"timeout = {timeout:g} s: must be > 0")
-    return min(timeout, _LONGEST)
 
 
 def failure(error: BaseException) -> tuple[Status, str]:

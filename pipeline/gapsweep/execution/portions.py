@@ -73,14 +73,12 @@ class Costs:
         # When tasks came back of late, and the processor time [s] of all tasks until then.
         self.spent: deque[tuple[float, float]] = deque()
 
-    def add(
-        self, representation: int, n_points: int, seconds: float, spent: float | None = None
-    ) -> None:
+    def add(self, representation: int, n_points: int, seconds: float, spent: float) -> None:
         """Learn from a task that has spent some processor time [s], that of compiling included."""
         if not self.knows(representation):  # until now workers compiled, or waited for each other
             self.spent.clear()
         now, before = time.monotonic(), self.spent[-1][1] if self.spent else 0.0
-        self.spent.append((now, before + (seconds if spent is None else spent)))
+        self.spent.append((now, before + spent))
         while len(self.spent) > 2 and self.spent[1][0] < now - _RECENT_SECONDS:
             self.spent.popleft()
         self.seconds[representation] = self.seconds.get(representation, 0.0) + seconds

@@ -13,7 +13,7 @@ from gapsweep.execution.progress import OnProgress, Progress
 from gapsweep.store.state import FAILED, FINISHED, INTERRUPTED, RUNNING, RunState
 from gapsweep.study.study import Study
 
-_STATE_SECONDS = 1.0
+_STATE_SECONDS = 5.0
 
 
 class Recorder:
@@ -51,10 +51,6 @@ class Recorder:
         if self.on_progress is not None:
             self.on_progress(progress)
 
-    def note(self, n_failed: int, reasons: str) -> None:
-        """Keep the number of failed points, and why the points failed, for the state at the end."""
-        self.state = replace(self.state, failed=n_failed, message=reasons)
-
     def write(self) -> None:
         """Store the state now."""
         self._store(self.state)
@@ -70,9 +66,6 @@ class Recorder:
             self._store(replace(self.state, state=FINISHED))
         elif self.written > -np.inf:
             state = INTERRUPTED if isinstance(error, KeyboardInterrupt) else FAILED
-            last = replace(self.state, state=state, message=str(error))
-            try:
-                self._store(last)
-            except StoreError:  # the disk may be full
-                with suppress(OSError):
-                    last.overwrite(self.folder)
+            # The disk may be full: that is what the error says already.
+            with suppress(StoreError):
+                self._store(replace(self.state, state=state, message=str(error)))

@@ -9,8 +9,6 @@ from typing import Any
 from gapsweep.errors import GapsweepError
 from gapsweep.model.oscillator import whole
 
-_LARGEST_PORT = 65535
-
 
 class Explorer:
     """A running page; in a notebook it shows itself.
@@ -27,7 +25,7 @@ class Explorer:
         # Fills a visitor's document, and returns what ends the work for it.
         self._fill = fill
         self._ends: list[Callable[[], None]] = []
-        whole("port", port, 0, _LARGEST_PORT)
+        whole("port", port, 0, 65535)
         self._is_up = threading.Event()
         self._failure = "cannot be opened"
         self._thread = threading.Thread(target=self._serve, args=(port,), daemon=True)

@@ -28,13 +28,7 @@ _SOON = 100e6  # bytes, read in a quarter of a second at worst, or a second from
 
 
 @contextmanager
-def replacing(
-    path: Path,
-    is_ours: Callable[[Path], bool] | None = None,
-    *,
-    is_new: bool = False,
-    durable: bool = True,
-) -> Iterator[Path]:
+def replacing(path: Path, is_ours: Callable[[Path], bool] | None = None) -> Iterator[Path]:
     """A temporary path that takes the place of `path` when the block ends without error.
 
     Parameters
@@ -42,10 +36,6 @@ def replacing(
     path : Path
     is_ours : callable, optional
         Whether a file that is there already may be replaced; any may if None.
-    is_new : bool
-        Whether nobody can have written this file before, so that no process has left one.
-    durable : bool
-        Whether the file must outlive a loss of power.
 
     Raises
     ------
@@ -58,8 +48,6 @@ def replacing(
         )
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        if not is_new:
-            _remove_leftovers(path)
         name = f".{path.name}.{platform.node()}.{os.getpid()}.{uuid4().hex}"
         temporary = path.with_name(name)
         temporary.touch(exist_ok=False)
@@ -67,11 +55,9 @@ def replacing(
         raise StoreError(f"{path}: cannot be written: {error.strerror}") from None
     try:
         yield temporary
-        if durable:
-            _flush(temporary)
+        _flush(temporary)
         temporary.replace(path)
-        if durable:
-            _flush(path.parent)
+        _flush(path.parent)
     except GapsweepError:
         raise
     except OSError as error:
@@ -81,10 +67,10 @@ def replacing(
             temporary.unlink()
 
 
-def _remove_leftovers(path: Path) -> None:
-    """Remove temporary files for a path whose process, on this machine, was killed."""
-    ours = re.escape(f".{path.name}.{platform.node()}.") + r"(\d+)\.\w+"
-    for there in path.parent.iterdir():
+def remove_leftovers(folder: Path) -> None:
+    """Remove temporary files of a folder whose process, on this machine, was killed."""
+    ours = r"\..+" + re.escape(f".{platform.node()}.") + r"(\d+)\.\w+"
+    for there in folder.iterdir():
         owner = re.fullmatch(ours, there.name)
         if owner and not psutil.pid_exists(int(owner[1])):
             there.unlink(missing_ok=True)
@@ -106,6 +92,7 @@ def recording(path: Path, is_ours: Callable[[Path], bool]) -> Iterator[Path]:
     """`replacing`, the SHA-256 of the new file recorded beside it."""
     known = digests(path)
     with replacing(path, is_ours) as temporary:
+        remove_leftovers(path.parent)
         yield temporary
         new = sha256(temporary)
         # At no moment may the file that is there lack its digest: a kill may come between.
@@ -114,9 +101,9 @@ def recording(path: Path, is_ours: Callable[[Path], bool]) -> Iterator[Path]:
 
 
 def is_intact(path: Path) -> bool | None:
-    """Whether a file is as it was written; None if no digest of it is recorded."""
+    """Whether a file is as it was written; None if no digest is recorded and it is no pipe."""
     known = digests(path)
-    if not known:
+    if not known and (path.is_file() or not path.exists()):
         return None
     try:
         return sha256(path) in known
@@ -152,23 +139,16 @@ def is_recorded(path: Path) -> bool:
 
 
 def text_of(path: Path) -> str:
-    """Text of a file in a folder that anybody may have written.
-
-    Raises
-    ------
-    OSError
-        If the file cannot be read, is larger than 64 MB, or is a pipe or a device, which may never
-        end.
-    """
+    """Text of a file that anybody may have written; an OSError if it is larger than 64 MB."""
     with _opened(path) as file:
         found = file.read(_LONGEST + 1)
     if len(found) > _LONGEST:
-        raise OSError(errno.EFBIG, f"larger than {_LONGEST} bytes", str(path))
+        raise OSError(errno.EFBIG, os.strerror(errno.EFBIG), str(path))
     return found.decode(errors="replace")
 
 
 def _opened(path: Path) -> BufferedReader:
-    """A file that is open for reading; a pipe is an error, for it would be waited for."""
+    """A file that is open for reading; for a pipe or a device, which may never end, an OSError."""
     if path.exists() and not path.is_file():
         raise OSError(errno.EINVAL, "not a regular file", str(path))
     return path.open("rb")
@@ -192,16 +172,6 @@ def _sums(folder: Path) -> list[tuple[str, str]]:
         return []
     pairs = (line.partition("  ") for line in lines)
     return [(digest, name) for digest, _, name in pairs if name]  # none in a line that was cut
-
-
-def remedy(folder: Path, error: Exception) -> str:
-    """What to do about a folder that cannot be written; libraries have no code for a full disk."""
-    if not folder.is_dir():
-        return f"{folder} was removed; run again"
-    code = getattr(error.__cause__ or error, "errno", None)
-    if code in (None, errno.ENOSPC, errno.EDQUOT, errno.EFBIG):
-        return "free disk space and run again"
-    return "check the permissions of the folder and run again"
 
 
 @contextmanager

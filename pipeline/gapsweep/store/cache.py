@@ -21,7 +21,6 @@ from numpy.typing import NDArray
 from gapsweep.errors import StoreError
 from gapsweep.model.structure import AnyStructure, OscillatorStructure
 from gapsweep.response.result import Responses
-from gapsweep.store.artefact import remedy
 from gapsweep.store.index import MISSING, Index
 from gapsweep.store.segments import SUFFIX, Frame, packed, read, scan, write
 from gapsweep.store.slab import Slab, Stored, stored
@@ -304,9 +303,8 @@ def _store_errors(path: Path) -> Iterator[None]:
         yield
     except OSError as error:
         raise StoreError(
-            f"{error.filename or path}: {error.strerror or error}; "
-            f"{remedy(path, error)}, or choose another folder with --cache; stored points "
-            "are kept"
+            f"{error.filename or path}: {error.strerror or error}; check the folder and its disk "
+            "space and run again, or choose another folder with --cache; stored points are kept"
         ) from None
 
 

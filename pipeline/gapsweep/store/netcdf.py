@@ -5,7 +5,6 @@ lock. A file is opened again before it takes its place, and says in `made_from` 
 made from, so that it is made again only when that has changed.
 """
 
-import errno
 import json
 import os
 import platform
@@ -25,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gapsweep.errors import STOPPING, GapsweepError, StoreError
-from gapsweep.store.artefact import digests, is_intact, recording, remedy
+from gapsweep.store.artefact import digests, is_intact, recording
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -168,9 +167,8 @@ def _errors(path: Path) -> Iterator[None]:
         raise
     except (OSError, RuntimeError) as error:
         reason = getattr(error, "strerror", None) or error
-        raise StoreError(
-            f"{path}: cannot be written: {reason}; {remedy(path.parent, error)}"
-        ) from None
+        remedy = "check the folder and its disk space and run again"
+        raise StoreError(f"{path}: cannot be written: {reason}; {remedy}") from None
 
 
 def _is_ours(path: Path) -> bool:
@@ -178,18 +176,12 @@ def _is_ours(path: Path) -> bool:
     return bool(digests(path)) or attributes(path).get("source") == SOURCE
 
 
-def _opened(path: Path) -> netCDF4.Dataset:
-    if not path.is_file():  # for a pipe the library would wait
-        raise FileNotFoundError(errno.ENOENT, "no such file", str(path))
-    return netCDF4.Dataset(path)
-
-
 def attributes(path: Path) -> dict[str, Any]:
     """Attributes of a NetCDF file; none if it is damaged or cannot be read."""
     if is_intact(path) is False:  # the library can search in damaged files without end
         return {}
     try:
-        with _opened(path) as dataset:
+        with netCDF4.Dataset(path) as dataset:
             return {name: dataset.getncattr(name) for name in dataset.ncattrs()}
     except (OSError, RuntimeError, UnicodeError, AttributeError):
         return {}
@@ -198,7 +190,7 @@ def attributes(path: Path) -> dict[str, Any]:
 def values(path: Path, name: str) -> NDArray[Any]:
     """A small variable of a NetCDF file; empty if it cannot be read."""
     try:
-        with _opened(path) as dataset:
+        with netCDF4.Dataset(path) as dataset:
             return np.asarray(dataset[name][:])
     except (OSError, RuntimeError, IndexError):
         return np.empty(0)
@@ -247,9 +239,8 @@ def read(
     if not isinstance(path, str | os.PathLike):
         raise StoreError(f"path = {path!r:.80}: must be a path, as 'data/runs/quick/responses.nc'")
     path = Path(path)
-    if path.exists() and not path.is_file():
-        kind = "a folder" if path.is_dir() else "not a regular file"
-        raise StoreError(f"{path}: is {kind}; name a file, as {path / 'responses.nc'}")
+    if path.is_dir():
+        raise StoreError(f"{path}: is a folder; name a file, as {path / 'responses.nc'}")
     try:
         intact = is_intact(path)
         if intact is False:

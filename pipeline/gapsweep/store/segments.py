@@ -61,7 +61,7 @@ def write(folder: Path, frames: Iterable[bytes]) -> None:
         If the folder cannot be written, or has no room.
     """
     path = folder / f"{uuid.uuid4().hex}{SUFFIX}"
-    with replacing(path, is_new=True) as temporary, temporary.open("wb") as file:
+    with replacing(path) as temporary, temporary.open("wb") as file:
         file.writelines(frames)
 
 

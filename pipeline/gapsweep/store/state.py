@@ -6,6 +6,7 @@ is running, but whose process is gone or has been silent for long, is reported a
 
 import json
 import platform
+from contextlib import suppress
 from dataclasses import asdict, dataclass, field, fields, replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -70,18 +71,14 @@ class RunState:
 
     def write(self, folder: Path) -> None:
         """Store the state as of now."""
-        with replacing(folder / STATE, durable=False) as temporary:
-            temporary.write_text(self._text, encoding="utf-8")
-
-    def overwrite(self, folder: Path) -> None:
-        """Store the state in the file that is there; on a full disk that has room for it."""
-        with (folder / STATE).open("r+", encoding="utf-8") as file:
-            file.write(self._text)
-            file.truncate()
-
-    @property
-    def _text(self) -> str:
-        return json.dumps(asdict(replace(self, updated=_now())), indent=1) + "\n"
+        text = json.dumps(asdict(replace(self, updated=_now())), indent=1) + "\n"
+        try:
+            with replacing(folder / STATE) as temporary:
+                temporary.write_text(text, encoding="utf-8")
+        except StoreError:  # on a full disk the file that is there still has room
+            with suppress(OSError):
+                (folder / STATE).write_text(text, encoding="utf-8")
+            raise
 
     @classmethod
     def read(cls, folder: Path) -> "RunState":

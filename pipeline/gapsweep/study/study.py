@@ -127,8 +127,8 @@ class Study:
         try:
             return cls(check(_lists(tables), source), source)._checked()
         except RecursionError:
-            problem = "nested too deeply; a table or list must not contain itself"
-            raise StudyError([f"{source}: {problem}"]) from None
+            problem = f"{source}: nested too deeply; a table or list must not contain itself"
+            raise StudyError([problem]) from None
 
     @classmethod
     def of(cls, study: "Study | str | PathLike[str]") -> "Study":
