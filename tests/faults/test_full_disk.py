@@ -22,6 +22,7 @@ from gapsweep.store.maintenance import verify
 from gapsweep.store.state import RunState
 
 STUDY = """
+oscillator = { mass = 3.0, omega_n = 5.0, zeta = 0.03, forcing = 4.0, alpha = 7e8 }
 [study]
 name = "full"
 [[sweep]]
@@ -36,6 +37,7 @@ max_period_multiple = 8
 """
 SMALL = {
     "study": {"name": "small"},
+    "oscillator": {"mass": 3.0, "omega_n": 5.0, "zeta": 0.03, "forcing": 4.0},
     "sweep": [{"representation": "piecewise", "K_c": 1e4, "gap": [4e-4, 4e-4], "omega": 9.0}],
 }
 RUN = "from gapsweep.cli import main; main()"

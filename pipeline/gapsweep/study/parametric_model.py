@@ -251,7 +251,8 @@ class ParametricModel:
             wrong += [f"sweep[{i}].{problem}" for problem in self._problems(block)]
         for i, history in enumerate(spec.history):
             for name, value in history.parameter.items():
-                wrong += [f"history[{i}].{problem}" for problem in _out_of_range(name, [value])]
+                found = _out_of_range(spec.model, name, [value])
+                wrong += [f"history[{i}].{problem}" for problem in found]
         if wrong:
             raise StudyError([f"{self.source}: {problem}" for problem in wrong])
 
@@ -278,7 +279,8 @@ class ParametricModel:
             if axis is not None and count(axis) > 1 and not takes:
                 found.append(f"{name}: unused, [contact] sets it for all contacts; keep one value")
         if self.is_oscillator:
-            return found + [x for each in block.parameter.items() for x in _out_of_range(*each)]
+            swept = block.parameter.items()
+            return found + [x for each in swept for x in _out_of_range(self.spec.model, *each)]
         if any(law_of(label) == AUTO for label in block.representation):
             found.append(
                 "representation: 'auto' is for oscillators only; write one, as 'piecewise'"
@@ -325,12 +327,12 @@ class ParametricModel:
         return number.reshape(-1), [self.at(some) for some in _named(names, axes, several.T)]
 
 
-def _out_of_range(name: str, axis: Any) -> Iterator[str]:
+def _out_of_range(others: Mapping[str, float], name: str, axis: Any) -> Iterator[str]:
     """What is wrong with an axis of a parameter of the oscillator: its ends, as ranges go."""
     several = values(axis)
     for value in {min(several), max(several)}:
         try:
-            Oscillator(**{name: value})
+            Oscillator(**{**others, name: value})
         except ModelError as error:
             yield str(error)
 
