@@ -64,8 +64,6 @@ if TYPE_CHECKING:
     import xarray as xr
     from distributed import Client
 
-_MOST_WORKERS = 1024  # of one machine
-
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
@@ -199,7 +197,7 @@ def carry_out(
     if planned.n_missing:
         check_modules(study)  # now, though what they make comes last
     say = partial(tell, on_progress, planned.progress)
-    connect = partial(_connected, client, workers, scheduler, say, dashboard)
+    connect = partial(_connected, client, say, scheduler, workers=workers, dashboard=dashboard)
     with Recorder(folder, study, path, planned, on_progress) as recorder:
 
         def begin() -> None:
@@ -549,7 +547,7 @@ def query(
         else:
             planned = make_plan(study, selection=selection)
         say = partial(tell, observer, planned.progress)
-        connect = partial(_connected, client, workers, scheduler, say)
+        connect = partial(_connected, client, say, scheduler, workers=workers)
         progress = _computed(study, planned, path, observer, connect)
     with Cache(path, read_only=True) as store:
         return _exported(study, _as_stored(planned, store), store, selection, progress)
@@ -559,7 +557,7 @@ def _check_call(
     client: Any = None, *, workers: int = 1, batch: int | None = None, timeout: float = math.inf
 ) -> None:
     """Refuse arguments that cannot be used before anything starts, even if nothing is computed."""
-    whole("workers", workers, 1, _MOST_WORKERS)
+    whole("workers", workers, 1, 1024)
     if batch is not None:
         whole("batch", batch, 1, MAX_POINTS)
     if timeout != math.inf:
@@ -630,11 +628,7 @@ def _computed(
 
 @contextmanager
 def _connected(
-    client: Client | None,
-    workers: int,
-    scheduler: str | None,
-    say: Callable[[str], None],
-    dashboard: bool = False,
+    client: Client | None, say: Callable[[str], None], scheduler: str | None, **how: Any
 ) -> Iterator[Client]:
     """The client of a call, or one of a cluster that is started or joined."""
     if client is not None:
@@ -643,7 +637,7 @@ def _connected(
     from gapsweep.execution.cluster import cluster
 
     say(f"connecting to {scheduler}" if scheduler else "starting the workers")
-    with cluster(workers, scheduler, dashboard=dashboard) as connected:
+    with cluster(scheduler=scheduler, **how) as connected:
         yield connected
 
 
@@ -655,10 +649,9 @@ def _failures(planned: Plan) -> dict[str, int]:
 def _reasons(planned: Plan, store: Cache) -> str:
     """Numbers of failed points by status, each with the message of its first point."""
     reasons = []
-    for status, n in zip(*np.unique(planned.status, return_counts=True), strict=True):
-        place = store.place(planned.keys[[np.argmax(planned.status == status)]])
-        if Status(status).failed and place is not None:
-            _, contents, row = place
-            message = contents.responses.row(row).message
-            reasons.append(f"{n} {Status(status).label}: {message:.200}".rstrip(": "))
+    for status in filter(lambda status: status.failed, Status):
+        rows = np.flatnonzero(planned.status == status)
+        if rows.size and (place := store.place(planned.keys[rows[:1]])):
+            message = place[1].responses.row(place[2]).message
+            reasons.append(f"{rows.size} {status.label}: {message:.200}".rstrip(": "))
     return "; ".join(reasons)

@@ -288,7 +288,8 @@ def test_a_run_serves_no_page_and_leaves_no_temporary_file(tables, tmp_path):
     (tmp_path / "temporary").mkdir()
     (tmp_path / "own.py").write_text("def soft(x):\n    return 1e4 * x\n")
     (tmp_path / "own.toml").write_text(
-        '[study]\nname = "own"\n[oscillator]\nmass = 3.0\nomega_n = 5.0\nzeta = 0.03\nforcing = 4.0\n'
+        '[study]\nname = "own"\n'
+        "[oscillator]\nmass = 3.0\nomega_n = 5.0\nzeta = 0.03\nforcing = 4.0\n"
         '[[sweep]]\nrepresentation = "own:soft"\nK_c = 1e4\n'
         'gap = [4e-4, 4e-4]\nomega = [9.0, 20.0]\n[solver]\nengine = "scipy"\nrtol = 1e-4\n'
     )

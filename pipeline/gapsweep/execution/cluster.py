@@ -52,7 +52,7 @@ def cluster(
         Address of a running scheduler, as ``tcp://127.0.0.1:8786``; for ``tls://`` the keys are
         those of Dask's configuration.
     dashboard : bool
-        Whether a local cluster serves Dask's dashboard to this machine.
+        Whether a local cluster serves Dask's dashboard.
 
     Raises
     ------

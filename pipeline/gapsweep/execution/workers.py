@@ -30,9 +30,9 @@ _PRELOADED = ["distributed.worker", "gapsweep.execution.task"]
 
 @contextmanager
 def worker_process(folder: str) -> "Iterator[subprocess.Popen[bytes]]":
-    """A process that waits for `start_workers`, and ends with this one or the block.
+    """A process that waits for `start_workers`, with its temporary files in a folder.
 
-    Its temporary files are in a folder: workers may be killed before they remove them.
+    It ends with this one or the block.
     """
     import dask  # the process itself does without as it starts
 

@@ -128,10 +128,8 @@ def _tried(responses: xr.Dataset) -> str:
     """How many initial conditions were tried, and what these cannot show."""
     n = int((responses["status"] != Status.NOT_REQUESTED).sum(START).max())
     several = "1 initial condition was" if n == 1 else f"At most {n} initial conditions were"
-    alone = "" if FIXED in responses["start"].values else (
-        " Sweeps alone do not show coexisting attractors: add initial_condition = { sobol = 16, "
-        "x = [-1e-3, 1e-3], v = [-0.05, 0.05] }, for example."
-    )  # fmt: skip
+    remedy = " Sweeps alone do not show coexisting attractors: add states to initial_condition."
+    alone = "" if FIXED in responses["start"].values else remedy
     return f"{several} tried at a point; further attractors may exist.{alone}"
 
 

@@ -248,10 +248,9 @@ def read(
                 f"{path}: damaged or changed since it was written (its SHA-256 differs from "
                 "SHA256SUMS); 'gapsweep run' rewrites it from the cache"
             )
-        if lazy or chunks is not None:
-            opened = xr.open_dataset(path, engine="netcdf4", chunks=chunks)
-        else:
-            opened = xr.load_dataset(path, engine="netcdf4")
+        is_lazy = lazy or chunks is not None
+        opening = xr.open_dataset if is_lazy else xr.load_dataset
+        opened = opening(path, engine="netcdf4", chunks=chunks)
         for coordinate in opened.coords.values():
             coordinate.load()  # else whenever datasets are put together
     except StoreError:
