@@ -5,14 +5,16 @@ import subprocess
 import sys
 import threading
 import time
+from types import SimpleNamespace
 
+import numpy as np
 import pytest
 import xarray as xr
 from tests.stored import commit, messages, point, stored, tile_rows
 
 import gapsweep as gs
 from gapsweep import pipeline
-from gapsweep.execution import execute
+from gapsweep.execution import execute, portions
 from gapsweep.execution.cluster import cluster
 from gapsweep.execution.plan import plan
 from gapsweep.execution.portions import Costs
@@ -104,6 +106,40 @@ def test_a_task_aims_at_less_than_the_time_that_a_point_may_take(timeout):
     costs = Costs("compiled", timeout)
     costs.add(0, n_points=100, seconds=1.0, spent=1.0)
     assert 1 < costs.room(0) <= 0.5 * timeout * 100
+
+
+def test_the_time_left_is_that_of_what_is_left(monkeypatch):
+    """On a machine on which tasks get one second of processor time per second."""
+    now = [0.0]
+    monkeypatch.setattr(portions, "time", SimpleNamespace(monotonic=lambda: now[0]))
+    costs = Costs("compiled", 600.0)
+    for label, now[0] in ((0, 30.0), (1, 60.0)):  # half a minute of compiling each
+        assert costs.seconds_left(np.array([1000, 100])) is None
+        costs.add(label, n_points=16, seconds=0.16 * 10**label, spent=25.0)
+    assert costs.seconds_left(np.array([1000, 100])) is None, "no task has come back since"
+    for label, n_points, now[0] in ((0, 200, 62.0), (1, 80, 70.0)):
+        seconds = 0.01 * 10**label * n_points
+        costs.add(label, n_points, seconds, spent=seconds)
+    assert costs.seconds_left(np.array([1000, 100])) == pytest.approx(20.0)
+    assert costs.seconds_left(np.array([0, 100])) == pytest.approx(10.0)
+    assert costs.seconds_left(np.array([0, 0, 5])) is None, "of another kind nothing is known"
+
+
+def test_runs_begin_at_different_points_and_cut_no_sweep(tables):
+    tables["sweep"][0]["omega"] = {"start": 6.0, "stop": 30.0, "num": 50}
+    starts = [[0.0, 0.0], "sweep_up", "sweep_down", [1e-4, 0.0]]
+    tables["sweep"][0]["initial_condition"] = starts
+    planned = plan(gs.Study.from_dict(tables))
+    rows, firsts = np.arange(planned.n_points), set()
+    for _ in range(40):
+        blocks = list(portions.shuffled(planned, rows))
+        firsts.add(int(blocks[0][0]))
+        assert np.array_equal(np.sort(np.concatenate(blocks)), rows)
+        assert all((np.diff(block) == 1).all() for block in blocks)
+        assert not any(planned.follows[block[0]] for block in blocks)
+        kinds = planned.representation(np.array([block[0] for block in blocks[:3]]))
+        assert kinds.tolist() == [0, 1, 2], "one of each representation leads"
+    assert len(firsts) > 10
 
 
 def test_points_in_no_block_are_not_requested(tables, client, tmp_path):

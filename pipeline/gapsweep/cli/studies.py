@@ -44,7 +44,7 @@ def run(study: Path, engine: str | None, **how: Any) -> int:
       gapsweep run quick.toml --scheduler tcp://host:8786
     """
     from gapsweep import pipeline
-    from gapsweep.run_folder import REPORT, RESPONSES
+    from gapsweep.run_folder import REPORT
 
     loaded = options.loaded(study, engine)
     with options.at_work() as observer:
@@ -56,17 +56,17 @@ def run(study: Path, engine: str | None, **how: Any) -> int:
     )
     options.echo(f"report: {outcome.folder / REPORT}")
     if outcome.failures:
-        _say_failed("points", outcome.failures, RESPONSES)
+        _say_failed("points", outcome.failures, f"'gapsweep status {outcome.folder}'")
     for file, counts in outcome.failed_motions.items():
-        _say_failed("motions", counts, file)
+        _say_failed("motions", counts, f"'status' in {file}")
     for doubt in outcome.doubts:  # last, as they may say that the results are not about contact
         options.echo(doubt)
     return SOME_FAILED if outcome.failures or outcome.failed_motions else FINISHED
 
 
-def _say_failed(what: str, counts: Mapping[str, int], file: str) -> None:
+def _say_failed(what: str, counts: Mapping[str, int], where: str) -> None:
     listed = ", ".join(f"{n} {label}" for label, n in sorted(counts.items()))
-    options.echo(f"failed {what}: {listed}; see 'status' in {file}", err=True)
+    options.echo(f"failed {what}: {listed}; see {where}", err=True)
 
 
 @click.command()
@@ -328,7 +328,7 @@ def bench(study: Path, out: Path | None, timeout: float, as_json: bool) -> int:
     files, found, code = list(made), {}, FINISHED
     for file, counts in made.items():
         if counts:
-            _say_failed("motions", counts, file.name)
+            _say_failed("motions", counts, f"'status' in {file.name}")
             code = SOME_FAILED
         with netcdf.read(file) as dataset:
             found[file.name] = conclusions(dataset)

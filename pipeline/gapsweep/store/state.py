@@ -76,8 +76,9 @@ class RunState:
             with replacing(folder / STATE) as temporary:
                 temporary.write_text(text, encoding="utf-8")
         except StoreError:  # on a full disk the file that is there still has room
-            with suppress(OSError):
-                (folder / STATE).write_text(text, encoding="utf-8")
+            if not (folder / STATE).is_symlink():
+                with suppress(OSError):
+                    (folder / STATE).write_text(text, encoding="utf-8")
             raise
 
     @classmethod
