@@ -103,26 +103,30 @@ def test_workers_and_batches_do_not_change_a_bit(tables, client, tmp_path):
 
 @pytest.mark.parametrize("timeout", [0.5, 5.0, 600.0])
 def test_a_task_aims_at_less_than_the_time_that_a_point_may_take(timeout):
-    costs = Costs("compiled", timeout)
-    costs.add(0, n_points=100, seconds=1.0, spent=1.0)
-    assert 1 < costs.room(0) <= 0.5 * timeout * 100
+    costs = Costs("compiled", timeout, 1)
+    costs.add((0, 0), n_points=100, seconds=1.0, spent=1.0)
+    assert 1 < costs.room((0, 0)) <= 0.5 * timeout * 100
 
 
 def test_the_time_left_is_that_of_what_is_left(monkeypatch):
     """On a machine on which tasks get one second of processor time per second."""
     now = [0.0]
     monkeypatch.setattr(portions, "time", SimpleNamespace(monotonic=lambda: now[0]))
-    costs = Costs("compiled", 600.0)
+    costs, n_left = Costs("compiled", 600.0, 3), np.array([[10_000, 0], [1000, 0], [0, 0]])
     for label, now[0] in ((0, 30.0), (1, 60.0)):  # half a minute of compiling each
-        assert costs.seconds_left(np.array([1000, 100])) is None
-        costs.add(label, n_points=16, seconds=0.16 * 10**label, spent=25.0)
-    assert costs.seconds_left(np.array([1000, 100])) is None, "no task has come back since"
-    for label, n_points, now[0] in ((0, 200, 62.0), (1, 80, 70.0)):
-        seconds = 0.01 * 10**label * n_points
-        costs.add(label, n_points, seconds, spent=seconds)
-    assert costs.seconds_left(np.array([1000, 100])) == pytest.approx(20.0)
-    assert costs.seconds_left(np.array([0, 100])) == pytest.approx(10.0)
-    assert costs.seconds_left(np.array([0, 0, 5])) is None, "of another kind nothing is known"
+        assert costs.seconds_left(n_left) is None
+        costs.add((label, 0), n_points=16, seconds=0.16, spent=25.0)
+    assert costs.seconds_left(n_left) is None, "no task has come back since"
+    for label, n_points, now[0] in ((0, 20_000, 80.0), (1, 10_000, 180.0)):
+        seconds = 0.001 * 10**label * n_points
+        costs.add((label, 0), n_points, seconds, spent=seconds)
+    assert costs.seconds_left(n_left) == pytest.approx(20.0, rel=0.05)
+    assert costs.seconds_left(np.add(n_left, [[0, 0], [0, 0], [5, 0]])) is None, "not compiled yet"
+    assert costs.seconds_left(np.add(n_left, [[0, 5], [0, 0], [0, 0]])) is None, "no sweep is known"
+    for label, now[0] in ((0, 190.0), (0, 200.0)):
+        costs.add((label, 1), n_points=100, seconds=10.0, spent=10.0)
+    with_sweeps = costs.seconds_left(np.add(n_left, [[0, 80], [0, 20], [0, 0]]))
+    assert with_sweeps == pytest.approx(20.0 + 10.0, rel=0.05), "of other laws they cost as much"
 
 
 def test_runs_begin_at_different_points_and_cut_no_sweep(tables):

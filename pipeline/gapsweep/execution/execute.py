@@ -149,7 +149,10 @@ class _Execution:
         missing = once(plan, self.is_repeated)
         self.blocks = shuffled(plan, missing)
         self.n_new = len(missing)
-        self.n_left = np.bincount(plan.representation(missing))  # by representation
+        is_swept = plan.follows | np.append(plan.follows[1:], False)
+        self.kinds = plan.representation(np.arange(plan.n_points)), is_swept.astype(int)
+        self.n_left = np.zeros((plan.shape[0], 2), int)
+        self._count(missing, 1)
         self.n_once = plan.n_missing - len(missing)  # computed under another label only
         # What comes before new points: the rest of a block, and of long sweeps.
         self.begun: deque[Rows] = deque()
@@ -161,7 +164,7 @@ class _Execution:
         self.arrived: list[Slab] = []
         self.held: list[tuple[int, int]] = []  # claims on the points of those slabs
         self.last_commit = time.monotonic()
-        self.costs = Costs(study.spec.solver.engine or DEFAULT_ENGINE, timeout)
+        self.costs = Costs(study.spec.solver.engine or DEFAULT_ENGINE, timeout, plan.shape[0])
 
     def finish(self, on_progress: OnProgress | None) -> None:
         completed = as_completed(loop=self.client.loop)
@@ -223,7 +226,7 @@ class _Execution:
     def _drawn(self) -> tuple[Rows, Rows] | None:
         """Points that would fill a task, and what follows in their sweeps; None: none is left."""
         # While it is not known what a law costs, another law: each worker then compiles its own.
-        if not self.begun or not self.costs.knows(self._representation(self.begun[0][0])):
+        if not self.begun or not self.costs.knows(self._kind(self.begun[0][0])):
             block = next(self.blocks, None)
             if block is not None:
                 self.begun.appendleft(block)
@@ -242,10 +245,16 @@ class _Execution:
         if self.batch:
             return self.batch
         share = max(int(_PART_OF_SHARE * self.n_new / self.n_threads), _MIN_BATCH)
-        return min(share, self.costs.room(self._representation(point)), self.largest_batch)
+        return min(share, self.costs.room(self._kind(point)), self.largest_batch)
 
-    def _representation(self, point: np.intp) -> int:
-        return int(self.plan.representation(np.array([point]))[0])
+    def _kind(self, point: np.intp) -> tuple[int, int]:
+        representation, is_swept = self.kinds
+        return int(representation[point]), int(is_swept[point])
+
+    def _count(self, rows: Rows, sign: int) -> None:
+        """Add points to those that are left, or take them off."""
+        representation, is_swept = self.kinds
+        np.add.at(self.n_left, (representation[rows], is_swept[rows]), sign)
 
     def _take_back(self) -> None:
         """What other runs gave up of their claims is drawn again."""
@@ -267,7 +276,7 @@ class _Execution:
         n_ours = int(self.is_repeated[hits].sum())
         self.progress.n_computed += n_ours
         self.progress.n_shared += len(hits) - n_ours
-        self.n_left[self._representation(rows[0])] -= np.sum(is_hit)
+        self._count(hits, -1)
         return rows[~is_hit]
 
     def _tiles(self, rows: Rows) -> list[Tile]:
@@ -340,10 +349,14 @@ class _Execution:
         self.arrived += result.slabs
         self.progress.n_computed += len(job.rows)
         self.progress.n_failed += sum(slab.n_failed for slab in result.slabs)
-        representation = self._representation(job.rows[0])
-        self.n_left[representation] -= len(job.rows)
-        if result.seconds:
-            self.costs.add(representation, len(job.rows), result.seconds, result.spent)
+        self._count(job.rows, -1)
+        whole = sum(slab.seconds for slab in result.slabs)
+        for is_swept in (False, True) if result.seconds and whole else ():
+            some = [slab for slab in result.slabs if slab.kind.is_sweep == is_swept]
+            if n := sum(slab.n_points for slab in some):
+                share = sum(slab.seconds for slab in some) / whole
+                kind = self._kind(job.rows[0])[0], int(is_swept)
+                self.costs.add(kind, n, share * result.seconds, share * result.spent)
         self.held.append(job.claimed)
         due = time.monotonic() - self.last_commit > _COMMIT_SECONDS
         n_arrived = sum(slab.n_points for slab in self.arrived)
