@@ -128,9 +128,9 @@ def _tried(responses: xr.Dataset) -> str:
     """How many initial conditions were tried, and what these cannot show."""
     n = int((responses["status"] != Status.NOT_REQUESTED).sum(START).max())
     several = "1 initial condition was" if n == 1 else f"At most {n} initial conditions were"
-    remedy = " Sweeps alone do not show coexisting attractors: add states to initial_condition."
-    alone = "" if FIXED in responses["start"].values else remedy
-    return f"{several} tried at a point; further attractors may exist.{alone}"
+    remedy = " Sweeps do not show coexisting attractors: add states to initial_condition."
+    more = "" if FIXED in responses["start"].values else remedy
+    return f"{several} tried at a point; further attractors may exist.{more}"
 
 
 def _counted(values: NDArray[np.integer]) -> Counter[int]:
