@@ -268,6 +268,13 @@ def test_failed_points_end_with_their_own_exit_code(gapsweep, folder):
     done = gapsweep(folder, "run", "tiny.toml")
     assert done.returncode == 3
     assert "failed points: 2 error" in done.stderr
+    told = [json.loads(gapsweep(folder, "status", "data/runs/tiny", "--json").stdout)]
+    assert gapsweep(folder, "run", "tiny.toml").returncode == 3
+    told += [json.loads(gapsweep(folder, "status", "data/runs/tiny", "--json").stdout)]
+    counts = [[state[name] for name in ("hits", "computed", "failed")] for state in told]
+    assert counts == [[0, 4, 2], [4, 0, 2]]
+    assert all("2 error: " in state["message"] for state in told)
+    assert all("ZeroDivisionError" in state["message"] for state in told)
 
 
 @pytest.mark.parametrize(
@@ -410,8 +417,10 @@ def slow_run(folder, *prefix):
     (folder / "tiny.toml").write_text(slow + '[solver]\nengine = "scipy"\nrtol = 1e-8\n')
     command = [sys.executable, "-c", "from gapsweep.cli import main; main()", "run", "tiny.toml"]
     process = subprocess.Popen(
-        [*prefix, *command], cwd=folder, stderr=subprocess.PIPE, text=True, start_new_session=True
-    )
+        [*prefix, *command], cwd=folder, stderr=subprocess.PIPE, text=True, start_new_session=True,
+        # SIGINT is ignored if a script started pytest with &.
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
+    )  # fmt: skip
     wait_for_points(folder, 3)
     return process
 

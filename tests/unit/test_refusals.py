@@ -11,6 +11,11 @@ import gapsweep as gs
 from gapsweep.model.systems import paper_oscillator
 
 GAP = gs.Gap(4e-4, 4e-4)
+TABLES = {
+    "study": {"name": "small"},
+    "oscillator": {"mass": 3.0, "omega_n": 5.0, "zeta": 0.03, "forcing": 4.0},
+    "sweep": [{"representation": "piecewise", "K_c": 1e4, "gap": [4e-4, 4e-4], "omega": 9.0}],
+}
 OSCILLATOR, LAW = paper_oscillator(), gs.Piecewise(1.4e4, GAP)
 
 
@@ -147,3 +152,47 @@ def test_reference_engine_that_cannot_take_a_step_says_so(K_c):
     assert run.status is gs.Status.STEP_UNDERFLOW
     assert 0.0 < run.t_end < 0.1
     assert len(run.t_contacts) == run.n_contacts
+
+
+CALLED = {
+    "workers": [-1, 0, "2", 1.5, True, None, 10**6],
+    "batch": [0, -5, "a"],
+    "timeout": [0, -1.0, float("nan"), "a", None],
+    "out": ["n" * 400, "a\0b", 3],
+    "cache": ["n" * 400, "a\0b", 3],
+}
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [(name, value) for name, values in CALLED.items() for value in values],
+    ids=lambda value: f"{value!r:.10}",
+)
+def test_arguments_of_a_run_are_refused_before_anything_starts(tmp_path, monkeypatch, name, value):
+    monkeypatch.chdir(tmp_path)
+    calls = [gs.run, *([gs.query] * (name in ("workers", "cache")))]
+    calls += [gs.plan] * (name in ("timeout", "cache"))
+    for call in calls:
+        with pytest.raises(gs.GapsweepError, match=f"^{name} = .*: must be ") as refused:
+            call(gs.Study.from_dict(TABLES), **{name: value})
+        assert "\n" not in str(refused.value)
+        assert len(str(refused.value)) < 300
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_refusal_of_many_blocks_is_short():
+    many = {**TABLES, "sweep": [{"representation": "piecewise"}] * 2000}
+    with pytest.raises(gs.StudyError, match=r"and 5900 more problems$") as refused:
+        gs.Study.from_dict(many)  # K_c, gap and omega are missing
+    assert len(refused.value.problems) == 101
+
+
+def test_lists_without_an_end_are_refused_at_once():
+    block = TABLES["sweep"][0]
+    many = np.broadcast_to(9.0, 10**7 + 1)
+    with pytest.raises(gs.StudyError, match="10000001 values: must have <= 10000000"):
+        gs.Study.from_dict({**TABLES, "sweep": [{**block, "omega": many}]})
+    itself = []
+    itself.append(itself)
+    with pytest.raises(gs.StudyError, match="must not contain itself"):
+        gs.Study.from_dict({**TABLES, "sweep": [{**block, "omega": itself}]})

@@ -138,8 +138,21 @@ def test_several_attractors_are_told(tmp_path):
 
     responses, attractors = datasets(tmp_path, tables(LABELS, OMEGA, starts=2, **HALF), answer)
     said = findings(Inputs(responses, None, attractors=attractors), [])
-    assert len(said) == 2
-    assert re.findall("[0-9]+", said[1]) == ["2", "4", "2"]
+    assert len(said) == 3
+    assert re.findall("[0-9]+", said[2]) == ["2", "4", "2"]
+
+
+@pytest.mark.parametrize(
+    ("starts", "sweeps", "n"),
+    [(1, (), "1"), (3, ("sweep_up",), "4"), (0, ("sweep_up", "sweep_down"), "2")],
+)
+def test_initial_conditions_that_were_tried_are_counted(tmp_path, starts, sweeps, n):
+    study = tables(LABELS, OMEGA, starts=max(starts, 1), sweeps=sweeps, **HALF)
+    study["sweep"] = study["sweep"][1:] if starts == 0 else study["sweep"]
+    responses, _ = datasets(tmp_path, study, lambda label, w, start: periodic([(1e-3, 0.0)], w))
+    tried = findings(Inputs(responses, None), [])[1]
+    assert re.findall("[0-9]+", tried.split(";")[0]) == [n]
+    assert ("coexisting" in tried) == (starts == 0)
 
 
 @pytest.mark.parametrize(("starts", "some"), [(1, ""), (2, " from some initial conditions")])
@@ -155,7 +168,7 @@ def test_where_a_curve_is_chaotic_is_told(tmp_path, starts, some):
         responses, _ = datasets(
             tmp_path / str(len(omega)), tables(LABELS, omega, starts=starts, **HALF), answer
         )
-        return findings(Inputs(responses, None), [])[1:]
+        return findings(Inputs(responses, None), [])[2:]
 
     assert said(omega) == [
         f"piecewise is chaotic{some} at omega [Hz] 0.5, 1.5 to 2, 4 to 5 and 2 more."
@@ -177,7 +190,7 @@ def test_agreement_of_systems_is_of_what_is_compared(tmp_path):
 def test_what_approximations_keep_of_systems_is_told(tmp_path):
     responses, compared = made(tmp_path, {**EQUAL, "poly-13": 1.3})
     # These are of an oscillator, whose approximations are judged instead.
-    assert len(findings(Inputs(responses, None, compared), [])) == 1
+    assert len(findings(Inputs(responses, None, compared), [])) == 2
     *_, tanh, poly = findings(Inputs(in_own_units(responses), None, compared), [])
     kept = "keeps 95 % of the amplitudes within"
     assert tanh == f"tanh-1e4 {kept} 2 % of the exact law's and finds 100 % of its attractors."

@@ -143,3 +143,18 @@ def test_inputs_of_several_dimensions_are_points():
     assert dataset.sizes["point"] == 4
     assert dataset["x_max"].values.tolist() == found.x_max.ravel().tolist()
     assert gs.Response(status=gs.Status.OK)._repr_html_() is None
+
+
+def test_coordinates_align_with_those_of_a_study():
+    """Both are rounded to 12 digits, though a grid in a file has other last bits than linspace."""
+    starts = np.linspace(0.0, 1e-3, 5)
+    block = {"representation": "piecewise", "K_c": 1e4, "gap": [4e-4, 4e-4]}
+    block["omega"] = {"start": 5.0, "stop": 15.0, "num": 300}
+    block["initial_condition"] = [[x, 0.0] for x in starts.tolist()]
+    machine = {"mass": 3.0, "omega_n": 5.0, "zeta": 0.03, "forcing": 4.0}
+    tables = {"study": {"name": "grid"}, "oscillator": machine, "sweep": [block]}
+    study = gs.Study.from_dict(tables).grid.coordinates()
+    omega = 5.0 + np.arange(300) / 299 * 10.0
+    motions = gs.simulate(OSCILLATOR, LAW, omega[:, None], starts, t_end=1e-4).to_dataset()
+    assert motions["omega"].values.tolist() == study["omega"].tolist()
+    assert motions["x_0"].values.tolist() == study["x_0"].tolist()

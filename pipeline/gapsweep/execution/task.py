@@ -125,10 +125,11 @@ class Task:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TaskResult:
-    """Results as they are stored, the processor time [s] of the task, and its `software`."""
+    """Results as they are stored, their processor time [s], that of the task, its `software`."""
 
     slabs: list[Slab]
     seconds: float
+    spent: float  # compiling included
     software: Mapping[str, str]
 
 
@@ -144,10 +145,10 @@ def compute(task: Task) -> TaskResult:
     with nullcontext() if is_ours else _ending_after(task.timeout):
         for tile in task.tiles:
             found += tile.slabs(respond_to(tile), platform.node())
-    seconds = time.thread_time() - begin
+    seconds = spent = time.thread_time() - begin
     if len(_warm) > n_warm:  # that held compiling, which comes but once
         seconds = sum(slab.seconds for slab in found)
-    return TaskResult(found, seconds, software())
+    return TaskResult(found, seconds, spent, software())
 
 
 def compute_isolated(task: Task) -> TaskResult:
@@ -162,7 +163,8 @@ def compute_isolated(task: Task) -> TaskResult:
 
         for tile in task.tiles:
             found += tile.slabs(respond_to(tile, ask), platform.node())
-    return TaskResult(found, sum(slab.seconds for slab in found), software())
+    seconds = sum(slab.seconds for slab in found)
+    return TaskResult(found, seconds, seconds, software())
 
 
 def response_of(isolated: Isolated, points: Points, state: States) -> Responses:

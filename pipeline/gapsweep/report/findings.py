@@ -20,6 +20,7 @@ from gapsweep.report.tables import VERDICTS, condensed, percent
 from gapsweep.response.result import ResponseClass
 from gapsweep.status import Status
 from gapsweep.study.grid import CONTACT, COORDINATE, START
+from gapsweep.study.points import FIXED
 
 
 def findings(inputs: Inputs, found: Sequence[Contact]) -> list[str]:
@@ -36,7 +37,7 @@ def findings(inputs: Inputs, found: Sequence[Contact]) -> list[str]:
     # First, because without contacts all other findings are about the linear system.
     far = unreached_walls(responses)
     sentences = [*_doubtful(responses), *filter(None, [far])]
-    sentences.append(outcomes(responses))
+    sentences += [outcomes(responses), _tried(responses)]
     sentences += _along(responses)
     if inputs.attractors is not None:
         sentences += _coexisting(inputs.attractors)
@@ -121,6 +122,15 @@ def outcomes(responses: xr.Dataset) -> str:
         f"{f' ({reasons})' if reasons else ''}"
         f"{beyond}."
     )
+
+
+def _tried(responses: xr.Dataset) -> str:
+    """How many initial conditions were tried, and what these cannot show."""
+    n = int((responses["status"] != Status.NOT_REQUESTED).sum(START).max())
+    several = "1 initial condition was" if n == 1 else f"At most {n} initial conditions were"
+    remedy = " Sweeps do not show coexisting attractors: add states to initial_condition."
+    more = "" if FIXED in responses["start"].values else remedy
+    return f"{several} tried at a point; further attractors may exist.{more}"
 
 
 def _counted(values: NDArray[np.integer]) -> Counter[int]:

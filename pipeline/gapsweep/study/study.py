@@ -124,7 +124,11 @@ class Study:
     @classmethod
     def from_dict(cls, tables: dict[str, Any], source: str = "study") -> "Study":
         """Return the study of a dict with the tables of a study file; checked as by `load`."""
-        return cls(check(_lists(tables), source), source)._checked()
+        try:
+            return cls(check(_lists(tables), source), source)._checked()
+        except RecursionError:
+            problem = f"{source}: nested too deeply; a table or list must not contain itself"
+            raise StudyError([problem]) from None
 
     @classmethod
     def of(cls, study: "Study | str | PathLike[str]") -> "Study":
@@ -490,7 +494,11 @@ def _lists(tables: Any) -> Any:
     """Tables with lists and numbers of Python in place of arrays and numbers of NumPy."""
     if isinstance(tables, dict):
         return {name: _lists(value) for name, value in tables.items()}
-    if isinstance(tables, list | tuple):
+    is_list = isinstance(tables, list | tuple)
+    n = len(tables) if is_list else getattr(tables, "size", 0)
+    if n > MAX_POINTS:  # before each value is checked
+        raise StudyError([f"a list of {n} values: must have <= {MAX_POINTS}; coarsen a grid"])
+    if is_list:
         return [_lists(value) for value in tables]
     return tables.tolist() if hasattr(tables, "tolist") else tables
 
