@@ -1,6 +1,7 @@
 """Code of the user's own that ends, hangs or raises: what a real run makes of it."""
 
 import os
+import re
 import subprocess
 import sys
 from functools import partial
@@ -172,6 +173,26 @@ def test_a_law_that_would_end_the_client_is_one_line(gapsweep, tmp_path, code, r
         assert done.returncode == 1
         (line,) = errors(done)
         assert line.endswith(f"own.toml: {reason}")
+
+
+COMPILED = SWEEP.replace('engine = "scipy"', 'engine = "compiled"')
+BAD = {
+    "T = {'a': 1.0}\ndef law(x):\n    return T['a'] * x\n": "numba cannot compile it .*'T'",
+    "def law(x):\n    return 5.0 if x > 0.4e-3 else 0.0\n": "jumps by 5 N at x = 0.0004 m",
+    "def law(x, v):\n    return x\n": "loses energy",
+}
+
+
+@pytest.mark.parametrize("code", BAD)
+def test_a_plan_refuses_what_no_point_can_be_computed_with(gapsweep, tmp_path, code):
+    (tmp_path / "bad.py").write_text(code)
+    study(tmp_path, COMPILED, "bad:law")
+    for command in (["plan"], ["run", "--out", "out"]):
+        done = gapsweep(tmp_path, command[0], "own.toml", *command[1:])
+        assert done.returncode == 1
+        (line,) = errors(done)
+        assert re.search(f"own.toml: bad:law.*{BAD[code]}", line)
+        assert len(line) < 500
 
 
 def test_benchmarks_too_try_laws_out_elsewhere(gapsweep, tmp_path):

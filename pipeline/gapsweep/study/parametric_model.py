@@ -85,6 +85,8 @@ class ParametricModel:
         if table is None:
             return self._oscillator
         unlike = table.scales ^ set(self.spec.parameters)
+        if any(":" in label for block in self.spec.sweep for label in block.representation):
+            unlike = table.scales - set(self.spec.parameters)  # others are of laws
         if table.function is None and unlike:
             raise StudyError(
                 [
@@ -250,7 +252,7 @@ class ParametricModel:
         for i, block in enumerate(spec.sweep):
             wrong += [f"sweep[{i}].{problem}" for problem in self._problems(block)]
         for i, history in enumerate(spec.history):
-            for name, value in history.parameter.items():
+            for name, value in self._of_oscillator(history.parameter):
                 wrong += [f"history[{i}].{problem}" for problem in _out_of_range(name, [value])]
         if wrong:
             raise StudyError([f"{self.source}: {problem}" for problem in wrong])
@@ -278,12 +280,16 @@ class ParametricModel:
             if axis is not None and count(axis) > 1 and not takes:
                 found.append(f"{name}: unused, [contact] sets it for all contacts; keep one value")
         if self.is_oscillator:
-            return found + [x for each in block.parameter.items() for x in _out_of_range(*each)]
+            several = self._of_oscillator(block.parameter)
+            return found + [x for each in several for x in _out_of_range(*each)]
         if any(law_of(label) == AUTO for label in block.representation):
             found.append(
                 "representation: 'auto' is for oscillators only; write one, as 'piecewise'"
             )
         return found
+
+    def _of_oscillator(self, given: Mapping[str, Any]) -> list[tuple[str, Any]]:
+        return [(name, axis) for name, axis in given.items() if name not in self.spec.parameters]
 
     def _own(self, contact: str, name: str) -> Any:
         table = self.spec.contact.get(contact)
