@@ -65,7 +65,7 @@ def questions(scenes, model, rtol, moved=0.0):
     asked, starts = [], []
     for oscillator, K_c, gap, omega, (x, v) in scenes:
         if model == "linear":
-            oscillator = gs.Oscillator(**{**_fields(oscillator), "alpha": 0.0})
+            oscillator = gs.systems.paper_oscillator(**{**_fields(oscillator), "alpha": 0.0})
         if model in ("linear", "duffing"):
             K_c = 0.0
         label = "piecewise" if model in ("exact", "linear", "duffing") else model

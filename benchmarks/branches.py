@@ -62,7 +62,7 @@ def rate(law: gs.Piecewise, at: float, n_starts: int) -> str:
     given = {"at": at, "starts": starts, "rtol": 1e-9, "atol": 1e-13}
 
     def call() -> Any:
-        return gs.branches(gs.Oscillator(), law, "omega", (1.0, 30.0), **given)
+        return gs.branches(gs.systems.paper_oscillator(), law, "omega", (1.0, 30.0), **given)
 
     call()  # loads machine code
     seconds, ds = timed(call)
@@ -73,7 +73,7 @@ def rate(law: gs.Piecewise, at: float, n_starts: int) -> str:
 def together(law: gs.Piecewise, n: int) -> str:
     """Orbits per second of a branch that is followed from n frequencies at the same time."""
     window = (Window.of("omega", (3.0, 30.0)),)
-    family = Family(gs.Oscillator(), law, None, ("omega",), {"omega": 9.0})
+    family = Family(gs.systems.paper_oscillator(), law, None, ("omega",), {"omega": 9.0})
     equations = OrbitEquations(family, window, Solver.of(rtol=1e-9, atol=1e-13))
     found = Branches(equations=equations, max_steps=60)
     attractors = settled(equations, np.linspace(3.2, 29.0, n), np.zeros((n, 2)))
@@ -84,7 +84,9 @@ def together(law: gs.Piecewise, n: int) -> str:
 
 
 def response() -> str:
-    seconds, ds = timed(lambda: gs.branches(gs.Oscillator(), HARD, "omega", (1.0, 30.0)))
+    seconds, ds = timed(
+        lambda: gs.branches(gs.systems.paper_oscillator(), HARD, "omega", (1.0, 30.0))
+    )
     n_orbits, n_lost = int(ds["n_orbits"].sum()), ds.attrs["n_lost"]
     of = f"{n_orbits} orbits on {ds.sizes['branch']} branches, {n_lost} points lost"
     return f"{seconds:.1f} s ({of})"

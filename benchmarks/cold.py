@@ -18,8 +18,8 @@ from gapsweep.integrate.jit import SHIPPED
 
 ROOT = Path(__file__).parents[1]
 SCRIPT = (
-    "import gapsweep as gs; gs.simulate(gs.Oscillator(), gs.Piecewise(1.4e4, gs.Gap(4e-4, 4e-4)),"
-    " 9.0, t_end=1.0)"
+    "import gapsweep as gs; gs.simulate(gs.systems.paper_oscillator(), "
+    "gs.Piecewise(1.4e4, gs.Gap(4e-4, 4e-4)), 9.0, t_end=1.0)"
 )
 RUN = "import sys; from gapsweep.cli import main; sys.argv[0] = 'gapsweep'; main()"
 

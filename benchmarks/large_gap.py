@@ -34,7 +34,8 @@ def scan(gap: float) -> tuple[list[tuple[float, float]], list[float]]:
     law = gs.Piecewise(K_c=K_C, gap=gs.Gap(1e-3 * gap, 1e-3 * gap))
     solver = Solver.of("compiled", None, None)
     scenes = [
-        Scene(oscillator=gs.Oscillator(), law=law, omega=w, solver=solver) for w in OMEGA.tolist()
+        Scene(oscillator=gs.systems.paper_oscillator(), law=law, omega=w, solver=solver)
+        for w in OMEGA.tolist()
     ]
     found = respond_all(scenes, (0.0, 0.0), Steady()).rows()
     nonlinear = np.array([r.period_multiple != 1 or r.n_extrema > 2 for r in found])

@@ -24,7 +24,7 @@ def median(call: Callable[[], Any], n: int) -> float:
 
 
 def row(rtol: float, omega: float) -> None:
-    oscillator, law = gs.Oscillator(), gs.Piecewise(1.4e4, gs.Gap(0.4e-3, 0.4e-3))
+    oscillator, law = gs.systems.paper_oscillator(), gs.Piecewise(1.4e4, gs.Gap(0.4e-3, 0.4e-3))
     given: dict[str, Any] = {"omega": omega, "rtol": rtol, "atol": 1e-3 * rtol}
     short = median(lambda: gs.simulate(oscillator, law, t_end=10.0, **given), 200)
     long = median(lambda: gs.simulate(oscillator, law, t_end=100.0, **given), 30)

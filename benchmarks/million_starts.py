@@ -32,7 +32,12 @@ def study(n: int) -> gs.Study:
         "initial_condition": starts,
     }
     return gs.Study.from_dict(
-        {"study": {"name": "starts"}, "solver": {"rtol": 1e-9}, "sweep": [sweep]}
+        {
+            "study": {"name": "starts"},
+            "solver": {"rtol": 1e-9},
+            "oscillator": {"mass": 3.0, "omega_n": 5.0, "zeta": 0.03, "forcing": 4.0, "alpha": 7e8},
+            "sweep": [sweep],
+        }
     )
 
 
@@ -50,7 +55,9 @@ def main(folder: Path, n: int) -> None:
         begin = time.time()
         x, v = (np.array([canonical(value) for value in axis]) for axis in axes(n))
         law = gs.Piecewise(K_C, gs.Gap(*GAP))
-        found = gs.basins(gs.Oscillator(), law, OMEGA, x=x, v=v, rtol=1e-9, client=client)
+        found = gs.basins(
+            gs.systems.paper_oscillator(), law, OMEGA, x=x, v=v, rtol=1e-9, client=client
+        )
         print(f"basins: {time.time() - begin:.0f} s, client {peak_mb():.0f} MB")
     with stored:
         ids = stored["attractor"].values.reshape(n, n)

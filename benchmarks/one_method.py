@@ -28,7 +28,7 @@ import gapsweep as gs
 from gapsweep.integrate.problem import Models, Problems, Solver
 from gapsweep.integrate.simulate import prepared
 
-OSCILLATOR, N_PERIODS, X_0 = gs.Oscillator(), 5, 4e-4
+OSCILLATOR, N_PERIODS, X_0 = gs.systems.paper_oscillator(), 5, 4e-4
 OMEGA = np.linspace(8.0, 20.0, 24)
 SCENES = {"soft 0.4/0.4": (1.4e4, gs.Gap(4e-4, 4e-4)), "hard 0/0.8": (1.4e6, gs.Gap(0.0, 8e-4))}
 LAWS = {

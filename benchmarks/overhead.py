@@ -23,6 +23,7 @@ import time
 from pathlib import Path
 
 STUDY = """
+oscillator = { mass = 3.0, omega_n = 5.0, zeta = 0.03, forcing = 4.0, alpha = 7e8 }
 [study]
 name = "noop"
 [[sweep]]

@@ -19,7 +19,7 @@ from gapsweep.model.labels import contact_law
 from gapsweep.response.respond import respond_all
 from gapsweep.response.scene import Scene
 
-OSCILLATOR, SECONDS = gs.Oscillator(), 10.0
+OSCILLATOR, SECONDS = gs.systems.paper_oscillator(), 10.0
 CONTACTS = [
     (K_c, gap) for K_c in (1.4e3, 1.4e4, 1.4e6) for gap in (gs.Gap(0.4e-3, 0.4e-3), gs.Gap(0, 8e-4))
 ]

@@ -28,7 +28,7 @@ from tests.section_points import complex_points, parts
 import gapsweep as gs
 from gapsweep.response.section import period_multiple
 
-OSCILLATOR = gs.Oscillator()
+OSCILLATOR = gs.systems.paper_oscillator()
 GAPS = (gs.Gap(0.4e-3, 0.4e-3), gs.Gap(0.0, 0.8e-3))
 STIFFNESSES = (1.4e3, 1.4e4, 1.4e6)
 FIXED_TRANSIENT, N_SECTION = 24.4, 64

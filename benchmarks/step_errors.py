@@ -40,7 +40,13 @@ def main():
         scenes = list(motions(label, given.scenes, np.random.default_rng(given.seed)))
         truths = [
             gs.simulate(
-                gs.Oscillator(), law, *start, t_end=SECONDS, rtol=1e-13, atol=1e-16, tangent=True
+                gs.systems.paper_oscillator(),
+                law,
+                *start,
+                t_end=SECONDS,
+                rtol=1e-13,
+                atol=1e-16,
+                tangent=True,
             )
             for law, start in scenes
         ]
@@ -49,7 +55,12 @@ def main():
             for (law, start), truth in zip(scenes, truths, strict=True):
                 begin = time.process_time()
                 run = gs.simulate(
-                    gs.Oscillator(), law, *start, t_end=SECONDS, rtol=rtol, atol=1e-3 * rtol
+                    gs.systems.paper_oscillator(),
+                    law,
+                    *start,
+                    t_end=SECONDS,
+                    rtol=rtol,
+                    atol=1e-3 * rtol,
                 )
                 seconds += time.process_time() - begin
                 attempts += int((run.n_steps + run.n_rejected).sum())

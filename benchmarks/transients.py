@@ -31,7 +31,7 @@ def main():
     parser.add_argument("--periods", type=int, default=20000)
     arguments = parser.parse_args()
     for zeta, alpha, forcing, K_c, gap, K_ratio, omega, x_0 in SCENES:
-        oscillator = gs.Oscillator(zeta=zeta, alpha=alpha, forcing=forcing)
+        oscillator = gs.systems.paper_oscillator(zeta=zeta, alpha=alpha, forcing=forcing)
         law = gs.Piecewise(K_c, gs.Gap(*gap), K_ratio=K_ratio)
         x, v = x_0 + np.linspace(0.0, 1e-6, arguments.starts), np.zeros(arguments.starts)
         is_chaotic = np.ones(arguments.starts, bool)

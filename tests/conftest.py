@@ -13,6 +13,7 @@ from hypothesis import settings
 
 from gapsweep.execution.cluster import cluster
 from tests.commands import on_a_cluster
+from tests.machine import PAPER
 
 settings.register_profile("quick", max_examples=25, deadline=None)
 settings.register_profile("thorough", max_examples=500, deadline=None)
@@ -56,6 +57,7 @@ def tables() -> dict[str, Any]:
     """A small study: three representations at three frequencies, fast settings."""
     return {
         "study": {"name": "small"},
+        "oscillator": PAPER,
         "sweep": [
             {
                 "representation": ["piecewise", "tanh-1e4", "poly-13"],

@@ -322,7 +322,7 @@ def trilinear_cases(n: int, seed: int) -> Iterator[tuple[gs.Oscillator, gs.Piece
         return float(np.exp(rng.uniform(math.log(low), math.log(high))))
 
     for _ in range(n):
-        model = gs.Oscillator(
+        model = gs.systems.paper_oscillator(
             zeta=log(0.01, 0.2), omega_n=log(0.5, 20.0), mass=log(0.1, 10.0), alpha=0.0
         )
         stiffness = model.mass * (TURN * model.omega_n) ** 2

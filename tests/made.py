@@ -11,6 +11,7 @@ from gapsweep import Response, ResponseClass, Status, Study
 from gapsweep.execution.assemble import export
 from gapsweep.execution.plan import plan
 from gapsweep.store.cache import Cache
+from tests.machine import PAPER
 from tests.stored import commit
 
 COST = {"n_steps": 10, "nfev": 100, "n_rejected": 0, "n_contacts": 4, "cpu_time": 0.5}
@@ -92,7 +93,7 @@ def tables(labels, omega, *, gap=(0.4e-3, 0.4e-3), starts=1, sweeps=(), **more):
         "initial_condition": [[1e-5 * i, 0.0] for i in range(starts)],
     }
     blocks = [block, *({**block, "initial_condition": sweep} for sweep in sweeps)]
-    return {"study": {"name": "made"}, "sweep": blocks, **more}
+    return {"study": {"name": "made"}, "oscillator": PAPER, "sweep": blocks, **more}
 
 
 def datasets(folder, study_tables, answer) -> tuple[xr.Dataset, xr.Dataset]:

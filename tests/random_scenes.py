@@ -158,7 +158,7 @@ def rattled(
 ) -> list[Response]:
     """Responses of the default oscillator from rest."""
     scenes = [
-        Scene(oscillator=gs.Oscillator(), law=law, omega=float(omega), solver=solver)
+        Scene(oscillator=gs.systems.paper_oscillator(), law=law, omega=float(omega), solver=solver)
         for omega in frequencies
     ]
     return respond_all(scenes, (0.0, 0.0), gs.Steady()).rows()

@@ -31,7 +31,7 @@ PROMISES = {
 PLOT = """
 import gapsweep as gs
 law = gs.Piecewise(1.4e4, gs.Gap(4e-4, 4e-4))
-gs.plot(gs.simulate(gs.Oscillator(), law, 9.0, t_end=2.0, dense_output=True))
+gs.plot(gs.simulate(gs.systems.paper_oscillator(), law, 9.0, t_end=2.0, dense_output=True))
 """
 
 

@@ -31,18 +31,18 @@ def compile_all() -> None:
     for label in LABELS:
         law = gs.contact_law(label, 1.4e4, gap)
         for options in ({}, {"dense_output": True}, {"tangent": True}):
-            motion = gs.simulate(gs.Oscillator(), law, **start, t_end=0.2, **options)
+            motion = gs.simulate(gs.systems.paper_oscillator(), law, **start, t_end=0.2, **options)
             if "dense_output" in options:
                 motion.sample([0.1])
-        gs.respond(gs.Oscillator(), law, **start, rtol=1e-6)
+        gs.respond(gs.systems.paper_oscillator(), law, **start, rtol=1e-6)
     many = start | {"omega": np.linspace(7.0, 9.0, 8)}  # more have more lanes
     for label in ("tanh-1e6", "piecewise"):
         exact = gs.contact_law(label, 1.4e4, gap)
         for options in ({}, {"dense_output": True}, {"tangent": True}):
-            gs.simulate(gs.Oscillator(), exact, **many, t_end=0.2, **options)
-        gs.respond(gs.Oscillator(), exact, **many, rtol=1e-6)
+            gs.simulate(gs.systems.paper_oscillator(), exact, **many, t_end=0.2, **options)
+        gs.respond(gs.systems.paper_oscillator(), exact, **many, rtol=1e-6)
     for tables in ({"controller": "ode45"}, {"controller": "ode45", "restart": True}):
-        gs.simulate(gs.Oscillator(), exact, **start, t_end=0.2, **tables)
+        gs.simulate(gs.systems.paper_oscillator(), exact, **start, t_end=0.2, **tables)
 
 
 def main(levels: list[str]) -> None:

@@ -12,7 +12,7 @@ import numpy as np
 
 import gapsweep as gs
 
-OSCILLATOR = gs.Oscillator()
+OSCILLATOR = gs.systems.paper_oscillator()
 TRUTH = json.loads((Path(__file__).parent / "truth.json").read_text())
 N_GRID = 65
 

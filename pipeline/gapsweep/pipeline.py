@@ -20,7 +20,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from gapsweep.analysis.unit_check import (
-    default_spring,
     doubtful_numbers,
     never_reached,
     wrong_tables,
@@ -238,8 +237,7 @@ def carry_out(
     if study.spec.system is None:
         values, grid = partial(netcdf.values, folder / RESPONSES), study.grid
         walls = never_reached(values, grid.dims, grid.representations)
-        doubts = [*doubtful_numbers({**study.spec.model, **grid.axes}), *default_spring(study)]
-        doubts += filter(None, [walls])
+        doubts = [*doubtful_numbers({**study.spec.model, **grid.axes}), *filter(None, [walls])]
     motions = {stage.file: stage.failed_motions(folder) for stage in stages}
     failed = {file: counts for file, counts in motions.items() if counts}
     return Outcome(folder, progress, failures, failed, tuple(doubts))

@@ -96,7 +96,7 @@ def test_special_points_are_those_of_the_exact_law(branches):
 
 def test_folds_are_those_that_the_call_finds(branches):
     law = gs.Tanh(3.0, gs.Gap(0.1745, 0.1745), 1e3)
-    called = gs.branches(gs.Oscillator(**OSCILLATOR), law, between=(0.1, 0.3))
+    called = gs.branches(gs.systems.paper_oscillator(**OSCILLATOR), law, between=(0.1, 0.3))
     ours = special(of_law(branches, "tanh-1e3"), 1)
     assert len(ours) == 2
     np.testing.assert_allclose(ours, special(called, 1), rtol=1e-9)
@@ -229,10 +229,12 @@ def test_laws_that_are_fitted_at_every_value_are_refused_in_their_scene(client, 
 def test_orbits_of_laws_of_several_kinds_are_integrated_each_with_its_own():
     laws = [gs.Tanh(1.4e4, gs.Gap(4e-4, 4e-4), epsilon) for epsilon in (1e3, 1e6, 1e3, 1e6)]
     assert {law.has_thin_layers for law in laws} == {False, True}
-    models = Models.of([gs.Oscillator()], [(law,) for law in laws], np.full(4, 9.0))
+    models = Models.of([gs.systems.paper_oscillator()], [(law,) for law in laws], np.full(4, 9.0))
     states, span = np.array([[1e-3, 0.0]] * 4), np.full(4, 0.25)
     found = integrated(models, Solver.of(), states, span, np.zeros(4), tangent=True)
-    runs = [gs.simulate(gs.Oscillator(), law, 9.0, 1e-3, 0.0, t_end=0.25) for law in laws]
+    runs = [
+        gs.simulate(gs.systems.paper_oscillator(), law, 9.0, 1e-3, 0.0, t_end=0.25) for law in laws
+    ]
     np.testing.assert_allclose(found.state[:, 0], [each.x_end for each in runs], rtol=1e-6)
     assert len(np.unique(found.state[:, 0])) == 2
 

@@ -13,6 +13,7 @@ from gapsweep.cli.main import FAULT, FINISHED, exit_code
 from gapsweep.run_folder import AGREEMENT, CLAIMS, REPORT, SECTIONS
 
 STUDY = """
+oscillator = { mass = 3.0, omega_n = 5.0, zeta = 0.03, forcing = 4.0, alpha = 7e8 }
 [study]
 name = "small"
 [[sweep]]

@@ -7,12 +7,14 @@ from pathlib import Path
 
 import netCDF4
 import pytest
+from tests.machine import PAPER
 from tests.unit.test_system_tables import SECTION, changed
 
 import gapsweep as gs
 
 OSCILLATOR = {
     "study": {"name": "checked", "creator": "A. Nother", "license": "CC-BY-4.0"},
+    "oscillator": PAPER,
     "sweep": [
         {
             "representation": ["piecewise", "tanh-1e4"],

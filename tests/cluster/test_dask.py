@@ -278,6 +278,7 @@ def test_tls_address_passes_through(tables, tmp_path, certificate):
     study = tmp_path / "tls.toml"
     study.write_text(
         """
+oscillator = { mass = 3.0, omega_n = 5.0, zeta = 0.03, forcing = 4.0, alpha = 7e8 }
 [study]
 name = "tls"
 [[sweep]]
@@ -307,14 +308,14 @@ omega = [12.0]
 def test_basins_on_a_cluster_are_those_of_one_process(client):
     axes = {"x": np.linspace(-1e-3, 1e-3, 70), "v": np.linspace(-0.05, 0.05, 60)}
     law = gs.Piecewise(1.4e4, gs.Gap(4e-4, 4e-4))
-    asked = (gs.Oscillator(), law, 19.0)
+    asked = (gs.systems.paper_oscillator(), law, 19.0)
     steady = gs.Steady(settle_tol=1e-2, n_periods=16, max_period_multiple=8)
     here = gs.basins(*asked, **axes, steady=steady)
     there = gs.basins(*asked, **axes, steady=steady, client=client)
     xr.testing.assert_identical(here, there)
     own = gs.law(lambda x: 0.0, 1.0, gs.Gap(0.0, 0.0))
     with pytest.raises(gs.ModelError, match="client: not allowed with user laws"):
-        gs.basins(gs.Oscillator(), own, 19.0, **axes, client=client)
+        gs.basins(gs.systems.paper_oscillator(), own, 19.0, **axes, client=client)
 
 
 def test_an_asynchronous_client_is_refused_and_disturbs_no_run_without_it(tables, tmp_path):

@@ -66,7 +66,7 @@ def test_dataset_holds_what_respond_returns(tables, client, tmp_path):
         table = point(study, at, 0, 0, 1, 0)
         solver = table.kind.solver
         found = gs.respond(
-            gs.Oscillator(alpha=-7e8),
+            gs.systems.paper_oscillator(alpha=-7e8),
             contact_law(label, 1.4e4, table.gap(0)),
             responses["omega"].values[:, None],
             responses["x_0"].values,
@@ -249,7 +249,7 @@ def test_further_axes_are_dimensions_after_the_frequency(tables, client, tmp_pat
     here = here.isel(gap=0) if "gap" in walls else here.sel(j_1=4e-4, j_2=4e-4)
     law = gs.Piecewise(1.4e4, gs.Gap(4e-4, 4e-4))
     steady = gs.Steady(**tables["steady"])
-    expected = gs.respond(gs.Oscillator(forcing=6.0), law, 12.0, 1e-3, steady=steady)
+    expected = gs.respond(gs.systems.paper_oscillator(forcing=6.0), law, 12.0, 1e-3, steady=steady)
     assert here["x_max"].item() == expected.x_max
     assert here["contact_share"].item() == expected.contact_share
     study = gs.Study.from_dict(tables)

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from tests.machine import PAPER
 from tests.stored import stored
 
 import gapsweep as gs
@@ -82,7 +83,9 @@ def test_of_our_own_studies(client, tmp_path, name):
 def swept(label, omega, **others):
     block = {"representation": label, "K_c": 1.4e4, "gap": [0.4e-3, 0.4e-3], "omega": omega}
     block["initial_condition"] = ["sweep_up", "sweep_down"]
-    return gs.Study.from_dict({"study": {"name": "swept"}, "sweep": [block]} | others)
+    return gs.Study.from_dict(
+        {"study": {"name": "swept"}, "oscillator": PAPER, "sweep": [block]} | others
+    )
 
 
 def test_of_a_sweep_through_a_polynomial_that_runs_away(client, tmp_path):

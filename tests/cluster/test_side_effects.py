@@ -64,7 +64,7 @@ law = gs.Piecewise(1.4e4, gs.Gap(4e-4, 4e-4))
 block = {"representation": ["piecewise"], "K_c": 1.4e4, "gap": [4e-4, 4e-4], "omega": [9.0, 12.0]}
 study = {"study": {"name": "small"}, "sweep": [block | {"representation": REPRESENTATIONS}]}
 if what != "import":
-    gs.respond(gs.Oscillator(), law, 9.0)
+    gs.respond(gs.systems.paper_oscillator(), law, 9.0)
 if what == "run":
     with gs.run(gs.Study.from_dict(study), out="out", cache="cache") as ds:
         assert ds.sizes["omega"] == 2

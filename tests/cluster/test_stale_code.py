@@ -123,7 +123,8 @@ import gapsweep as gs
 from mine.laws import spring
 steady = gs.Steady(**json.loads(sys.argv[1]))
 law = gs.law(spring, 1.4e4, gs.Gap(4e-4, 4e-4))
-print(gs.respond(gs.Oscillator(zeta=0.3), law, 20.0, engine="scipy", steady=steady).x_max.hex())
+machine = gs.systems.paper_oscillator(zeta=0.3)
+print(gs.respond(machine, law, 20.0, engine="scipy", steady=steady).x_max.hex())
 """
 
 
@@ -225,7 +226,11 @@ STUDY = """
 [study]
 name = "edited"
 [oscillator]
+mass = 3.0
+omega_n = 5.0
 zeta = 0.3
+forcing = 4.0
+alpha = 7e8
 [solver]
 engine = "scipy"
 [[sweep]]

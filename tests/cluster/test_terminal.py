@@ -12,6 +12,7 @@ import pytest
 pty = pytest.importorskip("pty")
 
 STUDY = """
+oscillator = { mass = 3.0, omega_n = 5.0, zeta = 0.03, forcing = 4.0, alpha = 7e8 }
 [study]
 name = "tiny"
 [[sweep]]

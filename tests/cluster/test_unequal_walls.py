@@ -31,7 +31,7 @@ def test_every_ratio_is_what_it_is_by_itself(swept, tables, client, tmp_path):
     for label in tables["sweep"][0]["representation"]:
         for K_ratio in RATIOS:
             law = gs.contact_law(label, 1.4e4, gs.Gap(0.4e-3, 0.4e-3), K_ratio=K_ratio)
-            alone = gs.respond(gs.Oscillator(), law, 12.0, steady=swept.steady)
+            alone = gs.respond(gs.systems.paper_oscillator(), law, 12.0, steady=swept.steady)
             cell = found.sel(representation=label, K_ratio=K_ratio, omega=12.0).squeeze()
             cell = cell.isel(initial_condition=0)
             for name in SAME:

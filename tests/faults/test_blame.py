@@ -116,6 +116,7 @@ def test_no_point_alone_is_timed_out_for_what_it_loads(tmp_path):
 
 
 STUDY = """
+oscillator = { mass = 3.0, omega_n = 5.0, zeta = 0.03, forcing = 4.0, alpha = 7e8 }
 [study]
 name = "late"
 [solver]

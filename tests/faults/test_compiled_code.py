@@ -18,7 +18,7 @@ SOURCES = Path(gapsweep.__file__).parent
 RUN = """
 import gapsweep as gs
 law = gs.Piecewise(1.4e4, gs.Gap(4e-4, 4e-4))
-run = gs.simulate(gs.Oscillator(), law, 9.0, t_end=1.0, dense_output=True)
+run = gs.simulate(gs.systems.paper_oscillator(), law, 9.0, t_end=1.0, dense_output=True)
 x, _ = run.sample(0.5)
 print(run.x_end.hex(), run.n_contacts, float(x).hex())
 """

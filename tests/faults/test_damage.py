@@ -7,6 +7,7 @@ import shutil
 import numpy as np
 import pytest
 import xarray as xr
+from tests.machine import PAPER
 from tests.stored import damaged_row, keys, made
 
 import gapsweep as gs
@@ -25,6 +26,7 @@ def sound(tmp_path_factory, client):
     folder = tmp_path_factory.mktemp("sound")
     tables = {
         "study": {"name": "small"},
+        "oscillator": PAPER,
         "sweep": [
             {
                 "representation": ["piecewise"],

@@ -26,6 +26,7 @@ from gapsweep.store.state import RunState
 
 COMMAND = Path(sys.executable).with_name("gapsweep")
 STUDY = """
+oscillator = { mass = 3.0, omega_n = 5.0, zeta = 0.03, forcing = 4.0, alpha = 7e8 }
 [study]
 name = "tiny"
 [[sweep]]

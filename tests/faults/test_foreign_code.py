@@ -17,6 +17,7 @@ MARK = "import os\nopen(os.path.join(os.path.dirname(__file__), 'ran'), 'a').wri
 # Libraries, parts of Python, and what some of them look for in vain.
 SHADOWS = ("xarray", "scipy", "numba", "queue", "socket", "random", "secrets", "cftime")
 STUDY = """
+oscillator = { mass = 3.0, omega_n = 5.0, zeta = 0.03, forcing = 4.0, alpha = 7e8 }
 [study]
 name = "tiny"
 [[sweep]]

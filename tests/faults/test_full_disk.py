@@ -19,6 +19,7 @@ from gapsweep.store.cache import Cache
 from gapsweep.store.maintenance import verify
 
 STUDY = """
+oscillator = { mass = 3.0, omega_n = 5.0, zeta = 0.03, forcing = 4.0, alpha = 7e8 }
 [study]
 name = "full"
 [[sweep]]

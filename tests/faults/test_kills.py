@@ -27,6 +27,7 @@ IN_FLIGHT = 2 * 3 * BATCH
 
 def study_text(n_points, settle_tol="1e-3"):
     return f"""
+oscillator = {{ mass = 3.0, omega_n = 5.0, zeta = 0.03, forcing = 4.0, alpha = 7e8 }}
 [study]
 name = "storm"
 [[sweep]]

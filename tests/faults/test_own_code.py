@@ -21,6 +21,7 @@ from gapsweep.store.maintenance import contents_of
 COMMAND = Path(sys.executable).with_name("gapsweep")
 ROOT, SOURCES = Path(__file__).parents[2], Path(gs.__file__).parent
 SWEEP = """
+oscillator = { mass = 3.0, omega_n = 5.0, zeta = 0.03, forcing = 4.0, alpha = 7e8 }
 [study]
 name = "own"
 [[sweep]]

@@ -19,7 +19,7 @@ LAWS = {"tanh": "tanh", "arctan": "arctan", "log-arctan": "logarctan"}
 def piecewise_run(row, **options):
     scene = row["scene"]
     names = ("zeta", "omega_n", "mass", "alpha", "forcing")
-    oscillator = gs.Oscillator(**{name: scene[name] for name in names})
+    oscillator = gs.systems.paper_oscillator(**{name: scene[name] for name in names})
     law = gs.Piecewise(scene["K_c"], gs.Gap(scene["j_1"], scene["j_2"]))
     start = {name: scene[name] for name in ("omega", "x_0", "v_0")}
     return oscillator, gs.simulate(oscillator, law, **start, t_end=row["T"], **options)
@@ -50,7 +50,7 @@ def test_smooth_laws_reach_the_true_end_state(row, engine):
     name, rtol, atol, _, allowed = engine
     label = f"{LAWS[row['representation']]}-{row['convergence']:g}"
     law = gs.contact_law(label, row["K_c"], gs.Gap(row["j_1"], row["j_2"]))
-    oscillator = gs.Oscillator()
+    oscillator = gs.systems.paper_oscillator()
     run = gs.simulate(
         oscillator, law, row["omega"], t_end=row["T"], engine=name, rtol=rtol, atol=atol
     )

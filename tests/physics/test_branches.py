@@ -522,7 +522,7 @@ def special_frequencies(model, law, window, at, kind):
     [
         (PYVIB, PYVIB_LAW, (0.9 * RATE, 1.9 * RATE), 1.2 * RATE, "fold", (3, 4, 5)),
         (
-            gs.Oscillator(),
+            gs.systems.paper_oscillator(),
             gs.Piecewise(1.4e4, gs.Gap(0.0, 0.8e-3)),
             (6.2, 7.4),
             6.3,
@@ -632,18 +632,18 @@ SOFT = gs.Piecewise(1.4e4, gs.Gap(0.4e-3, 0.4e-3))
 def test_bad_input_gives_one_line(options, message):
     given = {"between": (6.0, 12.0)} | options
     with pytest.raises(gs.ModelError, match=message) as caught:
-        gs.branches(gs.Oscillator(), SOFT, **given)
+        gs.branches(gs.systems.paper_oscillator(), SOFT, **given)
     assert "\n" not in str(caught.value)
 
 
 def test_a_response_at_another_frequency_is_refused():
-    start = gs.respond(gs.Oscillator(), SOFT, omega=8.0)
+    start = gs.respond(gs.systems.paper_oscillator(), SOFT, omega=8.0)
     for options in (
         {"between": (6.0, 12.0), "at": 9.0},
         {"along": "zeta", "between": (0.01, 0.1), "at": 0.03, "omega": 9.0},
     ):
         with pytest.raises(gs.ModelError, match="= 9: must be omega = 8 of the response"):
-            gs.branches(gs.Oscillator(), SOFT, start=start, **options)
+            gs.branches(gs.systems.paper_oscillator(), SOFT, start=start, **options)
 
 
 def test_a_parameter_that_a_system_lacks_is_named_with_the_remedy():
@@ -705,7 +705,7 @@ def test_a_state_of_an_orbit_of_three_periods_starts_its_branch():
 @pytest.mark.parametrize("at", [[], "x"])
 def test_at_without_numbers_gives_one_line(at):
     with pytest.raises(gs.ModelError):
-        gs.branches(gs.Oscillator(), SOFT, "omega", (6.0, 12.0), at=at)
+        gs.branches(gs.systems.paper_oscillator(), SOFT, "omega", (6.0, 12.0), at=at)
 
 
 def test_far_from_the_freeplay_cycles_approach_the_linear_flutter_speed():
@@ -790,7 +790,7 @@ def test_points_without_a_curve_and_ranges_without_the_branch_are_refused():
 def test_a_branch_passes_no_kink_twice():
     """A stop 1,000 times as stiff as the spring: kinks are narrower than any step."""
     stop = gs.Piecewise(1e6, gs.Gap(1e-3, 0.6e-3), K_ratio=0.0)
-    joint = gs.Oscillator(mass=1.0, zeta=0.005, alpha=0.0, forcing=0.5, mean_load=0.1)
+    joint = gs.systems.paper_oscillator(mass=1.0, zeta=0.005, alpha=0.0, forcing=0.5, mean_load=0.1)
     ds = gs.branches(joint, stop, between=(2.5, 8.0), at=2.875, follow=1, max_steps=150)
     assert ds.attrs["n_lost"] == 0
     for number in ds.branch.values:
@@ -802,7 +802,7 @@ def test_a_branch_passes_no_kink_twice():
 
 def test_a_branch_that_ends_at_its_range_says_so():
     stop = gs.Piecewise(4e5, gs.Gap(1e-3, 0.6e-3), K_ratio=0.0)
-    joint = gs.Oscillator(mass=1.0, zeta=0.005, alpha=0.0, forcing=0.5, mean_load=0.1)
+    joint = gs.systems.paper_oscillator(mass=1.0, zeta=0.005, alpha=0.0, forcing=0.5, mean_load=0.1)
     ds = gs.branches(joint, stop, between=(2.52, 3.0), at=2.875, follow=1)
     for end in (ds["begins"], ds["ends"]):
         reasons = dict(

@@ -15,6 +15,7 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import brentq, root
 from scipy.special import ellipk
 from tests import piecewise_linear as exact
+from tests.machine import PAPER
 
 import gapsweep as gs
 from gapsweep.response.result import ResponseClass
@@ -388,7 +389,7 @@ def test_hertzian_contact():
 
     Compiling the law, which takes seconds, is no part of the first responses' cost.
     """
-    o, law = gs.Oscillator(), gs.law(hertz, 1.4e4, gs.Gap(0.4e-3, 0.4e-3))
+    o, law = gs.systems.paper_oscillator(), gs.law(hertz, 1.4e4, gs.Gap(0.4e-3, 0.4e-3))
     first, second = (gs.respond(o, law, [20.0, 25.0]).cpu_time.sum() for _ in range(2))
     assert first < second + 0.05
     run = gs.simulate(o, law, 9.0, t_end=3.0)
@@ -415,7 +416,9 @@ def finished(client, tmp_path_factory):
         "gap": [[4e-4, 4e-4]], "omega": {"start": 9.0, "stop": 10.0, "step": 0.1},
     }  # fmt: skip
     steady = {"settle_tol": 1e-2, "n_periods": 16, "max_period_multiple": 8}
-    study = gs.Study.from_dict({"study": {"name": "public"}, "sweep": [sweep], "steady": steady})
+    study = gs.Study.from_dict(
+        {"study": {"name": "public"}, "oscillator": PAPER, "sweep": [sweep], "steady": steady}
+    )
     folder = tmp_path_factory.mktemp("cases") / FOLDER
     cache = folder / "points-cache"
     with gs.run(study, client, out=folder / "out", cache=cache) as ds:

@@ -57,7 +57,9 @@ def test_a_start_on_a_whole_period_has_no_section_just_after_it(label):
     for omega in np.random.default_rng(3).uniform(2.0, 30.0, 40).tolist():
         for n in (1, 3, 7):
             t_0 = n / omega
-            run = gs.simulate(gs.Oscillator(), law, omega, t_0=t_0, t_end=t_0 + 2.5 / omega)
+            run = gs.simulate(
+                gs.systems.paper_oscillator(), law, omega, t_0=t_0, t_end=t_0 + 2.5 / omega
+            )
             assert_allclose(run.t_section, [(n + 1) / omega, (n + 2) / omega], rtol=1e-12)
 
 
@@ -69,7 +71,7 @@ def test_runs_end_to_end_at_whole_periods_have_every_section_once(label):
         for omega in [*rng.uniform(2.0, 30.0, 30).tolist(), 19.83492724500072, 17.22149976103184]:
             for first, last in ((n, n + 1), (n + 1, n + 3)):
                 t_0, t_end = first / omega, last / omega
-                run = gs.simulate(gs.Oscillator(), law, omega, t_0=t_0, t_end=t_end)
+                run = gs.simulate(gs.systems.paper_oscillator(), law, omega, t_0=t_0, t_end=t_end)
                 expected = [k / omega for k in range(first + 1, last + 1)]
                 assert_allclose(run.t_section, expected, rtol=1e-12)
 
@@ -77,7 +79,7 @@ def test_runs_end_to_end_at_whole_periods_have_every_section_once(label):
 def test_an_end_on_a_wall_and_on_a_whole_period_has_one_section():
     """To the last bit: the landing rounds its clock up to the period, what it owes unmakes that."""
     run = gs.simulate(
-        gs.Oscillator(zeta=0.01, forcing=0.0, alpha=0.0),
+        gs.systems.paper_oscillator(zeta=0.01, forcing=0.0, alpha=0.0),
         gs.contact_law("piecewise", K_c=1.4e4, gap=SYMMETRIC),
         omega=1.0 / 0.0700526573770261, x_0=5.327375970964657e-05, v_0=0.03683064822309625,
         t_end=0.0700526573770261, controller="ode45", restart=True,
@@ -151,7 +153,7 @@ def one_after_the_other(models, integrate, start, n_runs):
         *((label, "scipy") for label in ("piecewise", "tanh-1e4")),
     ],
 )
-@pytest.mark.parametrize("system", [gs.Oscillator(alpha=-1e10), softening_pair()])
+@pytest.mark.parametrize("system", [gs.systems.paper_oscillator(alpha=-1e10), softening_pair()])
 def test_runs_that_follow_each_other_are_those_one_after_the_other(label, system, engine):
     """Also where some diverge, sooner or later, and where one starts on a wall."""
     n, n_runs = (23, 5) if engine == "compiled" else (8, 3)
@@ -170,7 +172,7 @@ def test_runs_that_follow_each_other_are_those_one_after_the_other(label, system
 def test_a_run_that_ends_on_a_wall_is_followed_from_there():
     """Where the mode says more than the state does: on its way in and on its way out."""
     n, rng, law = 12, np.random.default_rng(5), gs.contact_law("piecewise", 1.4e4, SYMMETRIC)
-    free = gs.Oscillator(zeta=0.01, forcing=0.0, alpha=0.0)
+    free = gs.systems.paper_oscillator(zeta=0.01, forcing=0.0, alpha=0.0)
     start = np.stack([rng.uniform(-2e-4, 2e-4, n), rng.choice([-0.03, 0.03], n)], axis=1)
     nth = np.arange(n) % 4  # the contact that the first run ends on
     ends = [
@@ -188,7 +190,7 @@ def test_a_run_that_ends_on_a_wall_is_followed_from_there():
 
 
 def test_restarts_at_walls_of_hardly_any_stiffness_end():
-    scene = gs.Oscillator(), gs.Piecewise(1e-15, SYMMETRIC), 9.0
+    scene = gs.systems.paper_oscillator(), gs.Piecewise(1e-15, SYMMETRIC), 9.0
     located, restarted = (gs.simulate(*scene, t_end=1.0, restart=r) for r in (False, True))
     assert restarted.n_contacts == located.n_contacts > 5
     assert_allclose(restarted.x_end, located.x_end, atol=1e-8)
@@ -198,9 +200,11 @@ def test_memory_does_not_grow_with_the_length_of_a_run():
     law = gs.Piecewise(1.4e4, SYMMETRIC)
 
     def peak(t_end):
-        gs.simulate(gs.Oscillator(), law, 9.0, t_end=t_end)  # compiled before measuring
+        gs.simulate(
+            gs.systems.paper_oscillator(), law, 9.0, t_end=t_end
+        )  # compiled before measuring
         tracemalloc.start()
-        gs.simulate(gs.Oscillator(), law, 9.0, t_end=t_end)
+        gs.simulate(gs.systems.paper_oscillator(), law, 9.0, t_end=t_end)
         size = tracemalloc.get_traced_memory()[1]
         tracemalloc.stop()
         return size
@@ -214,7 +218,7 @@ def test_law_that_numba_cannot_compile_says_what_to_do():
     with pytest.raises(
         gs.ModelError, match=r"prints_a_number: numba cannot compile .*engine='scipy'"
     ):
-        gs.simulate(gs.Oscillator(), law, 9.0, t_end=0.1)
+        gs.simulate(gs.systems.paper_oscillator(), law, 9.0, t_end=0.1)
 
 
 FACTOR = {"k": 1e3}
@@ -236,8 +240,10 @@ def test_helpers_of_a_law_are_compiled_with_it():
     """Global and local ones, and one that calls itself; the linear law is what they come to."""
     inner = calls_helpers
     several = [gs.law(calls_helpers, 0.0, SYMMETRIC), gs.law(lambda x: inner(x), 0.0, SYMMETRIC)]
-    runs = gs.simulate(gs.Oscillator(), several, 9.0, 1e-3, t_end=0.5)
-    direct = gs.simulate(gs.Oscillator(), gs.law(springy, 0.0, SYMMETRIC), 9.0, 1e-3, t_end=0.5)
+    runs = gs.simulate(gs.systems.paper_oscillator(), several, 9.0, 1e-3, t_end=0.5)
+    direct = gs.simulate(
+        gs.systems.paper_oscillator(), gs.law(springy, 0.0, SYMMETRIC), 9.0, 1e-3, t_end=0.5
+    )
     assert_allclose(runs.x_end, direct.x_end, rtol=1e-7)
 
 
@@ -254,10 +260,12 @@ def test_a_law_that_is_mended_compiles_in_the_same_process():
         with pytest.raises(
             gs.ModelError, match=r"law: numba cannot compile it .*factor"
         ) as refused:
-            gs.simulate(gs.Oscillator(), gs.law(law, 0.0, SYMMETRIC), 9.0, t_end=0.1)
+            gs.simulate(gs.systems.paper_oscillator(), gs.law(law, 0.0, SYMMETRIC), 9.0, t_end=0.1)
         assert len(str(refused.value)) < 500
     factor = np.array([(1e3,)], [("k", "f8")])[0]
-    run = gs.simulate(gs.Oscillator(), gs.law(law, 0.0, SYMMETRIC), 9.0, 1e-3, t_end=0.1)
+    run = gs.simulate(
+        gs.systems.paper_oscillator(), gs.law(law, 0.0, SYMMETRIC), 9.0, 1e-3, t_end=0.1
+    )
     assert run.status is gs.Status.OK
 
 
@@ -283,7 +291,7 @@ def sprung(x, k, s):
 
 def test_the_reference_counts_the_right_hand_sides_of_steps_alone():
     """Not those of the output between them."""
-    o, law, w = gs.Oscillator(), gs.Tanh(1.4e4, SYMMETRIC, 1e4), 9.0
+    o, law, w = gs.systems.paper_oscillator(), gs.Tanh(1.4e4, SYMMETRIC, 1e4), 9.0
     run = gs.simulate(o, law, w, t_end=0.1, engine="scipy", rtol=1e-8, atol=1e-11)
 
     def rhs(t, y):
@@ -297,7 +305,7 @@ def test_the_reference_counts_the_right_hand_sides_of_steps_alone():
 
 
 def test_reference_engine_has_no_ode45():
-    scene = gs.Oscillator(), gs.Piecewise(1.4e4, SYMMETRIC), 9.0
+    scene = gs.systems.paper_oscillator(), gs.Piecewise(1.4e4, SYMMETRIC), 9.0
     with pytest.raises(gs.ModelError, match="needs engine = 'compiled'"):
         gs.simulate(*scene, t_end=1.0, engine="scipy", controller="ode45")
 
@@ -306,7 +314,7 @@ def test_reference_engine_has_no_ode45():
 @pytest.mark.parametrize("rtol", [1e-7, 1e-9, 1e-11, 1e-13])
 def test_reference_engine_misses_no_shallow_contact_of_either_wall(depth, rtol):
     # From rest beyond one wall to rest beyond the other: both contacts fit between step ends.
-    free = gs.Oscillator(zeta=0.0, forcing=0.0)
+    free = gs.systems.paper_oscillator(zeta=0.0, forcing=0.0)
     law = gs.Piecewise(1.4e6, SYMMETRIC)
     start = -0.4e-3 * (1.0 + depth)
     run = gs.simulate(free, law, 5.0, start, t_end=1.0, engine="scipy", rtol=rtol, atol=1e-3 * rtol)
@@ -321,7 +329,7 @@ def test_a_section_alone_is_the_section_of_a_full_record(label, monkeypatch):
     law = gs.Piecewise(1.4e4, gap) if "piecewise" in label else gs.contact_law(label, 1.4e4, gap)
     law = replace(law, located=False) if label == "piecewise-noevents" else law
     omega = np.linspace(3.0, 29.0, 40)
-    models = Models.of([gs.Oscillator()] * 40, [(law,)] * 40, omega)
+    models = Models.of([gs.systems.paper_oscillator()] * 40, [(law,)] * 40, omega)
     integrate = prepared(models, Solver.of(rtol=1e-6, atol=1e-9))
     problems = Problems(
         which=np.arange(40),
@@ -357,7 +365,7 @@ def test_time_in_contact_is_that_beyond_the_walls(j_2, t_0):
     """Starts in the gap, beyond either wall and on one; also without a gap between the walls."""
     start = np.array([[0.0, 0.0], [1e-3, 0.0], [-1e-3, 0.0], [j_2, 0.0]])
     law = gs.Piecewise(1.4e5, gs.Gap(0.0, j_2))
-    models = Models.of([gs.Oscillator()] * 4, [(law,)] * 4, np.full(4, 9.0))
+    models = Models.of([gs.systems.paper_oscillator()] * 4, [(law,)] * 4, np.full(4, 9.0))
     t_0, t_end = np.full(4, t_0), np.full(4, t_0 + 2.0)
     given = {"which": np.arange(4), "start": start, "t_0": t_0, "t_end": t_end, "record_from": t_0}
     problems = Problems(**given, contact_time=True, dense_output=True)
@@ -374,7 +382,7 @@ def test_time_in_contact_is_that_beyond_the_walls(j_2, t_0):
 def ends(label):
     """Of many motions, as text."""
     law = gs.contact_law(label, K_c=1.4e4, gap=SYMMETRIC)
-    run = gs.simulate(gs.Oscillator(), law, np.linspace(3.0, 29.0, 37), t_end=2.0)
+    run = gs.simulate(gs.systems.paper_oscillator(), law, np.linspace(3.0, 29.0, 37), t_end=2.0)
     return run.x_end.tobytes().hex() + run.v_end.tobytes().hex()
 
 
@@ -394,6 +402,6 @@ def test_another_process_gives_the_same_bits(label):
 def test_a_restart_is_of_located_contacts():
     law = gs.Tanh(1.4e4, gs.Gap(0.4e-3, 0.4e-3), 1e5)
     plain, restarted = (
-        gs.simulate(gs.Oscillator(), law, 9.0, t_end=2.0, restart=r) for r in (0, 1)
+        gs.simulate(gs.systems.paper_oscillator(), law, 9.0, t_end=2.0, restart=r) for r in (0, 1)
     )
     assert (plain.x_end, plain.nfev) == (restarted.x_end, restarted.nfev)

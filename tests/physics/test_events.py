@@ -6,7 +6,7 @@ from numpy.testing import assert_allclose
 
 import gapsweep as gs
 
-OSCILLATOR = gs.Oscillator()
+OSCILLATOR = gs.systems.paper_oscillator()
 SOFT = 1.4e4
 GAPS = {"wide": gs.Gap(4e-4, 4e-4), "one-sided": gs.Gap(0.0, 8e-4), "none": gs.Gap(0.0, 0.0)}
 TIGHT = {"rtol": 1e-11, "atol": 1e-14}
@@ -22,7 +22,7 @@ def test_every_contact_counted_has_its_time(rtol, controller):
     rng = np.random.default_rng(5)
     starts = rng.uniform(-2e-3, 2e-3, 64), rng.uniform(-0.1, 0.1, 64)
     omega, n_diverged = rng.uniform(0.3, 40.0, 64), 0
-    for oscillator in (OSCILLATOR, gs.Oscillator(alpha=-1e11)):
+    for oscillator in (OSCILLATOR, gs.systems.paper_oscillator(alpha=-1e11)):
         for label in ("tanh-1e4", "piecewise-noevents"):
             for gap in GAPS.values():
                 law = gs.contact_law(label, 1e5, gap)
@@ -40,7 +40,7 @@ def test_every_contact_counted_has_its_time(rtol, controller):
 @pytest.mark.parametrize("restart", [False, True])
 def test_steps_over_many_forcing_periods_keep_every_section_point(restart):
     # Without forcing nothing keeps ode45's steps short of its period.
-    free, law = gs.Oscillator(forcing=0.0), gs.Tanh(SOFT, GAPS["wide"], 1e4)
+    free, law = gs.systems.paper_oscillator(forcing=0.0), gs.Tanh(SOFT, GAPS["wide"], 1e4)
     law = gs.Piecewise(SOFT, GAPS["wide"]) if restart else law
     run = gs.simulate(free, law, 500.0, 1e-3, t_end=0.5, rtol=1e-6, atol=1e-9,
                       controller="ode45", restart=restart)  # fmt: skip
@@ -73,7 +73,7 @@ def run_half(law, omega):
 
 
 def test_the_phase_survives_a_million_periods():
-    o, n, w = gs.Oscillator(zeta=0.3, alpha=0.0), 1_000_000, 60.0 * np.pi
+    o, n, w = gs.systems.paper_oscillator(zeta=0.3, alpha=0.0), 1_000_000, 60.0 * np.pi
     end = (n + 0.3) / 30.0
     run = gs.simulate(o, gs.Piecewise(0.0, GAPS["wide"]), 30.0, t_end=end, rtol=1e-10, atol=1e-15)
     response = o.forcing / o.mass / (o.omega_n_rad**2 - w**2 + 2j * o.decay_rate * w)

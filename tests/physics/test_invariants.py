@@ -18,9 +18,9 @@ import gapsweep as gs
 
 GAP = gs.Gap(0.2e-3, 0.5e-3)
 SYMMETRIC, STOP, WALL = gs.Gap(0.4e-3, 0.4e-3), gs.Gap(1e-3, 2e-3), gs.Gap(3e-3, 1e-3)
-OSCILLATOR = gs.Oscillator()
-FREE = gs.Oscillator(zeta=0.0, forcing=0.0)
-LOADED = gs.Oscillator(mean_load=1.5, c=10.0)
+OSCILLATOR = gs.systems.paper_oscillator()
+FREE = gs.systems.paper_oscillator(zeta=0.0, forcing=0.0)
+LOADED = gs.systems.paper_oscillator(mean_load=1.5, c=10.0)
 TABLE = gs.ForceTable((-4e-3, -1e-3, -0.4e-3, 0.3e-3, 1e-3, 4e-3), (-60.0, -9.0, 0, 0, 8.0, 50.0))
 GEARS, SECTION = gs.systems.gear_pair(), gs.systems.typical_section(12.36842, "conner-scaled")
 FLAP = gs.systems.typical_section_law("conner-scaled")
@@ -294,7 +294,7 @@ def test_random_oscillators_move_as_the_equation_says(seed):
 @pytest.mark.parametrize("j_1", [0.0, 0.4e-3])
 def test_a_smoothed_wall_moves_what_is_at_rest(j_1):
     """Nothing else does: without forcing or energy only it tells the size of the motion."""
-    model = gs.Oscillator(zeta=0.1, forcing=0.0, alpha=0.0)
+    model = gs.systems.paper_oscillator(zeta=0.1, forcing=0.0, alpha=0.0)
     law, start = gs.Tanh(1e3, gs.Gap(j_1, 0.8e-3), 1e3), {"x_0": 0.0, "v_0": 0.0}
     for rtol in (1e-9, 1e-11):
         how = {"rtol": rtol, "atol": 1e-3 * rtol}
@@ -322,7 +322,7 @@ def test_steps_that_end_at_the_edge_of_a_thin_layer_are_kept(omega):
 @pytest.mark.parametrize("epsilon", [1e9, 1e12, 1e15])
 def test_the_sharpest_tanh_is_the_exact_law(epsilon):
     walls, at = (1e6, gs.Gap(0.4e-3, 0.4e-3)), {"x_0": 0.01, "n_periods": 1}
-    model = gs.Oscillator(alpha=0.0)
+    model = gs.systems.paper_oscillator(alpha=0.0)
     exact = gs.simulate(model, gs.Piecewise(*walls), 9.0, **at)
     motion = gs.simulate(model, gs.Tanh(*walls, epsilon), 9.0, **at)
     assert motion.n_contacts == exact.n_contacts > 30
@@ -331,7 +331,7 @@ def test_the_sharpest_tanh_is_the_exact_law(epsilon):
 
 def test_a_start_within_a_thin_layer_is_followed_out_of_it():
     """The layer lies before the first stage of a step that leaves it."""
-    model, law = gs.Oscillator(mean_load=1.0), gs.Tanh(1e6, GAP, 1e6)
+    model, law = gs.systems.paper_oscillator(mean_load=1.0), gs.Tanh(1e6, GAP, 1e6)
     loose, tight = (
         gs.simulate(model, law, 9.0, GAP.j_2, -0.05, t_end=0.02, rtol=rtol, atol=1e-3 * rtol)
         for rtol in (1e-7, 1e-11)

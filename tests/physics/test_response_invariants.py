@@ -17,9 +17,9 @@ from gapsweep.response.result import LISTS, columns_of
 
 W = 2.0 * math.pi
 SYMMETRIC, ASYMMETRIC = gs.Gap(0.4e-3, 0.4e-3), gs.Gap(0.0, 0.8e-3)
-OSCILLATOR = gs.Oscillator()
-LOADED = gs.Oscillator(mean_load=3.0, c=15.0)
-GEAR = gs.Oscillator(omega_n=0.0, alpha=0.0, mean_load=-2.0, c=20.0)
+OSCILLATOR = gs.systems.paper_oscillator()
+LOADED = gs.systems.paper_oscillator(mean_load=3.0, c=15.0)
+GEAR = gs.systems.paper_oscillator(omega_n=0.0, alpha=0.0, mean_load=-2.0, c=20.0)
 COUPLED = gs.System(
     mass=np.diag([1.0, 0.5]),
     damping=[[0.8, -0.2], [-0.2, 0.5]],

@@ -14,7 +14,7 @@ import gapsweep as gs
 from gapsweep.integrate.runge_kutta import tableaux
 
 GAP = gs.Gap(0.4e-3, 0.4e-3)
-OSCILLATOR = gs.Oscillator()
+OSCILLATOR = gs.systems.paper_oscillator()
 TIGHT = {"rtol": 1e-12, "atol": 1e-15}
 
 
@@ -101,7 +101,11 @@ def test_no_step_through_a_thin_layer_is_taken_for_better_than_it_is(label, rtol
     for _ in range(10):
         K_c, gap = 10.0 ** rng.uniform(3.5, 6.3), gs.Gap(*rng.uniform(0.0, 1e-3, 2).tolist())
         x, v = rng.uniform(-largest_x, largest_x, n), rng.uniform(-largest_v, largest_v, n)
-        scene = gs.Oscillator(), gs.contact_law(label, K_c, gap), rng.uniform(2.0, 30.0, n)
+        scene = (
+            gs.systems.paper_oscillator(),
+            gs.contact_law(label, K_c, gap),
+            rng.uniform(2.0, 30.0, n),
+        )
         run = gs.simulate(*scene, x, v, t_end=0.05, rtol=rtol, atol=1e-3 * rtol)
         truth = gs.simulate(*scene, x, v, t_end=0.05, rtol=1e-13, atol=1e-16, tangent=True)
         by_x, by_v = np.abs(truth.monodromy[:, 0]).T
@@ -109,7 +113,7 @@ def test_no_step_through_a_thin_layer_is_taken_for_better_than_it_is(label, rtol
         assert np.all(np.abs(run.x_end - truth.x_end) <= run.n_steps * a_step)
 
 
-@pytest.mark.parametrize("model", [OSCILLATOR, gs.Oscillator(mean_load=1e-6)])
+@pytest.mark.parametrize("model", [OSCILLATOR, gs.systems.paper_oscillator(mean_load=1e-6)])
 def test_a_thin_layer_is_not_stepped_over_and_tends_to_the_exact_law(model):
     """A mean load makes it a system. Layers far thinner than a step."""
     exact = gs.simulate(model, gs.Piecewise(1.4e6, GAP), 12.0, t_end=0.5, **TIGHT)
@@ -149,7 +153,10 @@ def test_a_fit_that_is_left_is_flagged_and_its_values_kept():
 
 
 def test_a_pole_ends_a_motion():
-    law, linear = gs.RationalPolynomial(1.4e4, GAP, 1, 3, fit_range=1e-3), gs.Oscillator(alpha=0.0)
+    law, linear = (
+        gs.RationalPolynomial(1.4e4, GAP, 1, 3, fit_range=1e-3),
+        gs.systems.paper_oscillator(alpha=0.0),
+    )
     denominator = np.polynomial.chebyshev.chebroots(law.coefficients[1])
     pole = 1e-3 * min(abs(root.real) for root in denominator if abs(root.imag) < 1e-9)
     runs = gs.simulate(linear, law, 5.0, np.array([0.9e-3, 1.1 * pole]), t_end=5.0)

@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
+from tests.machine import PAPER
 from tests.oracles import orbit_distance
 from tests.section_points import parts
 from tests.stored import tile_rows
@@ -36,7 +37,7 @@ SOFT, HARD = 1.4e4, 1.4e6
 def box(K_c, gap, omega, n=9):
     """Attractors from n x n starts in |x| <= 1 mm, |v| <= 0.05 m/s."""
     x, v = np.linspace(-1e-3, 1e-3, n), np.linspace(-0.05, 0.05, n)
-    return gs.basins(gs.Oscillator(), gs.Piecewise(K_c, gap), omega, x=x, v=v)
+    return gs.basins(gs.systems.paper_oscillator(), gs.Piecewise(K_c, gap), omega, x=x, v=v)
 
 
 @pytest.mark.parametrize(
@@ -72,7 +73,7 @@ def test_basins_are_drawn_with_a_name_for_every_attractor():
 
 def test_chaos_has_a_positive_exponent():
     law = gs.Piecewise(SOFT, ASYMMETRIC)
-    response = gs.respond(gs.Oscillator(), law, 14.0)
+    response = gs.respond(gs.systems.paper_oscillator(), law, 14.0)
     assert response.response_class is gs.ResponseClass.CHAOTIC
     assert response.status is gs.Status.OK
     assert response.lyapunov > 3 * response.lyapunov_error > 0
@@ -82,11 +83,13 @@ def test_chaos_has_a_positive_exponent():
 def test_exponents_of_the_tangent_and_of_neighbouring_motions_agree():
     # Two motions 1e-9 m apart separate like exp(lambda t) while they are close.
     law, omega = gs.Piecewise(SOFT, ASYMMETRIC), 14.0
-    response = gs.respond(gs.Oscillator(), law, omega)
+    response = gs.respond(gs.systems.paper_oscillator(), law, omega)
     x, v = np.reshape(response.section, (-1, 2)).T
     t = math.ceil(1.0 * omega) / omega
     near, far = (
-        gs.simulate(gs.Oscillator(), law, omega, x + d, v, t_end=t, rtol=1e-12, atol=1e-15)
+        gs.simulate(
+            gs.systems.paper_oscillator(), law, omega, x + d, v, t_end=t, rtol=1e-12, atol=1e-15
+        )
         for d in (0.0, 1e-9)
     )
     separation = np.hypot(far.x_end - near.x_end, (far.v_end - near.v_end) / (2 * math.pi * omega))
@@ -107,14 +110,17 @@ def test_mirror_twins_are_named():
     periodic = found["period_multiple"].values == 1
     assert_allclose(found["x_max"][periodic], -found["x_min"][periodic][::-1], rtol=1e-6)
     law = gs.Piecewise(HARD, SYMMETRIC)
-    pair = [gs.respond(gs.Oscillator(), law, 3.0, x) for x in (0.0, 1e-4, 2e-4, -1e-4, -3e-4)]
+    pair = [
+        gs.respond(gs.systems.paper_oscillator(), law, 3.0, x)
+        for x in (0.0, 1e-4, 2e-4, -1e-4, -3e-4)
+    ]
     groups = grouped(pair, 3.0, symmetric=True)
     twins = np.array([pair[i].period_multiple for i in groups.first]) == 1
     assert groups.mirror_of[twins].tolist() == [1, 0]
 
 
 def test_symmetric_orbit_is_its_own_mirror_image():
-    response = gs.respond(gs.Oscillator(), gs.Piecewise(SOFT, SYMMETRIC), 9.0)
+    response = gs.respond(gs.systems.paper_oscillator(), gs.Piecewise(SOFT, SYMMETRIC), 9.0)
     only = grouped([response], 9.0, symmetric=True)
     assert only.mirror_of.tolist() == [0]
     assert only.basin_share.tolist() == [1.0]
@@ -123,7 +129,7 @@ def test_symmetric_orbit_is_its_own_mirror_image():
 def test_start_order_does_not_change_the_attractors():
     law = gs.Piecewise(HARD, ASYMMETRIC)
     starts = np.linspace(-1e-3, 1e-3, 12)
-    found = [gs.respond(gs.Oscillator(), law, 11.0, float(x)) for x in starts]
+    found = [gs.respond(gs.systems.paper_oscillator(), law, 11.0, float(x)) for x in starts]
     ids = grouped(found, 11.0, symmetric=False).numbers.tolist()
     backwards = grouped(found[::-1], 11.0, symmetric=False).numbers.tolist()
     assert backwards[::-1] == ids
@@ -134,16 +140,18 @@ def test_shooting_never_swaps_the_attractor_of_a_start():
     # Where no transient chaos lets rounding choose the basin, brute force must agree.
     law, omega = gs.Piecewise(SOFT, SYMMETRIC), 19.0
     x, v = (a.ravel() for a in np.meshgrid(np.linspace(-1e-3, 1e-3, 7), [-0.03, 0.0, 0.04]))
-    settled = gs.simulate(gs.Oscillator(), law, omega, x, v, t_end=60.0)
-    window = gs.simulate(gs.Oscillator(), law, omega, settled.x_end, settled.v_end, t_end=6 / omega)
+    settled = gs.simulate(gs.systems.paper_oscillator(), law, omega, x, v, t_end=60.0)
+    window = gs.simulate(
+        gs.systems.paper_oscillator(), law, omega, settled.x_end, settled.v_end, t_end=6 / omega
+    )
     for i in range(len(x)):
-        response = gs.respond(gs.Oscillator(), law, omega, x[i], v[i])
+        response = gs.respond(gs.systems.paper_oscillator(), law, omega, x[i], v[i])
         assert_allclose(response.x_max, window.extrema[i].max(), atol=1e-8)
         assert response.t_simulated < (24.4 + 64 / omega) / 2
 
 
 def test_extremum_kinds_alternate():
-    response = gs.respond(gs.Oscillator(), gs.Piecewise(SOFT, SYMMETRIC), 1.0)
+    response = gs.respond(gs.systems.paper_oscillator(), gs.Piecewise(SOFT, SYMMETRIC), 1.0)
     kinds = np.array(response.extremum_kind)
     assert len(kinds) == response.n_extrema == 18
     assert np.all(kinds[1:] == -kinds[:-1])
@@ -154,6 +162,7 @@ def test_extremum_kinds_alternate():
 def test_upward_sweep_rides_the_upper_branch_beyond_the_fitted_range():
     tables = {
         "study": {"name": "branch"},
+        "oscillator": PAPER,
         "sweep": [
             {
                 "representation": ["piecewise", "ratpoly-5/3", "poly-13"],
@@ -180,7 +189,12 @@ def test_upward_sweep_rides_the_upper_branch_beyond_the_fitted_range():
 
 def test_loose_tolerances_still_find_the_period():
     response = gs.respond(
-        gs.Oscillator(), gs.Piecewise(SOFT, SYMMETRIC), 9.0, engine="scipy", rtol=1e-4, atol=1e-7
+        gs.systems.paper_oscillator(),
+        gs.Piecewise(SOFT, SYMMETRIC),
+        9.0,
+        engine="scipy",
+        rtol=1e-4,
+        atol=1e-7,
     )
     assert response.period_multiple == 1
     assert response.multiplier_abs == pytest.approx(0.9006, abs=0.02)
@@ -211,9 +225,9 @@ def test_prime_multiple_undoes_repetition(orbit, times):
 
 def test_stretches_cut_anywhere_lead_to_the_same_orbits(monkeypatch):
     law, omega = gs.Piecewise(SOFT, SYMMETRIC), np.linspace(5.0, 30.0, 40)
-    whole = gs.respond(gs.Oscillator(), law, omega)
+    whole = gs.respond(gs.systems.paper_oscillator(), law, omega)
     monkeypatch.setattr(ensemble, "_STEPS_AT_A_TIME", 37.0)
-    cut = gs.respond(gs.Oscillator(), law, omega)
+    cut = gs.respond(gs.systems.paper_oscillator(), law, omega)
     assert (whole.response_class == gs.ResponseClass.PERIODIC).all()
     assert np.array_equal(cut.period_multiple, whole.period_multiple)
     assert np.allclose(cut.amplitude, whole.amplitude, rtol=1e-7)
@@ -224,10 +238,10 @@ def test_a_window_is_the_same_in_its_pauses_call_and_in_its_own(monkeypatch):
     omega = np.linspace(5.0, 30.0, 40)
     monkeypatch.setattr(ensemble, "_STEPS_AT_A_TIME", np.inf)
     for law in (gs.Piecewise(HARD, SYMMETRIC), gs.contact_law("tanh-1e4", SOFT, SYMMETRIC)):
-        together = gs.respond(gs.Oscillator(), law, omega)
+        together = gs.respond(gs.systems.paper_oscillator(), law, omega)
         with monkeypatch.context() as patched:
             patched.setattr(Ensemble, "is_chained", False)
-            apart = gs.respond(gs.Oscillator(), law, omega)
+            apart = gs.respond(gs.systems.paper_oscillator(), law, omega)
         assert len(set(together.response_class.tolist())) > 1 or law.K_c == SOFT
         for name in ("response_class", "x_max", "x_min", "lyapunov", "t_simulated", "n_steps"):
             assert_array_equal(getattr(together, name), getattr(apart, name), err_msg=name)
@@ -235,7 +249,7 @@ def test_a_window_is_the_same_in_its_pauses_call_and_in_its_own(monkeypatch):
 
 def test_what_fails_in_a_pause_is_left_where_it_failed():
     """It softens: once out of its well it is pulled away for ever, as brute force sees too."""
-    oscillator = gs.Oscillator(alpha=-1e9, forcing=60.0)
+    oscillator = gs.systems.paper_oscillator(alpha=-1e9, forcing=60.0)
     law = gs.Piecewise(1.0, gs.Gap(1e-3, 1e-3))
     found = gs.respond(oscillator, law, 9.0)
     run = gs.simulate(oscillator, law, 9.0, t_end=10.0)
@@ -248,9 +262,9 @@ def test_what_fails_in_a_pause_is_left_where_it_failed():
 
 def test_shots_that_are_given_up_miss_no_attractor(monkeypatch):
     law, omega = gs.Piecewise(HARD, SYMMETRIC), np.linspace(12.0, 30.0, 60)
-    found = gs.respond(gs.Oscillator(), law, omega)
+    found = gs.respond(gs.systems.paper_oscillator(), law, omega)
     monkeypatch.setattr(thresholds, "STRETCHED", np.inf)
-    patient = gs.respond(gs.Oscillator(), law, omega)
+    patient = gs.respond(gs.systems.paper_oscillator(), law, omega)
     assert np.array_equal(found.response_class, patient.response_class)
     assert np.array_equal(found.period_multiple, patient.period_multiple)
     assert (found.t_simulated <= patient.t_simulated).all()
@@ -277,7 +291,9 @@ def test_chaos_that_grows_much_faster_than_it_decays_has_an_exponent():
 def test_slow_motions_against_hard_smooth_walls_are_resolved():
     """Their tangents lost area to steps that suited the motion alone: no exponent was believed."""
     law = gs.contact_law("tanh-1e4", HARD, SYMMETRIC)
-    found = gs.respond(gs.Oscillator(), law, [0.144, 0.539, 0.583], rtol=1e-6, atol=1e-9)
+    found = gs.respond(
+        gs.systems.paper_oscillator(), law, [0.144, 0.539, 0.583], rtol=1e-6, atol=1e-9
+    )
     assert (found.response_class == gs.ResponseClass.PERIODIC).all()
 
 
@@ -304,13 +320,13 @@ def test_the_largest_part_of_an_orbit_that_repeats_is_found(seed, n, m):
     ("oscillator", "law", "start", "n"),
     [
         (
-            gs.Oscillator(zeta=0.0324757787, forcing=1.0743388471),
+            gs.systems.paper_oscillator(zeta=0.0324757787, forcing=1.0743388471),
             gs.Piecewise(346056.631, gs.Gap(0.8e-3, 0.4e-3)),
             (2.937153972, -0.9033185e-3, 0.0398937337),
             6,
         ),
         (
-            gs.Oscillator(zeta=0.02562759605523195, forcing=1.4188107019261256),
+            gs.systems.paper_oscillator(zeta=0.02562759605523195, forcing=1.4188107019261256),
             gs.Piecewise(131990.88593246252, gs.Gap(0.1e-3, 0.8e-3), K_ratio=0.3),
             (13.038500087867213, -0.38790339811836097e-3, 0.018984965468696725),
             12,
@@ -389,7 +405,7 @@ def test_one_outlier_does_not_separate_two_clouds():
 def test_bad_grids_of_starts_are_refused(arguments, message):
     given = {"omega": 9.0, "x": [0.0], "v": [0.0]} | arguments
     with pytest.raises(gs.ModelError, match=message):
-        gs.basins(gs.Oscillator(), gs.Piecewise(SOFT, SYMMETRIC), **given)
+        gs.basins(gs.systems.paper_oscillator(), gs.Piecewise(SOFT, SYMMETRIC), **given)
 
 
 @pytest.mark.parametrize("omega", [9.0, 0.0])
@@ -397,7 +413,10 @@ def test_bad_grids_of_starts_are_refused(arguments, message):
 def test_shots_are_no_part_of_what_a_motion_costs(label, omega):
     one = [[1.0]]
     free = gs.System(mass=one, damping=one, stiffness=[[1e3]], contacts={"stop": [1.0]})
-    law, oscillator = gs.contact_law(label, 1.4e5, SYMMETRIC), gs.Oscillator() if omega else free
+    law, oscillator = (
+        gs.contact_law(label, 1.4e5, SYMMETRIC),
+        gs.systems.paper_oscillator() if omega else free,
+    )
     models = Models.of([oscillator], [(law,)], np.array([omega]))
     solver = Solver.of("compiled")
     y, periods, never = np.array([[1e-3], [0.0]]), np.full(1, 4), np.full(1, np.inf)
@@ -417,7 +436,7 @@ def test_shots_are_no_part_of_what_a_motion_costs(label, omega):
 def test_tangents_of_a_chain_are_those_of_its_motions(label):
     """Also where another solver carries them, and where motions run away."""
     law, solver = gs.contact_law(label, 1.4e5, SYMMETRIC), Solver.of("compiled", 1e-5, 1e-8)
-    oscillator = gs.Oscillator(alpha=-1e10)
+    oscillator = gs.systems.paper_oscillator(alpha=-1e10)
     omega = np.linspace(5.0, 30.0, 9)
     ensemble = Ensemble(Models.of([oscillator] * 9, [(law,)] * 9, omega), solver)
     assert ensemble.has_own_tangent == (label == "piecewise")
@@ -443,7 +462,7 @@ def test_tangents_of_a_chain_are_those_of_its_motions(label):
 
 def orbit_at(omega):
     """A state on the orbit of the hard asymmetric case that is found from rest."""
-    found = gs.respond(gs.Oscillator(), gs.Piecewise(HARD, ASYMMETRIC), omega)
+    found = gs.respond(gs.systems.paper_oscillator(), gs.Piecewise(HARD, ASYMMETRIC), omega)
     return found, (found.x_end, found.v_end)
 
 
@@ -454,7 +473,12 @@ def test_a_doubled_period_is_not_halved_at_loose_tolerances(rtol):
     fine, start = orbit_at(omega)
     assert (fine.period_multiple > 1).all()
     loose = gs.respond(
-        gs.Oscillator(), gs.Piecewise(HARD, ASYMMETRIC), omega, *start, rtol=rtol, atol=1e-3 * rtol
+        gs.systems.paper_oscillator(),
+        gs.Piecewise(HARD, ASYMMETRIC),
+        omega,
+        *start,
+        rtol=rtol,
+        atol=1e-3 * rtol,
     )
     assert_array_equal(loose.period_multiple, fine.period_multiple)
     assert_allclose(loose.amplitude, fine.amplitude, rtol=0.02)
@@ -464,7 +488,7 @@ def test_weak_chaos_is_measured_until_its_sign_is_certain():
     """6,000 periods of an independent integrator: .602 +- .009 1/s. The first measurement of an
     exponent left its sign open, and more time did not make it any longer.
     """
-    oscillator = gs.Oscillator(zeta=0.051250807930843446, forcing=3.7470489137481127)
+    oscillator = gs.systems.paper_oscillator(zeta=0.051250807930843446, forcing=3.7470489137481127)
     law, omega = gs.Piecewise(88860.89694574026, gs.Gap(4e-4, 8e-4)), 2.790289457015363
     settings = [gs.Steady(max_decay_times=n, max_periods=10**6) for n in (113.0, 3051.0)]
     short, long = (gs.respond(oscillator, law, omega, steady=each) for each in settings)
@@ -479,7 +503,7 @@ def test_a_settled_motion_is_found_at_its_first_look(zeta, last):
     """It took a longer window for every second one: last digits decided whether it contracts."""
     omega = np.linspace(0.3, last, 40)
     law = gs.Piecewise(1.4e4, gs.Gap(4e-4, 4e-4))
-    found = gs.respond(gs.Oscillator(zeta=zeta), law, omega)
+    found = gs.respond(gs.systems.paper_oscillator(zeta=zeta), law, omega)
     assert (found.period_multiple == 1).all()
     # Five periods to see it, three to shoot at it and to record it, and the time to settle.
     settling = omega / (zeta * 2.0 * math.pi * 5.0) * math.log(1e3)
@@ -503,7 +527,9 @@ def test_a_tangent_that_has_shrunk_to_nothing_is_zero():
     """Rounding would leave the smallest number that there is for ever."""
     law = gs.Piecewise(1.4e4, gs.Gap(4e-4, 4e-4))
     for each in (law, gs.Tanh(1.4e4, gs.Gap(4e-4, 4e-4), 1e4)):
-        run = gs.simulate(gs.Oscillator(zeta=0.5), each, 1.0, t_end=60.0, tangent=True)
+        run = gs.simulate(
+            gs.systems.paper_oscillator(zeta=0.5), each, 1.0, t_end=60.0, tangent=True
+        )
         assert not run.monodromy.any()
 
 
@@ -566,7 +592,7 @@ def test_free_vibration_between_walls_is_periodic(rtol):
 
 def test_undamped_motion_ends_whatever_error_of_the_exponent_is_wanted():
     law, steady = gs.Piecewise(1.4e6, SYMMETRIC), gs.Steady(lyapunov_error=0.2)
-    found = gs.respond(gs.Oscillator(zeta=0.0), law, 9.0, steady=steady)
+    found = gs.respond(gs.systems.paper_oscillator(zeta=0.0), law, 9.0, steady=steady)
     assert found.response_class is gs.ResponseClass.UNRESOLVED
     assert np.isnan(found.lyapunov)
     assert "without damping" in found.message

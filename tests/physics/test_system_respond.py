@@ -14,7 +14,7 @@ from gapsweep.integrate.stepping import batch
 GAP = gs.Gap(4e-4, 6e-4)
 # Damped so that each scene has one attractor: which one a start ends on is another question.
 OSCILLATORS = (
-    gs.Oscillator(zeta=0.2, alpha=0.0),
+    gs.systems.paper_oscillator(zeta=0.2, alpha=0.0),
     gs.Oscillator(zeta=0.25, omega_n=7.0, mass=1.2, alpha=0.0, forcing=2.0),
 )
 LAWS = (gs.Piecewise(1.2e4, GAP), gs.Piecewise(6e3, gs.Gap(3e-4, 3e-4)))

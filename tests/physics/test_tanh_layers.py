@@ -6,7 +6,7 @@ from numpy.testing import assert_allclose
 
 import gapsweep as gs
 
-OSCILLATOR = gs.Oscillator()
+OSCILLATOR = gs.systems.paper_oscillator()
 TIGHT = {"engine": "scipy", "rtol": 1e-12, "atol": 1e-15}
 FINE = {"rtol": 1e-10, "atol": 1e-13}
 T_END = 0.3

@@ -7,11 +7,12 @@ import pytest
 
 import gapsweep as gs
 from gapsweep.integrate.stepping import batch
+from gapsweep.model.systems import paper_oscillator
 
 GAP = gs.Gap(0.4e-3, 0.4e-3)
 LAW = gs.Piecewise(1.4e4, GAP)
-FREE = gs.Oscillator(zeta=0.0, forcing=0.0)
-LINEAR = gs.Oscillator(zeta=0.0, forcing=0.0, alpha=0.0)
+FREE = paper_oscillator(zeta=0.0, forcing=0.0)
+LINEAR = paper_oscillator(zeta=0.0, forcing=0.0, alpha=0.0)
 TIGHT = {"rtol": 1e-12, "atol": 1e-15}
 OK, DIVERGED, UNDERFLOW = gs.Status.OK, gs.Status.DIVERGED, gs.Status.STEP_UNDERFLOW
 
@@ -33,11 +34,11 @@ OK, DIVERGED, UNDERFLOW = gs.Status.OK, gs.Status.DIVERGED, gs.Status.STEP_UNDER
 )
 def test_a_start_on_a_wall_follows_velocity_then_acceleration(v_0, forcing, side, how):
     """To leave the wall that it starts on is no contact; the stiffness is that of its side."""
-    o, K_c, options = gs.Oscillator(forcing=forcing), 1.4e6, dict(how)
+    o, K_c, options = paper_oscillator(forcing=forcing), 1.4e6, dict(how)
     law = gs.Piecewise(K_c, GAP, located=options.pop("located", True))
     for wall in (0.4e-3, -0.4e-3):
         towards = math.copysign(1.0, wall)
-        mirrored = gs.Oscillator(forcing=towards * forcing)
+        mirrored = paper_oscillator(forcing=towards * forcing)
         run = gs.simulate(mirrored, law, 9.0, wall, towards * v_0, t_end=1e-4, **TIGHT, **options)
         assert (run.n_contacts, run.status) == (0, OK)
         depth = abs(run.x_end) - 0.4e-3
@@ -54,7 +55,7 @@ def test_a_start_on_a_wall_follows_velocity_then_acceleration(v_0, forcing, side
 @pytest.mark.parametrize(("forcing", "side"), [(40.0, -1.0), (-40.0, 1.0)])
 def test_the_third_derivative_decides_where_velocity_and_acceleration_vanish(forcing, side):
     """At a quarter of a forcing period its cosine is zero and falls."""
-    o, law = gs.Oscillator(forcing=forcing), gs.Piecewise(1.4e4, gs.Gap(0.0, 0.4e-3))
+    o, law = paper_oscillator(forcing=forcing), gs.Piecewise(1.4e4, gs.Gap(0.0, 0.4e-3))
     run = gs.simulate(o, law, 9.0, t_0=0.25 / 9.0, t_end=0.25 / 9.0 + 1e-4, **TIGHT)
     assert (math.copysign(1.0, run.x_end), run.n_contacts) == (side, 0)
 
@@ -91,7 +92,7 @@ def test_both_walls_within_one_step_come_in_the_order_of_time():
 @pytest.mark.parametrize("how", [{}, {"restart": True}])
 def test_a_throw_over_one_wall_that_falls_through_the_other_passes_both(how):
     """Within one step, and the earlier one first: x = v t - a t² / 2."""
-    o = gs.Oscillator(zeta=0.0, alpha=0.0, omega_n=0.01, forcing=-4.0)
+    o = paper_oscillator(zeta=0.0, alpha=0.0, omega_n=0.01, forcing=-4.0)
     a, wall, top = 4.0 / 3.0, 1e-9, 1.5e-9
     law, v = gs.Piecewise(1e-6, gs.Gap(wall, wall)), math.sqrt(2.0 * a * top)
     run = gs.simulate(o, law, 1e-3, v_0=v, t_end=0.01, **how)
@@ -101,17 +102,19 @@ def test_a_throw_over_one_wall_that_falls_through_the_other_passes_both(how):
 
 
 def test_a_contact_at_the_end_is_counted_once():
-    times = gs.simulate(gs.Oscillator(), LAW, 9.0, t_end=1.0, **TIGHT).t_contacts
+    times = gs.simulate(paper_oscillator(), LAW, 9.0, t_end=1.0, **TIGHT).t_contacts
     for n, t in enumerate(times[:6]):
         ends = (t - 1e-9, t + 1e-9, t)
-        counts = [gs.simulate(gs.Oscillator(), LAW, 9.0, t_end=e, **TIGHT).n_contacts for e in ends]
+        counts = [
+            gs.simulate(paper_oscillator(), LAW, 9.0, t_end=e, **TIGHT).n_contacts for e in ends
+        ]
         assert counts[:2] == [n, n + 1]
         assert counts[2] in (n, n + 1)  # the end itself is rounded
 
 
 @pytest.mark.parametrize("t_touch", [0.05, 0.071, 0.093])
 def test_a_halt_without_return_is_one_extremum(t_touch):
-    o, w = gs.Oscillator(zeta=0.0, alpha=0.0), 18 * math.pi
+    o, w = paper_oscillator(zeta=0.0, alpha=0.0), 18 * math.pi
     amplitude = o.forcing / o.mass / (o.omega_n_rad**2 - w**2)
     # A free part such that v = a = 0 at t_touch, added to the forced part.
     a = -amplitude * (w / o.omega_n_rad) ** 2 * math.cos(w * t_touch)
@@ -140,7 +143,7 @@ def test_chatter_ends_a_motion_at_once(monkeypatch):
 @pytest.mark.parametrize("law", [LAW, gs.Tanh(1.4e4, GAP, 1e4)], ids=["exact", "smooth"])
 def test_motions_that_fail_leave_the_others_as_they_are(law):
     """They need no room for what they never reach, and record nothing that they have not passed."""
-    softening, omega = gs.Oscillator(alpha=-1e7), np.array([9.0, 7.0, 11.0, 6.0, 8.0])
+    softening, omega = paper_oscillator(alpha=-1e7), np.array([9.0, 7.0, 11.0, 6.0, 8.0])
     v_0, x_0 = np.array([0.0, 5.0, 0.01, 0.0, 0.02]), np.array([0.0, 0.0, 0.0, 1e40, 0.0])
     runs = gs.simulate(softening, law, omega, x_0, v_0, t_end=2.0)
     assert runs.status.tolist() == [OK, DIVERGED, OK, DIVERGED, OK]
@@ -155,6 +158,6 @@ def test_motions_that_fail_leave_the_others_as_they_are(law):
 
 
 def test_a_wall_too_stiff_for_any_step_is_a_status():
-    run = gs.simulate(gs.Oscillator(), gs.Piecewise(1e35, GAP), 9.0, 5.0, t_end=1.0)
+    run = gs.simulate(paper_oscillator(), gs.Piecewise(1e35, GAP), 9.0, 5.0, t_end=1.0)
     assert run.status is UNDERFLOW
     assert run.t_end < 1.0

@@ -13,12 +13,13 @@ from tests import random_scenes as rs
 import gapsweep as gs
 from gapsweep.integrate.problem import Solver
 from gapsweep.integrate.runge_kutta import representations
+from gapsweep.model.systems import paper_oscillator
 from gapsweep.response.respond import respond_all
 from gapsweep.response.result import ResponseClass
 from gapsweep.response.scene import Scene
 from gapsweep.status import Status
 
-LINEAR = gs.Oscillator(alpha=0.0, forcing=1.0)
+LINEAR = paper_oscillator(alpha=0.0, forcing=1.0)
 FREE = gs.Piecewise(1.4e4, gs.Gap(0.1, 0.1))  # walls that are never reached
 FREE_FAR = gs.Piecewise(1.0, rs.FAR)
 STIFFNESS = (2.0 * math.pi) ** 2  # N/m, of 1 kg at 1 Hz
@@ -48,17 +49,19 @@ def test_a_slow_linear_motion_has_its_own_multipliers(omega, rtol):
 
 
 def test_a_quiet_duffing_oscillator_is_not_chaotic():
-    found = gs.respond(gs.Oscillator(zeta=0.3, forcing=1.0), FREE, 0.305)
+    found = gs.respond(paper_oscillator(zeta=0.3, forcing=1.0), FREE, 0.305)
     assert found.response_class is ResponseClass.PERIODIC
     assert found.lyapunov < 0.0
 
 
 @pytest.mark.parametrize("omega", [7.0, 9.0, 14.0])
 def test_a_wall_without_a_gap_has_its_own_multipliers(omega):
-    found = gs.respond(gs.Oscillator(), gs.Piecewise(HARD, gs.Gap(0.0, 0.0)), omega)
+    found = gs.respond(paper_oscillator(), gs.Piecewise(HARD, gs.Gap(0.0, 0.0)), omega)
     product = np.prod(np.reshape(found.multipliers, (2, 2)) @ [1.0, 1.0j])
     n = found.period_multiple
-    assert_allclose(abs(product), math.exp(-2 * n * gs.Oscillator().decay_rate / omega), rtol=1e-6)
+    assert_allclose(
+        abs(product), math.exp(-2 * n * paper_oscillator().decay_rate / omega), rtol=1e-6
+    )
 
 
 @given(
@@ -115,7 +118,7 @@ def test_a_clock_of_a_power_of_two_changes_no_bit(power):
 
 @pytest.mark.parametrize("clock", [0.01, 100.0])
 def test_a_slow_oscillator_is_given_its_time(clock):
-    case = rs.Case("walls", gs.Oscillator(), gs.Piecewise(1.4e4, gs.Gap(4e-4, 4e-4)), 9.0)
+    case = rs.Case("walls", paper_oscillator(), gs.Piecewise(1.4e4, gs.Gap(4e-4, 4e-4)), 9.0)
     own, slow = rs.responses([case, case.slowed(clock)], 1e-9)
     assert slow.status is Status.OK
     assert_allclose(slow.amplitude, own.amplitude, rtol=1e-6)
@@ -124,7 +127,7 @@ def test_a_slow_oscillator_is_given_its_time(clock):
 @pytest.mark.parametrize("omega", [0.02, 9.0, 40.0])
 @pytest.mark.parametrize("zeta", [0.0, 1e-3, 0.03])
 def test_a_point_is_bounded_in_time(omega, zeta):
-    oscillator = gs.Oscillator(zeta=zeta)
+    oscillator = paper_oscillator(zeta=zeta)
     steady = gs.Steady(max_decay_times=20.0, max_periods=500)
     found = gs.respond(oscillator, gs.Piecewise(HARD, ASYMMETRIC), omega, steady=steady)
     rate = oscillator.decay_rate
@@ -184,13 +187,13 @@ CREEPING = gs.Piecewise(5e4, gs.Gap(0.0, 4e-4))
     [(11.13733905579399, 1, 0.9995), (4.655820268021372, 1, 0.9973), (9.0, 1, None)],
 )
 def test_a_motion_that_creeps_is_not_its_own_orbit(omega, n, modulus):
-    found = gs.respond(gs.Oscillator(), CREEPING, omega)
+    found = gs.respond(paper_oscillator(), CREEPING, omega)
     if found.response_class is ResponseClass.PERIODIC and modulus is not None:
         assert found.period_multiple == n
         assert_allclose(found.multiplier_abs, modulus, atol=1e-4)
     if found.response_class is ResponseClass.PERIODIC:
         run = gs.simulate(
-            gs.Oscillator(), CREEPING, omega, found.x_end, found.v_end,
+            paper_oscillator(), CREEPING, omega, found.x_end, found.v_end,
             t_end=found.period_multiple / omega, rtol=1e-12, atol=1e-15,
         )  # fmt: skip
         assert abs(run.x_end - found.x_end) < 1e-7 * found.x_max
@@ -259,7 +262,7 @@ def _nanometres(x):
 def test_noise_is_no_period(label, omega, n):
     """Newton closes no orbit better than the solver's noise: a multiple of n was found instead."""
     law = gs.contact_law(label, 1.4e6, gs.Gap(0.4e-3, 0.4e-3))
-    found = gs.respond(gs.Oscillator(), law, omega)
+    found = gs.respond(paper_oscillator(), law, omega)
     assert found.period_multiple == n
     assert found.t_settled < 30.0, "once it is near, it is found"
 
@@ -271,7 +274,7 @@ def test_a_rattled_orbit_has_the_period_about_which_it_rattles():
     Rounding decides which: of 512 starts 0.89 to 0.92 are right, and 170 have a standard error of
     0.023, of which the bound leaves three.
     """
-    oscillator, law = gs.Oscillator(), gs.Piecewise(1.4e6, gs.Gap(0.0, 0.8e-3))
+    oscillator, law = paper_oscillator(), gs.Piecewise(1.4e6, gs.Gap(0.0, 0.8e-3))
     paper = Solver.of(rtol=1e-4, atol=1e-7, controller="ode45")
     starts = [(x_0, 0.0) for x_0 in np.linspace(-1e-3, 1e-3, 256)]
     rattled, exact = (

@@ -8,17 +8,18 @@ from numpy.testing import assert_allclose
 from tests.labels import LABELS
 
 import gapsweep as gs
+from gapsweep.model.systems import paper_oscillator
 
 GAP = gs.Gap(0.2e-3, 0.5e-3)
 SYMMETRIC, CLOSED = gs.Gap(0.4e-3, 0.4e-3), gs.Gap(0.0, 0.0)
 TIGHT = {"rtol": 1e-11, "atol": 1e-14}
-LINEAR = gs.Oscillator(alpha=0.0)
+LINEAR = paper_oscillator(alpha=0.0)
 
 
 @pytest.mark.parametrize("engine", ["compiled", "scipy"])
 @pytest.mark.parametrize("K_ratio", [0.0, 0.2, 5.0])
 def test_a_bilinear_spring_swings_in_two_half_periods(K_ratio, engine):
-    o, K_c, x_0 = gs.Oscillator(zeta=0.0, alpha=0.0, forcing=0.0), 1.4e4, 1e-3
+    o, K_c, x_0 = paper_oscillator(zeta=0.0, alpha=0.0, forcing=0.0), 1.4e4, 1e-3
     spring = o.mass * o.omega_n_rad**2
     above, below = spring + K_c, spring + K_ratio * K_c
     period = math.pi * (math.sqrt(o.mass / above) + math.sqrt(o.mass / below))
@@ -35,7 +36,7 @@ def test_a_bilinear_spring_swings_in_two_half_periods(K_ratio, engine):
 def test_a_wall_without_stiffness_is_none(label, engine):
     near, far = (
         gs.simulate(
-            gs.Oscillator(),
+            paper_oscillator(),
             gs.contact_law(label, 1.4e4, gs.Gap(j_1, GAP.j_2), K_ratio=0.0),
             9.0, t_end=1.0, dense_output=True, engine=engine, rtol=1e-9, atol=1e-12,
         )
@@ -50,7 +51,7 @@ def test_a_wall_without_stiffness_is_none(label, engine):
 @pytest.mark.parametrize("engine", ["compiled", "scipy"])
 def test_a_wall_without_stiffness_is_as_one_out_of_reach(engine):
     law, far = gs.Piecewise(1.4e4, SYMMETRIC, K_ratio=0.0), gs.Piecewise(1.4e4, gs.Gap(1e3, 4e-4))
-    runs = [gs.respond(gs.Oscillator(), each, 9.0, engine=engine) for each in (law, far)]
+    runs = [gs.respond(paper_oscillator(), each, 9.0, engine=engine) for each in (law, far)]
     for name in ("x_end", "v_end", "n_steps", "n_contacts", "contact_share", "multiplier_abs"):
         assert getattr(runs[0], name) == getattr(runs[1], name), name
     assert_allclose(runs[0].contact_share, 0.359, atol=1e-3)  # own integrator; .894 with both
@@ -75,7 +76,7 @@ def test_walls_without_stiffness_are_never_touched(law, engine):
 
 def test_basins_say_between_which_walls():
     law = gs.Piecewise(1.4e4, SYMMETRIC, K_ratio=0.5)
-    found = gs.basins(gs.Oscillator(), law, 9.0, x=[-1e-3, 1e-3], v=[0.0])
+    found = gs.basins(paper_oscillator(), law, 9.0, x=[-1e-3, 1e-3], v=[0.0])
     assert found.attrs["K_ratio"] == 0.5
 
 

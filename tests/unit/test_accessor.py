@@ -22,6 +22,7 @@ from tests.made import chaotic, datasets, failed, periodic, tables
 import gapsweep as gs
 import gapsweep.report.accessor  # plain xarray.load_dataset does not bring it along
 from gapsweep.analysis.agreement.comparison import agreement
+from gapsweep.model.systems import paper_oscillator
 from gapsweep.report.branch_lines import of_scene
 from gapsweep.report.figure_marks import as_csv
 from gapsweep.report.figures import frequency_response
@@ -216,7 +217,7 @@ def test_attractors_of_starts_are_told_by_colour(responses, ax):
 
 def test_basins_are_a_map_of_the_starts(ax):
     found = gs.basins(
-        gs.Oscillator(), gs.Piecewise(1.4e4, gs.Gap(4e-4, 4e-4)), 20.0, x=[0.0, 1e-3], v=[0.0]
+        paper_oscillator(), gs.Piecewise(1.4e4, gs.Gap(4e-4, 4e-4)), 20.0, x=[0.0, 1e-3], v=[0.0]
     )
     found.gapsweep.attractors(ax=ax)
     shades = ax.images[0].get_array().reshape(-1, 4)
@@ -448,7 +449,7 @@ def test_what_holds_no_branches_is_refused(responses, branched, ax):
 
 def test_branches_that_gapsweep_computes_are_drawn(ax):
     law = gs.Piecewise(1.4e4, gs.Gap(0.4e-3, 0.4e-3))
-    found = gs.branches(gs.Oscillator(), law, between=(9.0, 16.0), at=14.0)
+    found = gs.branches(paper_oscillator(), law, between=(9.0, 16.0), at=14.0)
     found.gapsweep.branches(ax=ax)
     n = sum(len(heights) for heights in marks(ax).values())
     assert n == int((found["special"] > 0).sum()) > 1

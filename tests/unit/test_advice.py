@@ -10,11 +10,13 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 from scipy.integrate import quad
 from scipy.optimize import minimize_scalar
+from tests.machine import PAPER, TOML
 from tests.stored import point
 
 import gapsweep as gs
 from gapsweep.analysis.datasets.recommendations import advice, sentences
 from gapsweep.cli.main import FAULT, FINISHED, exit_code
+from gapsweep.model.systems import paper_oscillator
 from gapsweep.study.least_model import Model, advise, approximation, approximations
 
 GAP = gs.Gap(0.4e-3, 0.4e-3)
@@ -57,7 +59,7 @@ def test_linear_scenes_meet_the_error(oscillator, omega):
 
 def test_gain_of_the_cubic_spring_is_the_integral_of_the_impulse_response():
     # One scene whose bound is known in closed form but for that integral.
-    oscillator = gs.Oscillator(zeta=0.1, forcing=0.0)
+    oscillator = paper_oscillator(zeta=0.1, forcing=0.0)
     natural = oscillator.omega_n_rad
     damped = natural * math.sqrt(1 - 0.1**2)
     pieces = [
@@ -73,11 +75,11 @@ def test_gain_of_the_cubic_spring_is_the_integral_of_the_impulse_response():
 @pytest.mark.parametrize(
     ("oscillator", "start"),
     [
-        (gs.Oscillator(zeta=0.0), (0.0, 0.0)),  # the cubic spring may pump without end
-        (gs.Oscillator(zeta=1.5), (4.1e-4, 0.0)),
-        (gs.Oscillator(zeta=0.0, omega_n=20.0, alpha=0.0), (0.0, 0.0)),  # resonance
-        (gs.Oscillator(), (5e-4, 0.0)),
-        (gs.Oscillator(), None),
+        (paper_oscillator(zeta=0.0), (0.0, 0.0)),  # the cubic spring may pump without end
+        (paper_oscillator(zeta=1.5), (4.1e-4, 0.0)),
+        (paper_oscillator(zeta=0.0, omega_n=20.0, alpha=0.0), (0.0, 0.0)),  # resonance
+        (paper_oscillator(), (5e-4, 0.0)),
+        (paper_oscillator(), None),
     ],
 )
 def test_nothing_is_left_out_where_nothing_is_certain(oscillator, start):
@@ -87,16 +89,16 @@ def test_nothing_is_left_out_where_nothing_is_certain(oscillator, start):
 
 def test_overdamped_motions_have_bounds_too():
     """A start that creeps back decays from where it is; forces of one sign add up to the static."""
-    oscillator = gs.Oscillator(zeta=2.0, alpha=0.0, forcing=0.0)
+    oscillator = paper_oscillator(zeta=2.0, alpha=0.0, forcing=0.0)
     assert advise(oscillator, 1e4, GAP, 5.0, (3e-4, 0.0)).bound == pytest.approx(3e-4)
-    static = gs.Oscillator(zeta=2.0, forcing=0.0)
+    static = paper_oscillator(zeta=2.0, forcing=0.0)
     bound = advise(static, 1e4, GAP, 5.0, (3e-4, 0.0)).bound
     stiffness = static.mass * static.omega_n_rad**2
     assert_allclose(bound, 3e-4 + static.alpha * bound**3 / stiffness, rtol=1e-9)
 
 
 def test_a_wall_at_the_origin_is_always_reached():
-    assert advise(gs.Oscillator(), 1.4e4, gs.Gap(0.0, 0.8e-3), 30.0).model is Model.EXACT
+    assert advise(paper_oscillator(), 1.4e4, gs.Gap(0.0, 0.8e-3), 30.0).model is Model.EXACT
 
 
 def test_static_error_of_a_smooth_law():
@@ -118,11 +120,12 @@ def test_the_least_smooth_laws_are_one_decade_from_failing():
 @pytest.mark.parametrize("error", [0.0, 1e-12, 0.5, math.nan])
 def test_absurd_errors_are_refused(error):
     with pytest.raises(gs.ModelError, match="error"):
-        advise(gs.Oscillator(), 1.4e4, GAP, 5.0, error=error)
+        advise(paper_oscillator(), 1.4e4, GAP, 5.0, error=error)
 
 
 AUTO = {
     "study": {"name": "least"},
+    "oscillator": PAPER,
     "sweep": [
         {
             "representation": ["piecewise", "auto"],
@@ -220,7 +223,8 @@ def test_starts_that_need_the_same_model_are_told_together():
 def test_command_advises_without_computing(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "s.toml").write_text(
-        '[study]\nname = "s"\n[[sweep]]\nrepresentation = ["piecewise", "tanh-1e4"]\n'
+        f'oscillator = {TOML}\n[study]\nname = "s"\n[[sweep]]\n'
+        'representation = ["piecewise", "tanh-1e4"]\n'
         "K_c = [1.4e4]\ngap = [[0.4e-3, 0.4e-3]]\nomega = [7.0, 30.0]\n"
     )
     assert exit_code(["advise", "s.toml", "--error", "1e-2"]) == FINISHED
@@ -239,7 +243,8 @@ def test_a_law_of_the_user_is_said_not_to_be_assessed(tmp_path, monkeypatch, cap
     monkeypatch.chdir(tmp_path)
     (tmp_path / "own.py").write_text("def bushing(x):\n    return 2e4 * x**3\n")
     (tmp_path / "s.toml").write_text(
-        '[study]\nname = "s"\n[[sweep]]\nrepresentation = ["own:bushing", "tanh-1e4"]\n'
+        f'oscillator = {TOML}\n[study]\nname = "s"\n[[sweep]]\n'
+        'representation = ["own:bushing", "tanh-1e4"]\n'
         "K_c = [1.4e4]\ngap = [[0.4e-3, 0.4e-3]]\nomega = [7.0, 30.0]\n"
     )
     assert exit_code(["advise", "s.toml"]) == FINISHED

@@ -222,9 +222,9 @@ def test_a_steep_continuous_force_is_taken(force, gap):
             lambda: gs.RationalPolynomial(SOFT, SYMMETRIC, 0, 1),
             r"degree = 0: must be a whole number in 1..20",
         ),
-        (lambda: gs.Oscillator(zeta=-0.1), r"zeta = -0.1: must be >= 0"),
-        (lambda: gs.Oscillator(omega_n=-1.0), r"omega_n = -1: must be >= 0"),
-        (lambda: gs.Oscillator(mass="heavy"), r"mass = 'heavy': must be a number"),
+        (lambda: gs.systems.paper_oscillator(zeta=-0.1), r"zeta = -0.1: must be >= 0"),
+        (lambda: gs.systems.paper_oscillator(omega_n=-1.0), r"omega_n = -1: must be >= 0"),
+        (lambda: gs.systems.paper_oscillator(mass="heavy"), r"mass = 'heavy': must be a number"),
         (lambda: gs.law(lambda x: 1 / x, SOFT, SYMMETRIC), r"raised ZeroDivisionError"),
         (lambda: gs.law(lambda x: "12", SOFT, SYMMETRIC), r"must return a number, not '12'"),
         (lambda: gs.law(lambda x: x > 1.0, SOFT, SYMMETRIC), r"must return a number, not False"),
@@ -302,3 +302,11 @@ def test_a_fit_that_would_leave_a_wall_out_is_refused():
     assert gs.Polynomial(1e4, gap, degree=5, fit_range=6e-3).force(2e-3) > 0.0
     # A wall without stiffness is none.
     assert gs.Polynomial(1e4, gap, degree=5, K_ratio=0.0).force(2e-3) > 0.0
+
+
+def test_only_an_oscillator_of_the_paper_has_its_numbers():
+    linear = gs.Oscillator(mass=1.0, omega_n=1.0, zeta=0.05, forcing=10.0)
+    assert (linear.alpha, linear.c, linear.mean_load) == (0.0, 0.0, 0.0)
+    paper = gs.systems.paper_oscillator(zeta=0.1)
+    stated = {"zeta": 0.1, "omega_n": 5.0, "mass": 3.0, "alpha": 7e8, "forcing": 4.0}
+    assert paper == gs.Oscillator(**stated)

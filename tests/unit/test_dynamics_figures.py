@@ -7,6 +7,7 @@ from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
 from numpy.testing import assert_allclose
 from tests.figure_texts import overlaps
+from tests.machine import PAPER
 from tests.made import datasets, datasets_by_place, tables
 
 import gapsweep as gs
@@ -16,7 +17,7 @@ from gapsweep.report.maps import picture
 from gapsweep.report.style import NOT_PERIODIC
 
 mpl.use("Agg")
-OSCILLATOR, LAW = gs.Oscillator(), gs.Piecewise(1.4e6, gs.Gap(4e-4, 4e-4))
+OSCILLATOR, LAW = gs.systems.paper_oscillator(), gs.Piecewise(1.4e6, gs.Gap(4e-4, 4e-4))
 # Chaos, an orbit that strikes both walls, three and two periods, free motion within the gap.
 OMEGA = [6.0, 8.0, 11.0, 12.75, 14.0]
 PERIODS = [0, 1, 3, 2, 1]
@@ -153,9 +154,9 @@ def test_an_attractor_has_the_section_of_the_responses_that_end_on_it(files, ax)
 
 def test_the_mean_displacement_of_a_loaded_oscillator_is_in_no_spectrum(tmp_path, ax):
     """In a linear spring within a wide gap: only the forcing is left."""
-    model = gs.Oscillator(alpha=0.0, mean_load=100.0)
+    model = gs.systems.paper_oscillator(alpha=0.0, mean_load=100.0)
     block = {"representation": "piecewise", "K_c": 1.4e4, "gap": [1.0, 1.0], "omega": [7.0]}
-    table = {"oscillator": {"alpha": 0.0, "mean_load": 100.0}, "sweep": [block]}
+    table = {"oscillator": PAPER | {"alpha": 0.0, "mean_load": 100.0}, "sweep": [block]}
     ds = made(tmp_path, table, model, gs.Piecewise(1.4e4, gs.Gap(1.0, 1.0)))
     assert ds["x_min"].item() > 10.0 * ds["amplitude"].item()
     ds.gapsweep.waterfall(ax=ax)
@@ -227,14 +228,14 @@ def test_cells_of_the_regime_map_are_the_classes_of_their_responses(tmp_path):
     study["sweep"][0] |= {"K_c": [1.4e6], "forcing": forcing}
 
     def response(place):
-        model = gs.Oscillator(forcing=forcing[place["forcing"]])
+        model = gs.systems.paper_oscillator(forcing=forcing[place["forcing"]])
         return gs.respond(model, LAW, OMEGA[place["omega"]])
 
     ds, _ = datasets_by_place(tmp_path, gs.Study.from_dict(study), response)
     drawn, _ = picture(ds, "period_multiple", "omega", "forcing", {})
     for row, load in enumerate(forcing):
         for column, omega in enumerate(OMEGA[:3]):
-            one = gs.respond(gs.Oscillator(forcing=load), LAW, omega)
+            one = gs.respond(gs.systems.paper_oscillator(forcing=load), LAW, omega)
             name = f"P{one.period_multiple}" if one.period_multiple else "chaotic"
             assert drawn.names[drawn.kind[row, column]] == name
     ax = Figure(figsize=(6.0, 4.0), layout="constrained").subplots()
@@ -242,7 +243,7 @@ def test_cells_of_the_regime_map_are_the_classes_of_their_responses(tmp_path):
     walls = set()
     for load in forcing:
         for omega in OMEGA[:3]:
-            run = gs.simulate(gs.Oscillator(forcing=load), LAW, omega, n_periods=900)
+            run = gs.simulate(gs.systems.paper_oscillator(forcing=load), LAW, omega, n_periods=900)
             late = run.t_contacts[run.t_contacts > 0.9 * run.t_end]
             walls.add("both walls" if late.size else "no wall")
     assert {text.get_text() for text in ax.get_legend().get_texts()} == walls
@@ -252,7 +253,7 @@ def test_cells_of_the_regime_map_are_the_classes_of_their_responses(tmp_path):
     start = ds.sel(omega=6.0, forcing=4.0).squeeze()
     state = [float(start[name][0]) for name in ("section_x", "section_v")]
     n = len(ax.lines[0].get_xdata())
-    run = gs.simulate(gs.Oscillator(forcing=4.0), LAW, 6.0, *state, n_periods=n)
+    run = gs.simulate(gs.systems.paper_oscillator(forcing=4.0), LAW, 6.0, *state, n_periods=n)
     assert_allclose(np.column_stack(ax.lines[0].get_data()), 1e3 * run.section)
 
 

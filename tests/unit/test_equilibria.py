@@ -25,7 +25,7 @@ from gapsweep.model.equilibria import (
 )
 from gapsweep.model.fit import Fit
 
-OSCILLATOR = gs.Oscillator()
+OSCILLATOR = gs.systems.paper_oscillator()
 RANGE = 4e-3
 SYMMETRIC = gs.Gap(0.4e-3, 0.4e-3)
 HARD = 1.4e6
@@ -89,7 +89,7 @@ def exact_equilibria(oscillator, K_c, gap):
 
 @given(st.floats(-3e9, -1e8), st.floats(0.0, 1e5), own.gaps)
 def test_softening_oscillator_with_the_exact_law(alpha, K_c, gap):
-    oscillator = gs.Oscillator(alpha=alpha)
+    oscillator = gs.systems.paper_oscillator(alpha=alpha)
     expected = exact_equilibria(oscillator, K_c, gap)
     slope = np.abs(restoring_slope(oscillator, gs.Piecewise(K_c, gap), expected))
     # Not at a fold, on a wall or at the end, where a rounding error decides.
@@ -107,7 +107,7 @@ def test_softening_oscillator_with_the_exact_law(alpha, K_c, gap):
 
 
 def test_barrier_of_the_softening_oscillator_is_the_energy_of_its_saddle():
-    oscillator = gs.Oscillator(alpha=-1e9)
+    oscillator = gs.systems.paper_oscillator(alpha=-1e9)
     found = equilibria(oscillator, gs.Piecewise(0.0, SYMMETRIC), RANGE)
     k = linear_stiffness(oscillator)
     assert_allclose(found.x, [-math.sqrt(k / 1e9), 0.0, math.sqrt(k / 1e9)], atol=1e-15)

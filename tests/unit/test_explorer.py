@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 import xarray as xr
 from bokeh.document import Document
+from tests.machine import PAPER
 from tests.made import branches, datasets, periodic, tables
 from tornado.httpclient import AsyncHTTPClient, HTTPClientError, HTTPRequest
 from tornado.websocket import websocket_connect
@@ -61,7 +62,7 @@ from gapsweep.report.style import NOT_PERIODIC, NOT_SETTLED
 
 SOON = 30.0  # seconds that something may take before a test gives up
 FREE = gs.Piecewise(K_c=0.0, gap=gs.Gap(1e-3, 1e-3))
-LINEAR = gs.Oscillator(alpha=0.0)
+LINEAR = gs.systems.paper_oscillator(alpha=0.0)
 
 
 def linear_amplitude(oscillator, omega):
@@ -76,12 +77,12 @@ def linear_amplitude(oscillator, omega):
 
 def test_the_numbers_of_the_sliders_make_the_question():
     law = gs.Tanh(K_c=2e4, gap=gs.Gap(1e-4, 3e-4), K_ratio=0.5, epsilon=1e5)
-    question = of_model(gs.Oscillator(alpha=-1e8, zeta=0.0), law, approximations=())
+    question = of_model(gs.systems.paper_oscillator(alpha=-1e8, zeta=0.0), law, approximations=())
     assert asked(numbers(question), question.band) == question
 
 
 def test_every_slider_can_reach_where_it_starts():
-    strange = gs.Oscillator(alpha=-1e8, zeta=0.0, forcing=0.0)
+    strange = gs.systems.paper_oscillator(alpha=-1e8, zeta=0.0, forcing=0.0)
     for dial in dials(of_model(strange, FREE)):
         assert dial.low <= dial.value <= dial.high, dial.name
         assert dial.low < dial.high, dial.name
@@ -91,7 +92,7 @@ def test_a_study_gives_the_ranges():
     study = gs.Study.from_dict(
         {
             "study": {"name": "ranges"},
-            "oscillator": {"mass": 2.0},
+            "oscillator": PAPER | {"mass": 2.0},
             "sweep": [
                 {
                     "representation": ["piecewise@fine", "poly-7"],
@@ -155,7 +156,7 @@ def test_the_response_of_a_linear_oscillator_is_its_transfer_function():
 
 
 def test_sweeps_of_a_hardening_spring_differ_where_two_motions_are_stable():
-    question = of_model(gs.Oscillator(), FREE)
+    question = of_model(gs.systems.paper_oscillator(), FREE)
     last = {curve.protocol: curve for curve in sweeps(question)}
     up, down = last[UP], last[DOWN]
     assert np.array_equal(up.omega, down.omega[::-1])
@@ -182,7 +183,7 @@ def test_the_motion_of_a_linear_oscillator_is_a_sine():
 
 def test_a_motion_starts_where_the_question_says():
     # Between the jumps a hardening spring has two motions; each start stays on its own.
-    question = of_model(gs.Oscillator(), FREE)
+    question = of_model(gs.systems.paper_oscillator(), FREE)
     up, down = {curve.protocol: curve for curve in sweeps(question)}.values()
     k = int(np.argmax(up.x_max - down.x_max[::-1]))
     peaks = []
@@ -227,7 +228,7 @@ def test_every_start_of_a_linear_oscillator_ends_alike():
 
 def test_basins_are_those_of_the_grid_of_starts():
     # Between the jumps a hardening spring has two motions.
-    question = replace(of_model(gs.Oscillator(), FREE), omega=11.0)
+    question = replace(of_model(gs.systems.paper_oscillator(), FREE), omega=11.0)
     *_, plane = basins(question, EXACT, 5e-3)
     found = gs.basins(question.oscillator, FREE, 11.0, x=plane.x, v=plane.y, rtol=1e-6, atol=1e-9)
     peaks = np.append(found["x_max"].values, np.nan)[found["attractor"].values]
@@ -254,20 +255,20 @@ def test_places_on_a_slider_are_values_there_and_back():
 
 
 def test_a_motion_that_fails_says_so():
-    runaway = of_model(gs.Oscillator(alpha=-1e10, forcing=1e3), FREE)
+    runaway = of_model(gs.systems.paper_oscillator(alpha=-1e10, forcing=1e3), FREE)
     found = motion(runaway, EXACT)
     assert isinstance(found, Motion)
     assert found.problem.startswith("piecewise: the motion fails")
 
 
 def test_little_damping_bounds_what_a_redraw_costs():
-    steady = shown.settled(gs.Oscillator(zeta=0.0))
+    steady = shown.settled(gs.systems.paper_oscillator(zeta=0.0))
     assert steady.t_max == pytest.approx(NATURAL_PERIODS / 5.0)
 
 
 @pytest.mark.parametrize("zeta", [0.0, 1e-3, 0.01, 0.02, 0.5, 3.0])
 def test_the_settling_time_that_is_stated_is_the_one_that_is_used(zeta):
-    oscillator = gs.Oscillator(zeta=zeta, alpha=0.0)
+    oscillator = gs.systems.paper_oscillator(zeta=zeta, alpha=0.0)
     given = shown.settled(oscillator).t_max * oscillator.settling_rate
     assert decay_times(oscillator) == pytest.approx(given)
     (stated,) = re.findall(r"([0-9.]+) of the 13 decay times", legend(of_model(oscillator), ()))
@@ -285,7 +286,9 @@ def looked_at(question):
 @pytest.mark.parametrize(("zeta", "is_given"), [(1e-3, False), (0.03, True)])
 def test_what_has_not_settled_is_grey_and_called_so(zeta, is_given):
     """A nearly linear response that had 0.65 of 13 decay times is none that is not periodic."""
-    question = of_model(gs.Oscillator(zeta=zeta), gs.Piecewise(1e3, gs.Gap(0.4e-3, 0.4e-3)))
+    question = of_model(
+        gs.systems.paper_oscillator(zeta=zeta), gs.Piecewise(1e3, gs.Gap(0.4e-3, 0.4e-3))
+    )
     curve = from_rest(question, EXACT)
     kind = gs.ResponseClass.UNRESOLVED
     curve = replace(curve, response_class=np.full(200, kind), period_multiple=np.zeros(200, int))
@@ -303,7 +306,9 @@ def test_what_has_not_settled_is_grey_and_called_so(zeta, is_given):
 def test_rows_of_a_map_have_settled_by_their_own_damping():
     dampings = (1e-3, 0.3)
     question = replace(
-        of_model(gs.Oscillator(), approximations=()), over="zeta", over_values=dampings
+        of_model(gs.systems.paper_oscillator(), approximations=()),
+        over="zeta",
+        over_values=dampings,
     )
     found = looked_at(question)
     never = np.zeros((2, 3), bool)
@@ -319,10 +324,12 @@ def test_motions_of_micrometres_are_as_good_as_those_of_millimetres():
     """Lengths and forces 1e-6 of the others, stiffnesses the same: so are the motions."""
     small = 1e-6
     large = of_model(
-        gs.Oscillator(alpha=0.0), gs.Piecewise(1.4e4, gs.Gap(4e-4, 4e-4)), approximations=()
+        gs.systems.paper_oscillator(alpha=0.0),
+        gs.Piecewise(1.4e4, gs.Gap(4e-4, 4e-4)),
+        approximations=(),
     )
     tiny = of_model(
-        gs.Oscillator(alpha=0.0, forcing=4.0 * small),
+        gs.systems.paper_oscillator(alpha=0.0, forcing=4.0 * small),
         gs.Piecewise(1.4e4, gs.Gap(4e-4 * small, 4e-4 * small)),
         approximations=(),
     )

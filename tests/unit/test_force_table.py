@@ -18,6 +18,7 @@ from gapsweep.analysis.bench.scenarios import Scenario
 from gapsweep.execution.assemble import attributes_of
 from gapsweep.execution.layout import Layout
 from gapsweep.integrate.problem import Solver
+from gapsweep.model.systems import paper_oscillator
 from gapsweep.pipeline import plan
 from gapsweep.response.loads import largest_forces
 
@@ -110,7 +111,7 @@ def rhs(o, curve, omega):
 
 @pytest.mark.parametrize("engine", ["compiled", "scipy"])
 def test_motions_are_those_on_scipys_curve(engine):
-    o = gs.Oscillator()
+    o = paper_oscillator()
     rng = np.random.default_rng(5)
     x = np.concatenate([[-4e-3], np.sort(rng.uniform(-3e-3, 3e-3, 9)), [4e-3]])
     forces = np.sort(rng.normal(0.0, 20.0, x.size))
@@ -133,7 +134,7 @@ def test_motions_are_those_on_scipys_curve(engine):
 )
 def test_a_finer_table_of_a_law_comes_closer_to_it(law, gain):
     """With the third order of its points' distance, at a corner with the second."""
-    o, omega = gs.Oscillator(), np.linspace(5.0, 12.0, 16)
+    o, omega = paper_oscillator(), np.linspace(5.0, 12.0, 16)
     truth = gs.simulate(o, law, omega, t_end=0.5, **TIGHT)
     coarse, middle, fine = (
         np.abs(gs.simulate(o, sampled(law, n), omega, t_end=0.5, **TIGHT).x_end - truth.x_end).max()
@@ -144,7 +145,7 @@ def test_a_finer_table_of_a_law_comes_closer_to_it(law, gain):
 
 
 def test_its_walls_are_passed_as_often_as_those_of_its_law():
-    law, o = gs.Piecewise(1.4e4, GAP), gs.Oscillator()
+    law, o = gs.Piecewise(1.4e4, GAP), paper_oscillator()
     exact = gs.simulate(o, law, 9.0, t_end=2.0)
     found = gs.simulate(o, sampled(law, 2001), 9.0, t_end=2.0)
     assert found.n_contacts == exact.n_contacts > 20
@@ -154,7 +155,7 @@ def test_its_walls_are_passed_as_often_as_those_of_its_law():
 @pytest.mark.parametrize("engine", ["compiled", "scipy"])
 def test_a_motion_is_judged_by_the_end_that_it_passes(engine):
     """The table ends at -3 mm and at 2 mm."""
-    free = gs.Oscillator(alpha=0.0, forcing=0.0)
+    free = paper_oscillator(alpha=0.0, forcing=0.0)
     table, options = gs.ForceTable(X, F), {"t_end": 0.01, "engine": engine}
     ends = {
         x_0: gs.simulate(free, table, 9.0, x_0, **options).status
@@ -167,7 +168,10 @@ def test_a_motion_is_judged_by_the_end_that_it_passes(engine):
 @pytest.mark.parametrize("engine", ["compiled", "scipy"])
 def test_a_fit_is_left_alike_in_both_engines(engine):
     """With tenfold the speed it goes farther than the fit reaches."""
-    free, law = gs.Oscillator(alpha=0.0, forcing=0.0), gs.Polynomial(1.4e4, GAP, 5, 1e-3)
+    free, law = (
+        paper_oscillator(alpha=0.0, forcing=0.0),
+        gs.Polynomial(1.4e4, GAP, 5, 1e-3),
+    )
     ends = [
         gs.simulate(free, law, 9.0, 0.0, v_0, t_end=0.1, engine=engine).status
         for v_0 in (0.03, 0.3)
@@ -176,7 +180,7 @@ def test_a_fit_is_left_alike_in_both_engines(engine):
 
 
 def test_a_response_beyond_the_table_says_so():
-    o, omega = gs.Oscillator(), 9.0
+    o, omega = paper_oscillator(), 9.0
     whole = gs.respond(o, gs.ForceTable(X, F), omega)
     assert whole.status == gs.Status.OK
     reach = 0.5 * (0.4e-3 + whole.x_max)
@@ -193,7 +197,7 @@ def test_the_largest_force_may_lie_at_a_point_of_the_table(x_min, x_max):
 
 
 def test_company_changes_no_bit():
-    o, omega = gs.Oscillator(), np.linspace(5.0, 12.0, 19)
+    o, omega = paper_oscillator(), np.linspace(5.0, 12.0, 19)
     together = gs.simulate(o, gs.ForceTable(X, F), omega, t_end=1.0)
     for k in (0, 7, 18):
         alone = gs.simulate(o, gs.ForceTable(X, F), omega[k], t_end=1.0)
@@ -248,7 +252,7 @@ def test_the_largest_force_is_that_of_a_fine_grid(forces):
 def test_a_benchmark_knows_both_ends_of_a_table(x_0, is_ok):
     table = gs.ForceTable([-1.0, -0.4e-3, 0.4e-3, 2.0e-3], [0.0, 0.0, 0.0, 24.5])
     scene = Scenario(
-        name="stop", oscillator=gs.Oscillator(forcing=0.0), K_c=1.0, gap=GAP, omega=9.0,
+        name="stop", oscillator=paper_oscillator(forcing=0.0), K_c=1.0, gap=GAP, omega=9.0,
         x_0=x_0, v_0=0.0, n_periods=1, expected=None, fit_range=4e-3, without=(),
     )  # fmt: skip
     found = motion(scene, table, Solver.of())
@@ -334,7 +338,7 @@ def test_a_study_of_a_table_has_the_numbers_of_respond(client, tables, bench, tm
     def expected(forces):
         law = gs.ForceTable(X, forces, GAP)
         return gs.respond(
-            gs.Oscillator(zeta=0.3), law, [12.0, 20.0], engine=engine, steady=steady
+            paper_oscillator(zeta=0.3), law, [12.0, 20.0], engine=engine, steady=steady
         ).x_max
 
     n_hits, peaks = asked()

@@ -5,6 +5,7 @@ import json
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
+from tests.machine import PAPER
 from tests.stored import all_keys
 
 import gapsweep as gs
@@ -19,7 +20,12 @@ SWEEP = {"representation": ["piecewise"], "K_c": [1.4e4], "gap": [[4e-4, 4e-4]],
 
 
 def study_of(*tables, **more):
-    whole = {"study": {"name": "kept"}, "sweep": [SWEEP], "history": list(tables)}
+    whole = {
+        "study": {"name": "kept"},
+        "oscillator": PAPER,
+        "sweep": [SWEEP],
+        "history": list(tables),
+    }
     return gs.Study.from_dict(whole | more)
 
 
@@ -63,7 +69,7 @@ def test_samples_are_those_of_a_simulation():
     one = kept({"t_end": 8.0}).sel(part="steady")
     law = gs.contact_law("piecewise", 1.4e4, gs.Gap(4e-4, 4e-4))
     for i in (0, 5000):
-        there = gs.simulate(gs.Oscillator(), law, 10.0, t_end=float(one["t"][i]))
+        there = gs.simulate(gs.systems.paper_oscillator(), law, 10.0, t_end=float(one["t"][i]))
         assert_allclose((one["x"][i], one["v"][i]), (there.x_end, there.v_end), rtol=1e-5)
     assert_allclose(one["t"][-1], 8.0 - 0.1 / SAMPLES_PER_PERIOD)
 
@@ -191,7 +197,7 @@ def test_the_only_value_that_is_swept_is_that_of_a_history():
     study = study_of(SCENE | UNLIKE, sweep=[SWEEP | SWEPT])
     one = histories(study).isel(history=0, representation=0)
     law = gs.contact_law("piecewise", 1.4e6, gs.Gap(4e-4, 4e-4), K_ratio=0.01)
-    oscillator = gs.Oscillator(omega_n=20.0, forcing=40.0)
+    oscillator = gs.systems.paper_oscillator(omega_n=20.0, forcing=40.0)
     steady = gs.respond(oscillator, law, omega=8.0)
     assert_allclose(extremes(one), (steady.x_min, steady.x_max), rtol=5e-3)  # between samples
     assert steady.x_min < -2 * steady.x_max
@@ -208,6 +214,6 @@ def test_of_several_values_a_history_says_its_own():
     one = histories(study).isel(history=0, representation=0)
     assert one["zeta"].item() == 0.02
     law = gs.contact_law("piecewise", 1.4e6, gs.Gap(4e-4, 4e-4))
-    oscillator = gs.Oscillator(omega_n=20.0, forcing=40.0, zeta=0.02)
+    oscillator = gs.systems.paper_oscillator(omega_n=20.0, forcing=40.0, zeta=0.02)
     steady = gs.respond(oscillator, law, omega=8.0)
     assert_allclose(extremes(one), (steady.x_min, steady.x_max), rtol=5e-3)  # between samples

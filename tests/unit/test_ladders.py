@@ -7,6 +7,7 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy.integrate import quad
 from scipy.special import lambertw
+from tests.machine import PAPER
 from workflows.paper import ladders as ladder
 
 import gapsweep as gs
@@ -17,7 +18,7 @@ from gapsweep.model.equilibria import equilibria
 RANGE = 4e-3
 VERY_SOFT, SOFT, HARD = 1.4e3, 1.4e4, 1.4e6
 SYMMETRIC, ASYMMETRIC = gs.Gap(0.4e-3, 0.4e-3), gs.Gap(0.0, 0.8e-3)
-OSCILLATOR = gs.Oscillator()
+OSCILLATOR = gs.systems.paper_oscillator()
 
 
 @pytest.fixture(scope="module")
@@ -30,7 +31,9 @@ def rungs():
     }
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(ladder, "RATIOS", ("3/2", "5/3"))  # the others take most of a minute
-        yield ladder.ladders(gs.Study.from_dict({"study": {"name": "rungs"}, "sweep": [sweep]}))
+        yield ladder.ladders(
+            gs.Study.from_dict({"study": {"name": "rungs"}, "oscillator": PAPER, "sweep": [sweep]})
+        )
 
 
 def test_in_gap_force_of_a_high_degree_at_hard_contact(rungs):

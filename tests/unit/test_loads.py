@@ -8,10 +8,11 @@ from numpy.testing import assert_allclose
 
 import gapsweep as gs
 from gapsweep.model.fitted import RationalPolynomial
+from gapsweep.model.systems import paper_oscillator
 from gapsweep.model.user_law import UserLaw
 from gapsweep.response.loads import largest_forces
 
-LINEAR = gs.Oscillator(alpha=0.0)
+LINEAR = paper_oscillator(alpha=0.0)
 SYMMETRIC, ASYMMETRIC = gs.Gap(0.4e-3, 0.4e-3), gs.Gap(0.1e-3, 0.6e-3)
 CLOSED = gs.Gap(0.0, 0.0)
 TIGHT = {"rtol": 1e-10, "atol": 1e-13}
@@ -62,20 +63,22 @@ def test_walls_of_hardly_any_stiffness_are_passed_by_a_known_sine(law, gap):
 
 @pytest.mark.parametrize("engine", ["compiled", "scipy"])
 def test_what_never_touches_bears_nothing(engine):
-    response = gs.respond(gs.Oscillator(), gs.Piecewise(1.4e4, SYMMETRIC), 25.0, engine=engine)
+    response = gs.respond(paper_oscillator(), gs.Piecewise(1.4e4, SYMMETRIC), 25.0, engine=engine)
     assert response.x_max < 0.4e-3
     assert response.force_max == response.contact_share == 0.0
 
 
 def test_rest_in_the_gap_and_on_a_wall():
-    still = gs.Oscillator(forcing=0.0)
+    still = paper_oscillator(forcing=0.0)
     for gap in (SYMMETRIC, CLOSED):
         response = gs.respond(still, gs.Piecewise(1.4e4, gap), 5.0)
         assert response.force_max == response.contact_share == 0.0
 
 
 def test_a_failed_point_has_neither():
-    response = gs.respond(gs.Oscillator(alpha=-7e8), gs.Piecewise(1.4e4, SYMMETRIC), 5.0, x_0=5e-3)
+    response = gs.respond(
+        paper_oscillator(alpha=-7e8), gs.Piecewise(1.4e4, SYMMETRIC), 5.0, x_0=5e-3
+    )
     assert response.status is gs.Status.DIVERGED
     assert math.isnan(response.force_max)
     assert math.isnan(response.contact_share)
@@ -84,7 +87,7 @@ def test_a_failed_point_has_neither():
 @pytest.mark.parametrize("located", [True, False])
 def test_what_is_not_periodic_has_the_share_of_its_last_window(located):
     # Undamped and linear: two frequencies, known for all times.
-    oscillator, omega = gs.Oscillator(zeta=0.0, alpha=0.0), 6.1
+    oscillator, omega = paper_oscillator(zeta=0.0, alpha=0.0), 6.1
     steady = gs.Steady(t_max=20.0)
     law = gs.Piecewise(SLIGHT, ASYMMETRIC, located=located)
     response = gs.respond(oscillator, law, omega, steady=steady, **TIGHT)

@@ -6,6 +6,7 @@ from numpy.testing import assert_allclose
 from tests.figure_texts import overlaps
 
 import gapsweep as gs
+from gapsweep.model.systems import paper_oscillator
 
 LAW = gs.contact_law("piecewise", 1.4e4, gs.Gap(4e-4, 4e-4))
 OMEGA = 9.0
@@ -13,7 +14,7 @@ OMEGA = 9.0
 
 def simulated(**options):
     given = {"omega": OMEGA, "t_end": 20.0, "dense_output": True, **options}
-    return gs.simulate(gs.Oscillator(), LAW, **given)
+    return gs.simulate(paper_oscillator(), LAW, **given)
 
 
 def data(axes):
@@ -85,7 +86,7 @@ def test_walls_are_dashed_and_set_no_axis():
         assert_allclose(levels(axes, "x"), [-0.4, 0.4])
     assert not levels(spectrum, "y")
     law = gs.Piecewise(1e3, gs.Gap(9.0, 9.0))
-    far = gs.simulate(gs.Oscillator(), law, OMEGA, t_end=9.0, dense_output=True)
+    far = gs.simulate(paper_oscillator(), law, OMEGA, t_end=9.0, dense_output=True)
     history = gs.plot(far).axes[0]
     _, x = data(history)
     assert x.max() < history.get_ylim()[1] < 2.0 * x.max()
@@ -111,7 +112,7 @@ def test_walls_stand_where_the_coordinate_meets_them():
 
 
 def test_at_rest_there_is_a_picture_too():
-    run = gs.simulate(gs.Oscillator(forcing=0.0), LAW, omega=OMEGA, t_end=1.0, dense_output=True)
+    run = gs.simulate(paper_oscillator(forcing=0.0), LAW, omega=OMEGA, t_end=1.0, dense_output=True)
     assert not data(gs.plot(run).axes[0])[1].any()
 
 

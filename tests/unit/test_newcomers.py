@@ -7,12 +7,17 @@ import pytest
 
 import gapsweep as gs
 from gapsweep.cli.main import exit_code
+from gapsweep.model.systems import paper_oscillator
 from gapsweep.study.spec import parse
 
 STUDY = """
 [study]
 name = "mine"
 [oscillator]
+mass = 3.0
+omega_n = 5.0
+forcing = 4.0
+alpha = 7e8
 zeta = 0.03
 [[sweep]]
 representation = ["piecewise", "tanh-1e4"]
@@ -99,7 +104,7 @@ LABELS = {
 GAP = gs.Gap(4e-4, 4e-4)
 IN_PYTHON = {
     "label for a law": (
-        lambda: gs.respond(gs.Oscillator(), "piecewise", omega=9.0),
+        lambda: gs.respond(paper_oscillator(), "piecewise", omega=9.0),
         "law = 'piecewise': must be a contact law, as "
         "gapsweep.contact_law('piecewise', K_c, gap) is",
     ),
@@ -107,7 +112,7 @@ IN_PYTHON = {
         lambda: gs.law("tanh-1e4", 1.4e4, GAP),
         "for the law of a label use gapsweep.contact_law(label, K_c, gap)",
     ),
-    "text for a number": (lambda: gs.Oscillator(mass="3 kg"), "mass = '3 kg': must be a number"),
+    "text for a number": (lambda: paper_oscillator(mass="3 kg"), "mass = '3 kg': must be a number"),
 }
 ON_THE_COMMAND_LINE = {
     "study by its name": (

@@ -9,6 +9,7 @@ import xarray as xr
 from matplotlib.colors import to_hex
 from numpy.testing import assert_allclose
 from tests.figure_texts import overlaps
+from tests.machine import PAPER
 from tests.redrawn import is_redrawn
 from workflows.paper import scenes
 from workflows.paper.figures import LIMITS, band_rows, costs, figures, sections
@@ -104,6 +105,7 @@ def kept():
     sweep = {"representation": ["piecewise"], "K_c": [1.4e6], "gap": [[0.0, 8e-4]]}
     tables = {
         "study": {"name": "kept"},
+        "oscillator": PAPER,
         "sweep": [sweep | {"omega": [11.0]}],
         "history": [table | {"omega": omega} for omega in (11.0, 21.75)],
     }
@@ -323,7 +325,9 @@ def test_bands_are_the_frequencies_found_from_both_initial_conditions():
 
 
 def test_a_scan_finds_rest_without_period_3_and_the_released_mass_with_it_in_the_band():
-    found = starts(gs.Study.from_dict({"study": {"name": "scan"}, "sweep": [SOFT_SWEEP]}))
+    found = starts(
+        gs.Study.from_dict({"study": {"name": "scan"}, "oscillator": PAPER, "sweep": [SOFT_SWEEP]})
+    )
     shares = {
         name: [float(found[share].sel(x_0=x, v_0=v, method="nearest")) for share in found]
         for name, (x, v) in scenes.STARTS.items()
@@ -341,7 +345,9 @@ def test_a_scan_finds_rest_without_period_3_and_the_released_mass_with_it_in_the
 
 @pytest.mark.packaging
 def test_figure_2c_has_both_stiffnesses_and_figure_5_its_ladders():
-    study = gs.Study.from_dict({"study": {"name": "forces"}, "sweep": [SOFT_SWEEP]})
+    study = gs.Study.from_dict(
+        {"study": {"name": "forces"}, "oscillator": PAPER, "sweep": [SOFT_SWEEP]}
+    )
     static = static_part.static(study).sel(gap="0.4/0.4")
     hard, soft = 1.4e6, 1.4e3
     forces = unit_forces(static, ("poly-13", "poly-13" + CONSTRAINED))

@@ -26,7 +26,7 @@ import os, sys
 import gapsweep as gs
 assert not hasattr(os, "fork") and sys.modules["fcntl"] is None
 law = gs.Piecewise(1.4e4, gs.Gap(4e-4, 4e-4))
-assert gs.respond(gs.Oscillator(), law, omega=9.0).status.label == "ok"
+assert gs.respond(gs.systems.paper_oscillator(), law, omega=9.0).status.label == "ok"
 block = {"representation": ["piecewise", "tanh-1e4@tight"], "K_c": 1.4e4, "gap": [4e-4, 4e-4]}
 tables = {"study": {"name": "small"}, "protocol": {"tight": {"rtol": 1e-10}}}
 tables["sweep"] = [block | {"omega": [8.0, 9.0]}]

@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 
 import gapsweep as gs
+from gapsweep.model.systems import paper_oscillator
 
 GAP = gs.Gap(4e-4, 4e-4)
-OSCILLATOR, LAW = gs.Oscillator(), gs.Piecewise(1.4e4, GAP)
+OSCILLATOR, LAW = paper_oscillator(), gs.Piecewise(1.4e4, GAP)
 
 
 def simulated(**changes):
@@ -29,14 +30,17 @@ REFUSED = {
     "None for a start": (lambda: simulated(x_0=None), "x_0 = None: must be a number"),
     "no law": (lambda: simulated(law=None), r"law = None: .* gapsweep\.contact_law\("),
     "law by its label": (lambda: simulated(law="tanh-1e4"), r"'tanh-1e4': .*contact_law\("),
-    "no oscillator": (lambda: simulated(oscillator=None), r"oscillator = None: .*Oscillator\(\)"),
+    "no oscillator": (
+        lambda: simulated(oscillator=None),
+        r"oscillator = None: .*Oscillator\(\.\.\.\)",
+    ),
     "huge frequency": (lambda: simulated(omega=1e300), r"omega = 1e\+300: must be within"),
     "tiny frequency": (lambda: simulated(omega=[9.0, 1e-310]), "omega = 1e-310: must be >= 1e-50"),
     "huge start": (lambda: simulated(v_0=-1e300), r"v_0 = -1e\+300: must be within"),
     "tiny tolerance": (lambda: simulated(atol=1e-300), "atol = 1e-300: must be >= 1e-50"),
-    "huge damping": (lambda: gs.Oscillator(zeta=1e308), r"zeta = 1e\+308: must be within"),
-    "huge omega_n": (lambda: gs.Oscillator(omega_n=1e308), r"omega_n = 1e\+308: must be within"),
-    "tiny mass": (lambda: gs.Oscillator(mass=1e-308), "mass = 1e-308: must be >= 1e-50"),
+    "huge damping": (lambda: paper_oscillator(zeta=1e308), r"zeta = 1e\+308: must be within"),
+    "huge omega_n": (lambda: paper_oscillator(omega_n=1e308), r"omega_n = 1e\+308: must be within"),
+    "tiny mass": (lambda: paper_oscillator(mass=1e-308), "mass = 1e-308: must be >= 1e-50"),
     "huge gamma": (lambda: gs.LogArctan(1.4e4, GAP, 1e300), r"gamma = 1e\+300: must be within"),
     "response without law": (lambda: answered(law=None), "law = None: must be a contact law"),
     "text for a time": (
@@ -55,6 +59,11 @@ REFUSED = {
     ),
     "gap with one wall": (lambda: gs.Gap(1e-4), r"Gap: .*j_2.*gs\.Gap\("),
     "oscillator by position": (lambda: gs.Oscillator(0.02, 20), r"zeta, omega_n, .*mass=3"),
+    "number left out": (
+        lambda: gs.Oscillator(mass=1.0, omega_n=2.0, zeta=0.1),
+        r"'forcing'.*write gs.Oscillator\(mass=3.0, omega_n=5.0, zeta=0.03, forcing=4.0\)",
+    ),
+    "misnamed change": (lambda: gs.systems.paper_oscillator(m=1), r"'m'; .*mass.*Hz"),
     "misnamed mass": (lambda: gs.Oscillator(m=1), r"'m'; .*mass.*Hz"),
     "law without sharpness": (lambda: gs.Tanh(1e4, GAP), r"Tanh: .*epsilon.*1/m"),
     "load by position": (lambda: gs.Harmonic([30.0, 0.0]), r"Harmonic: .*amplitude=\["),
@@ -73,7 +82,7 @@ NO_NUMBERS = ["1", "9.0", b"1", True, np.True_, np.array(True), np.str_("1"), 1j
 NUMBERS = [1, np.float32(1.0), np.int8(1), np.array(1.0), np.array(1), Fraction(1), Decimal(1)]
 TAKE_NUMBERS = {
     "wall": lambda value: gs.Gap(value, 0.0),
-    "damping": lambda value: gs.Oscillator(zeta=value),
+    "damping": lambda value: paper_oscillator(zeta=value),
     "stiffness": lambda value: gs.Piecewise(value, GAP),
     "frequency": lambda value: simulated(omega=value),
     "one of some starts": lambda value: simulated(x_0=[value, 0.0]),
@@ -117,9 +126,9 @@ def test_one_line_names_the_value_and_the_remedy(name):
 @pytest.mark.parametrize(
     "oscillator",
     [
-        gs.Oscillator(mass=1e-50, alpha=1e50, forcing=1e50),
-        gs.Oscillator(zeta=1e50, omega_n=1e50),
-        gs.Oscillator(omega_n=1e-50, mass=1e-50, forcing=1e50),
+        paper_oscillator(mass=1e-50, alpha=1e50, forcing=1e50),
+        paper_oscillator(zeta=1e50, omega_n=1e50),
+        paper_oscillator(omega_n=1e-50, mass=1e-50, forcing=1e50),
     ],
     ids=["light", "damped", "slow"],
 )

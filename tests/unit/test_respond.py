@@ -16,6 +16,7 @@ from tests.section_points import parts
 
 import gapsweep as gs
 from gapsweep.integrate.problem import Solver
+from gapsweep.model.systems import paper_oscillator
 from gapsweep.response.lyapunov import LyapunovExponents
 from gapsweep.response.respond import respond_all
 from gapsweep.response.scene import Scene
@@ -39,7 +40,9 @@ def test_a_time_limit_ends_motions_and_says_so():
     assert [*runs.status] == [Status.OK, Status.TIMED_OUT, Status.TIMED_OUT]
     whole = gs.simulate(o, law, 1.0, 0.5, n_periods=3)
     assert (runs.x_end[0], runs.v_end[0]) == (whole.x_end, whole.v_end)
-    assert gs.respond(gs.Oscillator(), law, 9.0).status is Status.OK, "the limit is of one call"
+    assert gs.respond(gs.systems.paper_oscillator(), law, 9.0).status is Status.OK, (
+        "the limit is of one call"
+    )
 
 
 def test_autonomous_motions_that_are_not_begun_in_time_have_timed_out():
@@ -55,11 +58,16 @@ def test_autonomous_motions_that_are_not_begun_in_time_have_timed_out():
 def test_a_time_limit_is_a_time(time_limit):
     for call in (gs.respond, partial(gs.simulate, t_end=1.0, dense_output=True)):
         with pytest.raises(gs.ModelError, match="time_limit = "):
-            call(gs.Oscillator(), gs.Piecewise(1.0, SYMMETRIC), 9.0, time_limit=time_limit)
+            call(
+                gs.systems.paper_oscillator(),
+                gs.Piecewise(1.0, SYMMETRIC),
+                9.0,
+                time_limit=time_limit,
+            )
 
 
 def test_linear_oscillator_reaches_its_closed_form_amplitude():
-    oscillator = gs.Oscillator(alpha=0.0)
+    oscillator = paper_oscillator(alpha=0.0)
     response = gs.respond(oscillator, gs.Piecewise(0.0, SYMMETRIC), 7.0, **TIGHT)
     r = 7.0 / oscillator.omega_n
     static = oscillator.forcing / (oscillator.mass * oscillator.omega_n_rad**2)
@@ -73,7 +81,7 @@ def test_linear_oscillator_reaches_its_closed_form_amplitude():
 @pytest.mark.parametrize(("omega", "rtol"), [(500.0, 1e-6), (2000.0, 1e-6), (2000.0, 1e-9)])
 def test_an_orbit_is_found_where_a_period_hardly_contracts(omega, rtol):
     # Ends that meet to the solver's noise are no orbit's: it is 1 / |1 - multiplier| times as far.
-    oscillator = gs.Oscillator(alpha=0.0)
+    oscillator = paper_oscillator(alpha=0.0)
     # The amplitude is 8e-9 m at 2,000 Hz: an absolute tolerance of 1e-9 m says nothing of it.
     found = gs.respond(
         oscillator, gs.Piecewise(1e4, SYMMETRIC), omega, 1e-4, rtol=rtol, atol=1e-4 * rtol
@@ -141,7 +149,10 @@ def test_newton_goes_on_while_ends_still_come_nearer():
 
 def test_slow_orbits_of_any_multiple_are_their_own():
     """Their windows hold whole periods of three, of which 64 is no multiple."""
-    oscillator, omega = gs.Oscillator(zeta=0.0032, forcing=3.75), np.array([17.925, 18.025, 18.325])
+    oscillator, omega = (
+        paper_oscillator(zeta=0.0032, forcing=3.75),
+        np.array([17.925, 18.025, 18.325]),
+    )
     law = gs.Piecewise(5900.0, gs.Gap(0.1e-3, 0.5e-3))
     found = gs.respond(oscillator, law, omega, x_0=-1e-3, v_0=-0.05)
     assert found.period_multiple.tolist() == [3, 3, 3]
@@ -162,7 +173,7 @@ def test_a_slow_orbit_that_a_solver_rattles_is_waited_for_once(n_periods):
         K_c, gap = 10.0 ** rng.uniform(3.0, 5.0), gs.Gap(*rng.uniform(0.0, 1e-3, 2))
         omega, rtol = np.sort(rng.uniform(4.0, 25.0, 12)), 10.0 ** -rng.choice([5, 6, 9])
         x_0, v_0 = rng.uniform(-1e-3, 1e-3), rng.uniform(-0.06, 0.06)
-    oscillator, law = gs.Oscillator(zeta=zeta, forcing=forcing), gs.Tanh(K_c, gap, epsilon=3e4)
+    oscillator, law = paper_oscillator(zeta=zeta, forcing=forcing), gs.Tanh(K_c, gap, epsilon=3e4)
     given = {"omega": omega, "x_0": x_0, "v_0": v_0, "rtol": rtol, "atol": 1e-3 * rtol}
     steady = gs.Steady(n_periods=n_periods)
     found = gs.respond(oscillator, law, **given, steady=steady)
@@ -173,7 +184,7 @@ def test_a_slow_orbit_that_a_solver_rattles_is_waited_for_once(n_periods):
 def test_long_lists_of_extrema_are_cut_and_counted():
     steady = gs.Steady(settle_tol=1e-3, t_max=8.0, max_extrema=20)
     law = gs.Piecewise(1.4e4, gs.Gap(0.0, 0.8e-3))
-    response = gs.respond(gs.Oscillator(), law, 14.0, steady=steady)
+    response = gs.respond(paper_oscillator(), law, 14.0, steady=steady)
     assert response.period_multiple == 0
     assert response.n_extrema > len(response.extrema) == len(response.extremum_kind) == 20
 
@@ -184,19 +195,19 @@ def test_long_lists_of_extrema_are_cut_and_counted():
 )
 def test_a_motion_that_never_settles_is_watched_no_longer_than_said(zeta, omega, t_max):
     law, steady = gs.Piecewise(1e5, gs.Gap(0.4e-3, 0.1e-3)), gs.Steady(t_max=t_max)
-    found = gs.respond(gs.Oscillator(zeta=zeta, forcing=2.0), law, omega, steady=steady)
+    found = gs.respond(paper_oscillator(zeta=zeta, forcing=2.0), law, omega, steady=steady)
     assert found.response_class == gs.ResponseClass.UNRESOLVED
     assert found.t_settled <= t_max + steady.n_periods / omega
 
 
 def test_slow_forcing_takes_no_more_periods_than_said_and_are_shown():
     law, steady = gs.Piecewise(1e5, gs.Gap(0.4e-3, 0.1e-3)), gs.Steady(t_max=20.0)
-    found = gs.respond(gs.Oscillator(zeta=0.03, forcing=2.0), law, omega=0.02, steady=steady)
+    found = gs.respond(paper_oscillator(zeta=0.03, forcing=2.0), law, omega=0.02, steady=steady)
     assert found.t_settled * 0.02 <= 20.0 * 0.02 + steady.n_periods + 10  # first looks are short
 
 
 def test_light_damping_is_never_called_settled():
-    oscillator = gs.Oscillator(zeta=1e-5, alpha=0.0)
+    oscillator = paper_oscillator(zeta=1e-5, alpha=0.0)
     steady = gs.Steady(t_max=2.0)
     response = gs.respond(oscillator, gs.Piecewise(0.0, SYMMETRIC), 5.0, steady=steady, **TIGHT)
     assert response.status is gs.Status.UNRESOLVED
@@ -206,19 +217,19 @@ def test_light_damping_is_never_called_settled():
 def test_any_number_of_looks_may_be_taken():
     # Chaos at hard contact, and a settling time that takes more looks than doublings fit a number.
     steady = gs.Steady(settle_tol=1e-50, n_periods=2, max_period_multiple=1)
-    response = gs.respond(gs.Oscillator(), gs.Piecewise(1.4e6, ASYMMETRIC), 11.0, steady=steady)
-    assert response.t_simulated > math.log(1e50) / gs.Oscillator().decay_rate
+    response = gs.respond(paper_oscillator(), gs.Piecewise(1.4e6, ASYMMETRIC), 11.0, steady=steady)
+    assert response.t_simulated > math.log(1e50) / paper_oscillator().decay_rate
 
 
 def test_response_that_leaves_the_fitted_range_keeps_its_values():
     law = gs.Polynomial(1.4e4, SYMMETRIC, degree=3, fit_range=1e-3)
-    response = gs.respond(gs.Oscillator(), law, 10.0, **TIGHT)
+    response = gs.respond(paper_oscillator(), law, 10.0, **TIGHT)
     assert response.x_max > law.fit_range
     assert response.status is gs.Status.OUT_OF_FIT_RANGE
 
 
 def test_run_away_beyond_the_fitted_range_is_told_from_divergence():
-    softening = gs.Oscillator(alpha=-7e8)
+    softening = paper_oscillator(alpha=-7e8)
     fitted = gs.Polynomial(0.0, SYMMETRIC, degree=3)
     exact = gs.Piecewise(0.0, SYMMETRIC)
     outcomes = [gs.respond(softening, law, 5.0, x_0=5e-3).status for law in (fitted, exact)]
@@ -228,8 +239,8 @@ def test_run_away_beyond_the_fitted_range_is_told_from_divergence():
 def test_cost_counts_the_whole_point():
     steady = gs.Steady(settle_tol=1e-2, n_periods=16, max_period_multiple=8)
     law = gs.Piecewise(1.4e4, SYMMETRIC)
-    response = gs.respond(gs.Oscillator(), law, 9.0, steady=steady, **TIGHT)
-    settled = gs.simulate(gs.Oscillator(), law, 9.0, t_end=response.t_settled, **TIGHT)
+    response = gs.respond(paper_oscillator(), law, 9.0, steady=steady, **TIGHT)
+    settled = gs.simulate(paper_oscillator(), law, 9.0, t_end=response.t_settled, **TIGHT)
     assert response.nfev > settled.nfev
     assert response.n_contacts > settled.n_contacts
 
@@ -238,11 +249,11 @@ def test_cost_counts_the_whole_point():
 def test_chaos_is_the_same_alone_and_beside_more_than_one_call_takes(label):
     law, omega = gs.contact_law(label, 1.4e6, SYMMETRIC), np.linspace(1.5, 4.0, 400)
     options = {"rtol": 1e-5, "atol": 1e-8}
-    together = gs.respond(gs.Oscillator(), law, omega, **options)
+    together = gs.respond(paper_oscillator(), law, omega, **options)
     chaotic = np.flatnonzero(together.response_class == gs.ResponseClass.CHAOTIC)
     assert len(chaotic) > 268  # whose growths one call takes
     for i in chaotic[[0, 150, -1]].tolist():
-        alone = gs.respond(gs.Oscillator(), law, float(omega[i]), **options)
+        alone = gs.respond(paper_oscillator(), law, float(omega[i]), **options)
         assert alone.lyapunov == together.lyapunov[i] > 0.0
         assert (alone.x_max, alone.t_simulated) == (together.x_max[i], together.t_simulated[i])
 
@@ -262,10 +273,10 @@ def test_a_response_is_the_same_alone_and_in_any_company():
         ),
     ]
     steady = gs.Steady(settle_tol=1e-2, max_decay_times=6.0)
-    softening = gs.Oscillator(alpha=-7e8)
-    points = [(gs.Oscillator(), law, omega, (0.0, 0.0)) for omega in (7.0, 14.0) for law in laws]
+    softening = paper_oscillator(alpha=-7e8)
+    points = [(paper_oscillator(), law, omega, (0.0, 0.0)) for omega in (7.0, 14.0) for law in laws]
     points.append((softening, laws[0], 5.0, (5e-3, 0.0)))
-    points.append((gs.Oscillator(zeta=0.0), laws[0], 7.3, (0.0, 0.0)))  # without end
+    points.append((paper_oscillator(zeta=0.0), laws[0], 7.3, (0.0, 0.0)))  # without end
     scenes = [
         Scene(oscillator=oscillator, law=law, omega=omega, solver=Solver.of())
         for oscillator, law, omega, _ in points
@@ -287,7 +298,7 @@ def test_a_response_is_the_same_alone_and_in_any_company():
 
 def test_every_point_has_its_own_solver():
     scenes = [
-        Scene(oscillator=gs.Oscillator(), law=gs.Piecewise(1.4e4, SYMMETRIC), omega=9.0,
+        Scene(oscillator=paper_oscillator(), law=gs.Piecewise(1.4e4, SYMMETRIC), omega=9.0,
               solver=Solver.of(rtol=rtol, atol=1e-3 * rtol))
         for rtol in (1e-4, 1e-9)
     ]  # fmt: skip
@@ -298,9 +309,9 @@ def test_every_point_has_its_own_solver():
 def test_arrays_of_points_give_arrays_of_what_each_gives_alone():
     law, steady = gs.Piecewise(1.4e6, gs.Gap(0.0, 0.8e-3)), gs.Steady(settle_tol=1e-2)
     omega, x_0 = np.array([[7.0], [21.75], [14.0]]), [0.0, 1e-4]
-    together = gs.respond(gs.Oscillator(), law, omega, x_0, steady=steady)
+    together = gs.respond(paper_oscillator(), law, omega, x_0, steady=steady)
     for i, j in np.ndindex(3, 2):
-        alone = gs.respond(gs.Oscillator(), law, omega[i, 0], x_0[j], steady=steady)
+        alone = gs.respond(paper_oscillator(), law, omega[i, 0], x_0[j], steady=steady)
         for field in fields(gs.Response):
             if field.name == "inputs":
                 continue
@@ -310,7 +321,7 @@ def test_arrays_of_points_give_arrays_of_what_each_gives_alone():
                 assert_array_equal(value[i, j], getattr(alone, field.name), field.name)
     assert together.period_multiple.dtype.kind == "i"
     assert np.isfinite([together.x_end, together.v_end]).all()
-    assert gs.respond(gs.Oscillator(), law, [9.0], steady=steady).x_max.shape == (1,)
+    assert gs.respond(paper_oscillator(), law, [9.0], steady=steady).x_max.shape == (1,)
 
 
 def test_scipy_records_only_what_is_asked_for():
@@ -318,15 +329,19 @@ def test_scipy_records_only_what_is_asked_for():
     tolerances = {"engine": "scipy", "rtol": 1e-4, "atol": 1e-7, "steady": steady}
     # One settles slowly and pauses while the other is recorded.
     omega = np.linspace(3.0, 25.0, 8)
-    together = gs.respond(gs.Oscillator(zeta=0.1), law, omega, **tolerances)
+    together = gs.respond(paper_oscillator(zeta=0.1), law, omega, **tolerances)
     for k, each in enumerate(omega.tolist()):
-        alone = gs.respond(gs.Oscillator(zeta=0.1), law, each, **tolerances)
+        alone = gs.respond(paper_oscillator(zeta=0.1), law, each, **tolerances)
         assert_array_equal(together.section[k], alone.section)
         assert together.n_steps[k] == alone.n_steps
 
 
 def test_several_models_and_laws_give_what_each_gives_alone():
-    models = [gs.Oscillator(zeta=0.05), gs.Oscillator(mean_load=0.5), gs.Oscillator(forcing=9.0)]
+    models = [
+        paper_oscillator(zeta=0.05),
+        paper_oscillator(mean_load=0.5),
+        paper_oscillator(forcing=9.0),
+    ]
     laws = [[gs.Piecewise(1.4e4, SYMMETRIC)], [gs.Tanh(1.4e4, SYMMETRIC, epsilon=1e4)]]
     together = gs.respond(models, laws, omega=[9.0, 8.0, 7.0])
     assert together.status.shape == (2, 3)
@@ -348,7 +363,7 @@ def test_several_models_and_laws_give_what_each_gives_alone():
 )
 def test_arrays_out_of_range_are_refused(omega, x_0, said):
     with pytest.raises(gs.ModelError, match=said):
-        gs.respond(gs.Oscillator(), gs.Piecewise(1.4e6, SYMMETRIC), omega, x_0)
+        gs.respond(paper_oscillator(), gs.Piecewise(1.4e6, SYMMETRIC), omega, x_0)
 
 
 def test_a_singular_or_overflowing_map_spoils_no_other():
@@ -376,7 +391,7 @@ def test_multipliers_follow_from_trace_and_determinant(entries, determinant):
 
 
 def test_the_smaller_multiplier_of_an_overdamped_motion_is_known_too():
-    oscillator = gs.Oscillator(zeta=3.0, alpha=0.0)
+    oscillator = paper_oscillator(zeta=3.0, alpha=0.0)
     found = gs.respond(oscillator, gs.Piecewise(1.0, gs.Gap(1.0, 1.0)), 1.0)
     # Far below what rounding leaves of a determinant: 5e-3 and 1e-79.
     rates = oscillator.decay_rate + math.sqrt(8.0) * oscillator.omega_n_rad * np.array([-1.0, 1.0])
@@ -387,7 +402,7 @@ def test_the_smaller_multiplier_of_an_overdamped_motion_is_known_too():
 @pytest.mark.parametrize("zeta", [0.0, 0.03])
 def test_a_response_ends_at_its_last_section_point(zeta):
     law, steady = gs.Piecewise(1.4e4, ASYMMETRIC), gs.Steady(settle_tol=1e-2, max_decay_times=6.0)
-    found = gs.respond(gs.Oscillator(zeta=zeta), law, [7.0, 14.0], steady=steady)
+    found = gs.respond(paper_oscillator(zeta=zeta), law, [7.0, 14.0], steady=steady)
     for k in range(2):
         assert found.section[k][-2:].tolist() == [found.x_end[k], found.v_end[k]]
 
@@ -422,7 +437,7 @@ def test_what_a_solver_cannot_rattle_is_no_scatter():
     # A disturbance that flips as it decays, to P2 as an independent solver with bisected contacts
     # has it after 4,000 periods: from 64 of them it looked like a rattled P4.
     law = gs.Piecewise(1.4e5, ASYMMETRIC, located=False)
-    found = gs.respond(gs.Oscillator(), law, 9.40)
+    found = gs.respond(paper_oscillator(), law, 9.40)
     if found.response_class is gs.ResponseClass.PERIODIC:
         assert found.period_multiple == 2
         assert_allclose(found.x_max, 1.0358741e-3, rtol=1e-5)
@@ -442,9 +457,9 @@ def test_scatter_beyond_its_bound_has_no_multiple():
 def test_an_orbit_that_is_not_approached_leaves_no_gap_in_the_window():
     # A P3 beside the P9 that this start settles on; over a gap the section repeated after 30.
     law, omega = gs.Piecewise(1462568.5819342812, ASYMMETRIC), 25.15090406639029
-    found = gs.respond(gs.Oscillator(), law, omega, 4.548126282479751e-05, 0.028058411772597366)
+    found = gs.respond(paper_oscillator(), law, omega, 4.548126282479751e-05, 0.028058411772597366)
     n = found.period_multiple
-    period = gs.simulate(gs.Oscillator(), law, omega, found.x_end, found.v_end, t_end=n / omega)
+    period = gs.simulate(paper_oscillator(), law, omega, found.x_end, found.v_end, t_end=n / omega)
     assert_allclose([period.x_end, period.v_end], [found.x_end, found.v_end], rtol=1e-6)
     assert n == 9
 
@@ -464,7 +479,7 @@ def test_a_multiple_of_the_period_is_no_dead_end():
 
 def test_an_exponent_that_nothing_is_left_of_is_not_invented():
     # The slow part decays at 5.39/s, to exp(-1078) in a period: below any double.
-    oscillator = gs.Oscillator(zeta=3.0, alpha=0.0)
+    oscillator = paper_oscillator(zeta=3.0, alpha=0.0)
     found = gs.respond(oscillator, gs.Piecewise(1e6, gs.Gap(1.0, 1.0)), 0.005)
     assert found.response_class is gs.ResponseClass.PERIODIC
     assert math.isnan(found.lyapunov)

@@ -8,6 +8,7 @@ from numpy.testing import assert_array_equal, assert_equal
 
 import gapsweep as gs
 from gapsweep.integrate.problem import Solver
+from gapsweep.model.systems import paper_oscillator
 from gapsweep.response.ragged import RaggedArrays, spans
 from gapsweep.response.respond import respond_all
 from gapsweep.response.result import COLUMNS, LISTS, Response, Responses
@@ -27,8 +28,8 @@ def responses():
         gs.Tanh(1.4e4, ASYMMETRIC, 1e4),
         gs.Piecewise(1.4e4, ASYMMETRIC),
     ]
-    points = [(gs.Oscillator(), law, w, 0.0) for w in (7.0, 14.0, 21.75) for law in laws]
-    points.insert(2, (gs.Oscillator(alpha=-7e8), laws[2], 5.0, 5e-3))
+    points = [(paper_oscillator(), law, w, 0.0) for w in (7.0, 14.0, 21.75) for law in laws]
+    points.insert(2, (paper_oscillator(alpha=-7e8), laws[2], 5.0, 5e-3))
     return respond_all(
         [
             Scene(oscillator=oscillator, law=law, omega=omega, solver=Solver.of())
@@ -102,7 +103,7 @@ def test_the_order_is_that_of_the_scenes():
     laws = [gs.Piecewise(1.4e4, ASYMMETRIC), gs.Tanh(1.4e4, ASYMMETRIC, 1e4)]
     steady = gs.Steady(settle_tol=1e-2)
     scenes = [
-        Scene(oscillator=gs.Oscillator(), law=law, omega=omega, solver=Solver.of())
+        Scene(oscillator=paper_oscillator(), law=law, omega=omega, solver=Solver.of())
         for omega in (6.0, 7.0)
         for law in laws
     ]

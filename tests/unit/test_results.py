@@ -8,14 +8,15 @@ import xarray as xr
 from numpy.testing import assert_array_equal
 
 import gapsweep as gs
+from gapsweep.model.systems import paper_oscillator
 
-OSCILLATOR = gs.Oscillator()
+OSCILLATOR = paper_oscillator()
 LAW = gs.Piecewise(1.4e4, gs.Gap(0.4e-3, 0.4e-3))
 OMEGA, STARTS = np.array([7.0, 9.0, 11.0]), np.array([0.0, 2e-4])
 QUICK = gs.Steady(settle_tol=1e-2, max_decay_times=6.0, n_periods=16, max_period_multiple=8)
 TWO = (gs.systems.two_masses(), gs.systems.two_masses_law())
 # What grows without bound from the second start.
-SOFT = gs.Oscillator(alpha=-7e8)
+SOFT = paper_oscillator(alpha=-7e8)
 
 
 def responded(model=OSCILLATOR, law=LAW, omega=OMEGA, **given):
@@ -137,7 +138,7 @@ def test_histories_are_those_of_the_run():
 
 def test_inputs_of_several_dimensions_are_points():
     omega = np.array([[8.0, 9.0], [9.0, 10.0]])
-    found = gs.respond(gs.Oscillator(), gs.Piecewise(1.4e4, gs.Gap(4e-4, 4e-4)), omega)
+    found = gs.respond(paper_oscillator(), gs.Piecewise(1.4e4, gs.Gap(4e-4, 4e-4)), omega)
     dataset = found.to_dataset()
     assert dataset.sizes["point"] == 4
     assert dataset["x_max"].values.tolist() == found.x_max.ravel().tolist()

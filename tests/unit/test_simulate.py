@@ -14,6 +14,7 @@ from numpy.testing import assert_allclose
 from scipy.integrate import quad
 
 import gapsweep as gs
+from gapsweep.model.systems import paper_oscillator
 
 SOFT = 1.4e4
 SYMMETRIC = gs.Gap(0.4e-3, 0.4e-3)
@@ -43,10 +44,10 @@ def potential(oscillator, law, x):
 def test_a_start_that_rounding_put_beside_a_wall_is_on_it(wall, sign, towards, v_0):
     law = gs.Piecewise(1e5, gs.Gap(wall, wall))
     start, given = sign * wall, {"omega": 9.0, "v_0": v_0, "t_end": 0.5}
-    exact = gs.simulate(gs.Oscillator(), law, x_0=start, **given)
+    exact = gs.simulate(paper_oscillator(), law, x_0=start, **given)
     for engine in ("compiled", "scipy"):
         beside = gs.simulate(
-            gs.Oscillator(), law, x_0=np.nextafter(start, towards), engine=engine,
+            paper_oscillator(), law, x_0=np.nextafter(start, towards), engine=engine,
             rtol=1e-9, atol=1e-12, **given,
         )  # fmt: skip
         assert beside.status == gs.Status.OK
@@ -57,7 +58,7 @@ def test_a_start_that_rounding_put_beside_a_wall_is_on_it(wall, sign, towards, v
 
 def test_contacts_shorter_than_a_step_are_not_missed(tight):
     # DOP853 at a loose tolerance steps over whole contacts of this scene.
-    scene = gs.Oscillator(), gs.Piecewise(1.4e3, gs.Gap(0.0, 0.8e-3)), 30.0
+    scene = paper_oscillator(), gs.Piecewise(1.4e3, gs.Gap(0.0, 0.8e-3)), 30.0
     coarse = gs.simulate(*scene, t_end=5.0, engine="scipy", rtol=9.9e-7, atol=1e-6)
     fine = gs.simulate(*scene, t_end=5.0, **tight)
     assert coarse.n_contacts == fine.n_contacts
@@ -71,7 +72,7 @@ def test_the_history_is_the_motion_and_is_fine_enough_to_plot(label, engine):
     """Its polygon lies within 1 % of the largest displacement of samples at any other time."""
     law, options = gs.contact_law(label, SOFT, SYMMETRIC), {"t_0": 0.5, "t_end": 3.0}
     given = {"x_0": 1e-4, "engine": engine, "dense_output": True, **options}
-    run = gs.simulate(gs.Oscillator(), law, 25.0, **given)
+    run = gs.simulate(paper_oscillator(), law, 25.0, **given)
     assert run.t.shape == run.x.shape == run.v.shape
     assert_allclose([run.t[0], run.t[-1], run.t_end], [0.5, 3.0, 3.0])
     assert_allclose(np.diff(run.t), run.t[1] - run.t[0])
@@ -84,7 +85,7 @@ def test_the_history_is_the_motion_and_is_fine_enough_to_plot(label, engine):
 
 def test_the_history_of_many_motions_has_their_shape():
     law, given = gs.Piecewise(SOFT, SYMMETRIC), {"t_end": 0.5, "dense_output": True}
-    runs = gs.simulate(gs.Oscillator(), law, [[7.0], [9.0]], [0.0, 1e-4, 2e-4], **given)
+    runs = gs.simulate(paper_oscillator(), law, [[7.0], [9.0]], [0.0, 1e-4, 2e-4], **given)
     assert runs.x.shape == runs.v.shape == (2, 3, runs.t.size)
     assert_allclose(runs.x[..., -1], runs.x_end, rtol=1e-9)
     system = gs.System(mass=np.eye(2), stiffness=[[30.0, -10.0], [-10.0, 20.0]])
@@ -97,29 +98,31 @@ def test_the_history_of_many_motions_has_their_shape():
 
 @pytest.mark.parametrize("name", ["t", "x", "v"])
 def test_a_run_without_a_history_says_how_to_keep_one(name):
-    run = gs.simulate(gs.Oscillator(), gs.Piecewise(SOFT, SYMMETRIC), 9.0, t_end=0.1)
+    run = gs.simulate(paper_oscillator(), gs.Piecewise(SOFT, SYMMETRIC), 9.0, t_end=0.1)
     with pytest.raises(gs.ModelError, match="dense_output=True"):
         getattr(run, name)
 
 
 def test_a_motion_that_fails_at_once_has_no_history():
     law, given = gs.contact_law("poly-13", SOFT, SYMMETRIC), {"t_end": 1.0, "dense_output": True}
-    run = gs.simulate(gs.Oscillator(), law, 9.0, [0.0, 1e3], **given)
+    run = gs.simulate(paper_oscillator(), law, 9.0, [0.0, 1e3], **given)
     with pytest.raises(gs.ModelError, match="first step"):
         _ = run.x
 
 
 def test_arrays_broadcast_to_many_points():
     law = gs.Piecewise(SOFT, SYMMETRIC)
-    runs = gs.simulate(gs.Oscillator(), law, [[7.0], [9.0]], [0.0, 1e-4, 2e-4], t_end=0.5, **LOOSE)
-    single = gs.simulate(gs.Oscillator(), law, 9.0, 1e-4, t_end=0.5, **LOOSE)
+    runs = gs.simulate(
+        paper_oscillator(), law, [[7.0], [9.0]], [0.0, 1e-4, 2e-4], t_end=0.5, **LOOSE
+    )
+    single = gs.simulate(paper_oscillator(), law, 9.0, 1e-4, t_end=0.5, **LOOSE)
     assert runs.x_end.shape == runs.status.shape == (2, 3)
     assert runs.x_end[1, 1] == single.x_end
     assert_allclose(runs.extrema[1, 1], single.extrema)
 
 
 def test_run_away_ends_as_diverged():
-    softening = gs.Oscillator(alpha=-7e8)
+    softening = paper_oscillator(alpha=-7e8)
     run = gs.simulate(softening, gs.Piecewise(0.0, SYMMETRIC), 5.0, x_0=5e-3, t_end=5.0, **LOOSE)
     assert run.status is gs.Status.DIVERGED
     assert run.t_end < 5.0
@@ -145,10 +148,14 @@ def test_run_away_ends_as_diverged():
 def test_bad_arguments_are_refused_by_name(arguments, message):
     given = {"omega": 5.0, "t_end": 1.0} | arguments
     with pytest.raises(gs.ModelError, match=message):
-        gs.simulate(gs.Oscillator(), gs.Piecewise(SOFT, SYMMETRIC), **given)
+        gs.simulate(paper_oscillator(), gs.Piecewise(SOFT, SYMMETRIC), **given)
 
 
-MODELS = [gs.Oscillator(zeta=0.05), gs.Oscillator(mean_load=0.5, c=2.0), gs.Oscillator(forcing=9.0)]
+MODELS = [
+    paper_oscillator(zeta=0.05),
+    paper_oscillator(mean_load=0.5, c=2.0),
+    paper_oscillator(forcing=9.0),
+]
 LAWS = [
     gs.Piecewise(SOFT, SYMMETRIC),
     gs.Piecewise(1.4e5, ASYMMETRIC),
@@ -162,7 +169,7 @@ def test_a_number_of_periods_ends_on_the_section(law, engine):
     rng = np.random.default_rng(5)
     n = 3 if engine == "scipy" else 100
     omega, n_periods = rng.uniform(5.0, 30.0, n), rng.integers(1, 9, n)
-    runs = gs.simulate(gs.Oscillator(), law, omega, n_periods=n_periods, engine=engine)
+    runs = gs.simulate(paper_oscillator(), law, omega, n_periods=n_periods, engine=engine)
     assert_allclose(runs.t_end, n_periods / omega, rtol=1e-15)
     for k, section in enumerate(runs.section):
         assert len(section) == n_periods[k]
@@ -172,16 +179,16 @@ def test_a_number_of_periods_ends_on_the_section(law, engine):
         else:
             assert section[-1].tolist() == end
     again = gs.simulate(
-        gs.Oscillator(), law, omega[0], t_end=n_periods[0] / omega[0], engine=engine
+        paper_oscillator(), law, omega[0], t_end=n_periods[0] / omega[0], engine=engine
     )
     assert (again.x_end, again.v_end) == (runs.x_end[0], runs.v_end[0])
 
 
 def test_periods_are_counted_from_the_start():
     given = {"omega": 8.0, "t_0": 0.3, "tangent": True}
-    run = gs.simulate(gs.Oscillator(), LAWS[0], n_periods=12, **given)
+    run = gs.simulate(paper_oscillator(), LAWS[0], n_periods=12, **given)
     assert_allclose(run.t_end, 0.3 + 12 / 8.0, rtol=1e-15)
-    rate = gs.Oscillator().decay_rate
+    rate = paper_oscillator().decay_rate
     assert_allclose(np.linalg.det(run.monodromy), math.exp(-2.0 * rate * 12 / 8.0), rtol=1e-6)
 
 
@@ -239,15 +246,15 @@ def test_extrema_of_a_loaded_oscillator_are_listed_once():
         ({"n_periods": [1, 2], "x_0": [0.0] * 3}, "n_periods: shape mismatch"),
         ({"t_end": 1.0, "law": []}, r"law = \[\]: must be one object or a sequence, not empty"),
         ({"t_end": 1.0, "law": LAWS[:2], "x_0": [0.0] * 3}, "law, omega, .*: shape mismatch"),
-        ({"t_end": 1.0, "oscillator": [gs.Oscillator(), 3]}, "oscillator = 3: must be"),
+        ({"t_end": 1.0, "oscillator": [paper_oscillator(), 3]}, "oscillator = 3: must be"),
         (
-            {"t_end": 1.0, "oscillator": [gs.Oscillator(), gs.systems.two_masses()]},
+            {"t_end": 1.0, "oscillator": [paper_oscillator(), gs.systems.two_masses()]},
             "'x_1', 'x_2', 'stop'.*: must be oscillators, or systems with equal",
         ),
     ],
 )
 def test_bad_spans_and_sequences_are_refused(arguments, message):
-    given = {"oscillator": gs.Oscillator(), "law": LAWS[0], "omega": 5.0} | arguments
+    given = {"oscillator": paper_oscillator(), "law": LAWS[0], "omega": 5.0} | arguments
     with pytest.raises(gs.ModelError, match=message):
         gs.simulate(**given)
 
@@ -260,7 +267,7 @@ def test_periods_of_a_system_that_nothing_forces_are_refused():
 
 def test_a_wall_too_stiff_for_one_step_is_a_status():
     law = gs.Piecewise(1e35, gs.Gap(0.0, 8e-4))
-    run = gs.simulate(gs.Oscillator(), law, 9.0, t_end=0.5, engine="scipy")
+    run = gs.simulate(paper_oscillator(), law, 9.0, t_end=0.5, engine="scipy")
     assert run.status is gs.Status.STEP_UNDERFLOW
     assert run.t_end < 0.5
 
@@ -270,7 +277,7 @@ def test_the_end_of_a_run_can_be_sampled_wherever_rounding_puts_it(label):
     law = gs.contact_law(label, 1.4e4, gs.Gap(4e-4, 4e-4))
     for omega in np.random.default_rng(3).uniform(1.0, 30.0, 20).tolist():
         for t_end in (1.0 / omega, np.nextafter(1.0 / omega, 1.0)):
-            run = gs.simulate(gs.Oscillator(), law, omega, t_end=t_end, dense_output=True)
+            run = gs.simulate(paper_oscillator(), law, omega, t_end=t_end, dense_output=True)
             x, v = run.sample(run.t_end)
             assert [x, v] == pytest.approx([run.x_end, run.v_end], rel=1e-9, abs=1e-12)
 
@@ -288,9 +295,9 @@ def linear(x):
 @pytest.mark.parametrize(
     ("model", "law", "omega", "engine"),
     [
-        (gs.Oscillator(), gs.Piecewise(SOFT, SYMMETRIC), 9.0, "compiled"),
-        (gs.Oscillator(), gs.Tanh(SOFT, SYMMETRIC, epsilon=1e4), SEVERAL, "compiled"),
-        (gs.Oscillator(), gs.law(linear, 1e3, SYMMETRIC), 9.0, "scipy"),
+        (paper_oscillator(), gs.Piecewise(SOFT, SYMMETRIC), 9.0, "compiled"),
+        (paper_oscillator(), gs.Tanh(SOFT, SYMMETRIC, epsilon=1e4), SEVERAL, "compiled"),
+        (paper_oscillator(), gs.law(linear, 1e3, SYMMETRIC), 9.0, "scipy"),
         (*TWO_MASSES, 0.6, "compiled"),
         (*TWO_MASSES, SEVERAL / 16.0, "compiled"),
     ],
@@ -310,7 +317,7 @@ def test_a_trajectory_is_the_same_after_pickling(model, law, omega, engine, dens
 
 
 def test_the_end_of_a_motion_is_not_computed_again_after_pickling(monkeypatch):
-    run = gs.simulate(gs.Oscillator(), gs.Piecewise(SOFT, SYMMETRIC), SEVERAL, t_end=2.0)
+    run = gs.simulate(paper_oscillator(), gs.Piecewise(SOFT, SYMMETRIC), SEVERAL, t_end=2.0)
     sent = pickle.dumps(run)
     monkeypatch.setattr("gapsweep.integrate.simulate.prepared", None)
     assert_same(pickle.loads(sent).n_steps, run.n_steps)
@@ -319,7 +326,7 @@ def test_the_end_of_a_motion_is_not_computed_again_after_pickling(monkeypatch):
 @pytest.mark.parametrize("engine", ENGINES)
 def test_trajectories_come_back_from_a_pool_of_processes(engine):
     asked = partial(
-        gs.simulate, gs.Oscillator(), gs.Piecewise(SOFT, SYMMETRIC), t_end=1.0, engine=engine,
+        gs.simulate, paper_oscillator(), gs.Piecewise(SOFT, SYMMETRIC), t_end=1.0, engine=engine,
         dense_output=True,
     )  # fmt: skip
     omega = [8.0, 9.0, 10.0]

@@ -8,6 +8,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.optimize import brentq
 from tests.figure_texts import overlaps
+from tests.machine import PAPER
 
 import gapsweep as gs
 from gapsweep.analysis.bench import cells
@@ -45,7 +46,7 @@ SOLVER = Solver.of(rtol=1e-9, atol=1e-12)
 def study_of(*tables, labels=("piecewise",), **more):
     methods = [{"label": label, "rtol": RTOL} for label in labels]
     bench = {"scene": list(tables), "method": methods}
-    whole = {"study": {"name": "hard"}, "sweep": [SWEEP], "bench": bench}
+    whole = {"study": {"name": "hard"}, "oscillator": PAPER, "sweep": [SWEEP], "bench": bench}
     return gs.Study.from_dict(whole | more)
 
 
@@ -183,7 +184,7 @@ def test_failures_keep_their_status(representation, changes, status):
 
 def test_pole_in_the_way_is_model_invalid():
     law = gs.contact_law("ratpoly-7/5", 1.4e4, gs.Gap(4e-4, 4e-4))
-    run = gs.simulate(gs.Oscillator(), law, 9.0, 0.012, t_end=1.0)
+    run = gs.simulate(gs.systems.paper_oscillator(), law, 9.0, 0.012, t_end=1.0)
     assert Status(run.status) is Status.MODEL_INVALID
 
 
@@ -236,7 +237,7 @@ def test_closed_form_is_the_linear_motion(K_c):
 
 @pytest.mark.parametrize(("K_c", "j"), [(1.4e6, 4e-4), (1.4e7, 4e-4), (1.4e6, 1.5e-3)])
 def test_false_wells_of_tanh_vanish_above_the_threshold(K_c, j):
-    oscillator, gap = gs.Oscillator(), gs.Gap(j, j)
+    oscillator, gap = gs.systems.paper_oscillator(), gs.Gap(j, j)
 
     def n_extra(log_epsilon):
         law = gs.Tanh(K_c, gap, 10.0**log_epsilon)

@@ -13,6 +13,7 @@ import xarray as xr
 from hypothesis import given
 from numpy.testing import assert_allclose
 from tests import strategies as own
+from tests.machine import PAPER
 
 import gapsweep as gs
 from gapsweep.analysis.datasets.static import displacements, static
@@ -22,7 +23,7 @@ from gapsweep.store import netcdf
 RANGE = 4e-3
 VERY_SOFT, SOFT, HARD = 1.4e3, 1.4e4, 1.4e6
 SYMMETRIC, ASYMMETRIC = gs.Gap(0.4e-3, 0.4e-3), gs.Gap(0.0, 0.8e-3)
-OSCILLATOR = gs.Oscillator()
+OSCILLATOR = gs.systems.paper_oscillator()
 LABELS = [
     "piecewise",
     "piecewise-noevents",
@@ -45,7 +46,13 @@ def study(labels=LABELS, K_c=(VERY_SOFT, SOFT, HARD), gaps=(SYMMETRIC, ASYMMETRI
         "omega": [7.0],
     }
     return gs.Study.from_dict(
-        {"study": {"name": "static"}, "sweep": [sweep], "protocol": {"paper": {}}} | tables
+        {
+            "study": {"name": "static"},
+            "oscillator": PAPER,
+            "sweep": [sweep],
+            "protocol": {"paper": {}},
+        }
+        | tables
     )
 
 
@@ -327,7 +334,11 @@ def test_what_is_swept_of_the_oscillator_is_what_statics_are_of():
         "omega": [7.0],
         "forcing": [20.0, 40.0],
     }
-    whole = static(gs.Study.from_dict({"study": {"name": "swept"}, "sweep": [sweep | swept]}))
+    whole = static(
+        gs.Study.from_dict(
+            {"study": {"name": "swept"}, "oscillator": PAPER, "sweep": [sweep | swept]}
+        )
+    )
     assert whole["force"].dims == ("representation", "K_c", "gap", "K_ratio", "x")
     compared = 0
     for omega_n in swept["omega_n"]:
@@ -339,6 +350,7 @@ def test_what_is_swept_of_the_oscillator_is_what_statics_are_of():
                             {
                                 "study": {"name": "one"},
                                 "oscillator": {
+                                    "zeta": 0.03,
                                     "omega_n": omega_n,
                                     "mass": mass,
                                     "alpha": 1e9,

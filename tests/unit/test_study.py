@@ -10,6 +10,7 @@ import pytest
 import xarray as xr
 from hypothesis import given
 from hypothesis import strategies as st
+from tests.machine import PAPER, TOML
 from tests.stored import all_keys, point
 
 import gapsweep as gs
@@ -83,7 +84,9 @@ def test_a_byte_order_mark_is_no_part_of_a_study(tmp_path):
     block = {"representation": "piecewise", "K_c": 1e4, "gap": [4e-4, 4e-4], "omega": 9.0}
     text = "".join(f"{name} = {json.dumps(value)}\n" for name, value in block.items())
     file = tmp_path / "s.toml"
-    file.write_text(f'[study]\nname = "s"\n[[sweep]]\n{text}', encoding="utf-8-sig")
+    file.write_text(
+        f'oscillator = {TOML}\n[study]\nname = "s"\n[[sweep]]\n{text}', encoding="utf-8-sig"
+    )
     assert gs.Study.load(file).grid.K_c == (1e4,)
 
 
@@ -149,6 +152,7 @@ def test_key_of_a_sweep_point_depends_on_the_points_before_it(tables):
 def test_keys_ignore_how_a_study_is_written(tables):
     block = tables["sweep"][0]
     rewritten = {
+        "oscillator": PAPER,
         "sweep": [block | {"omega": [20, 12, 7], "K_c": [14000], "representation": [label]}
                   for label in ("poly-013", "piecewise", "tanh-10000")],
         "study": {"name": "other", "title": "another title"},
@@ -214,10 +218,39 @@ def test_many_problems_and_long_texts_make_a_short_message(tables):
     assert "19" in said[-1]  # so many more
     for long in ({"representation": ["x" * 200_000]}, {"x" * 200_000: 1.0}):
         block = tables["sweep"][0] | long
-        (line,) = problems({"study": tables["study"], "sweep": [block]})
+        (line,) = problems({"study": tables["study"], "oscillator": PAPER, "sweep": [block]})
         assert len(line) < 2000
-    (line,) = problems(tables | {"oscillator": {}, "study": {"name": "x" * 200_000}})
+    (line,) = problems(tables | {"oscillator": PAPER, "study": {"name": "x" * 200_000}})
     assert len(line) < 2000
+
+
+def test_an_oscillator_states_its_numbers(tables):
+    """Each missing one is a line with what to write, with all other problems."""
+    required = ("zeta", "omega_n", "mass", "forcing")
+    found = problems(tables | {"oscillator": {}, "steady": {"n": 1}})
+    for name in required:
+        assert sum(f"oscillator.{name}: missing; write {name} = " in line for line in found) == 1
+    assert len(found) == 1 + len(required)
+    del tables["oscillator"]
+    assert len(problems(tables)) == len(required)
+    spec = study_of(tables, oscillator={name: 1.0 for name in required}).spec
+    assert spec.model["alpha"] == spec.model["c"] == spec.model["mean_load"] == 0.0
+
+
+def test_a_number_that_each_block_sweeps_is_stated(tables):
+    (block,) = tables["sweep"]
+    tables["oscillator"] = {name: x for name, x in PAPER.items() if name not in ("zeta", "forcing")}
+    swept = block | {"zeta": {"start": 0.02, "stop": 0.1, "num": 3}, "forcing": [2.0, 4.0]}
+    study = study_of(tables, sweep=[swept, swept | {"forcing": 8.0}])
+    assert study.grid.axes["forcing"] == (2.0, 4.0, 8.0)
+    assert (study.oscillator.zeta, study.oscillator.forcing) == (0.02, 2.0)
+    assert study_of(json.loads(study.json)).json == study.json
+    (line,) = problems(tables | {"sweep": [swept, block | {"zeta": 0.1}]})
+    assert "oscillator.forcing: missing" in line
+    for wrong in ([], "a", [[1.0]], {"stop": 1.0}):
+        assert any(
+            "sweep[0].zeta" in x for x in problems(tables | {"sweep": [swept | {"zeta": wrong}]})
+        )
 
 
 @pytest.mark.parametrize(
@@ -341,7 +374,7 @@ def test_a_point_is_the_same_whatever_names_its_numbers(tables):
     assert forced.grid.dims[3:] == ("omega", "zeta", "forcing", "initial_condition")
     keys = all_keys(forced)
     assert {key for place, key in keys.items() if place[5] == 0} == plain
-    harder = {"oscillator": {"forcing": 8.0}, "sweep": [block | {"gap": [[j_1, j_2]]}]}
+    harder = {"oscillator": PAPER | {"forcing": 8.0}, "sweep": [block | {"gap": [[j_1, j_2]]}]}
     assert set(keys.values()) - plain == set(all_keys(study_of(tables, **harder)).values())
 
 

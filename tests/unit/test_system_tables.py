@@ -13,6 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_array_equal
 from scipy.integrate import solve_ivp
+from tests.machine import PAPER
 from tests.random_systems import as_gapsweep, random_case
 
 import gapsweep as gs
@@ -577,7 +578,7 @@ def test_gaps_of_systems_are_labelled_in_their_own_unit():
 def test_a_system_of_one_coordinate_has_the_variables_and_dimensions_of_an_oscillator():
     gear = changed(SECTION, system={"function": "gear_pair"}, parameters=None, sweep__0__speed=None)
     gear["sweep"][0]["omega"] = 0.13
-    plain = {"study": {"name": "plain"}, "sweep": gear["sweep"]}
+    plain = {"study": {"name": "plain"}, "oscillator": PAPER, "sweep": gear["sweep"]}
     one, other = (gs.Study.from_dict(tables) for tables in (gear, plain))
     found, expected = (Layout.of(study.grid, study.steady) for study in (one, other))
     assert found.sizes == expected.sizes

@@ -16,6 +16,7 @@ from gapsweep.report.scales import shortened
 WIDTH = 80
 LONG = "the exact law, contacts located, is the cheapest adequate one, and this goes on and on"
 STUDY = """
+oscillator = { mass = 3.0, omega_n = 5.0, zeta = 0.03, forcing = 4.0, alpha = 7e8 }
 [study]
 name = "wide"
 [[sweep]]

@@ -105,7 +105,7 @@ def test_a_users_law_carries_the_ratio():
 
 
 def test_tanh_has_one_well_from_the_stiffer_wall_on():
-    o, gap = gs.Oscillator(), gs.Gap(0.3e-3, 0.4e-3)
+    o, gap = gs.systems.paper_oscillator(), gs.Gap(0.3e-3, 0.4e-3)
     assert predicted_threshold(o, HARD, gap, 0.0) < predicted_threshold(o, HARD, gap, 1.0)
     for K_ratio in (0.1, 5.0):
         epsilon = tanh_threshold(o, HARD, gap, RANGE, K_ratio)

@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-import gapsweep as gs
-from gapsweep.analysis.unit_check import default_spring, doubtful_numbers
+from gapsweep.analysis.unit_check import doubtful_numbers
 
 USUAL = {"zeta": 0.03, "omega_n": 5.0, "mass": 3.0, "omega": np.linspace(1, 30), "K_c": 1.4e3}
 USUAL |= {"forcing": 4.0, "mean_load": 0.0, "wall": [4e-4, 1e-3]}
@@ -28,13 +27,3 @@ def test_numbers_far_from_what_machines_have_are_named(changed, named):
     found = list(doubtful_numbers(USUAL | changed))
     assert len(found) == (named is not None)
     assert all(text.startswith(named) for text in found)
-
-
-@pytest.mark.parametrize(
-    ("oscillator", "n"),
-    [({}, 0), ({"zeta": 0.1}, 0), ({"mass": 2.0}, 1), ({"omega_n": 8.0, "alpha": 7e8}, 0)],
-)
-def test_the_default_spring_of_another_machine_is_named(oscillator, n):
-    block = {"representation": "piecewise", "K_c": 1e4, "gap": [4e-4, 4e-4], "omega": 9.0}
-    tables = {"study": {"name": "s"}, "oscillator": oscillator, "sweep": [block]}
-    assert sum("alpha = 7e+08" in text for text in default_spring(gs.Study.from_dict(tables))) == n

@@ -11,6 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 from tests.figure_texts import overlaps
+from tests.machine import PAPER
 
 import gapsweep as gs
 from gapsweep import pipeline
@@ -38,7 +39,7 @@ QUICK = {"horizon": 4, "repeats": 2, "lanes": 4}
 
 def tables_of(*given_scenes, methods=METHODS, **more):
     bench = QUICK | {"scene": list(given_scenes), "method": methods}
-    whole = {"study": {"name": "bench"}, "sweep": [SWEEP], "bench": bench}
+    whole = {"study": {"name": "bench"}, "oscillator": PAPER, "sweep": [SWEEP], "bench": bench}
     return whole | {"protocol": {"scipy": {"engine": "scipy"}}} | more
 
 
@@ -195,6 +196,7 @@ def test_bench_measures_afresh_and_the_report_shows_it(tmp_path):
     path, out = tmp_path / "bench.toml", tmp_path / "out"
     path.write_text(
         f"""
+        oscillator = {{ mass = 3.0, omega_n = 5.0, zeta = 0.03, forcing = 4.0, alpha = 7e8 }}
         [study]
         name = "bench"
         [[sweep]]
@@ -243,7 +245,7 @@ def test_bench_measures_afresh_and_the_report_shows_it(tmp_path):
 
 
 def test_study_without_benchmark_is_refused(tmp_path):
-    plain = gs.Study.from_dict({"study": {"name": "plain"}, "sweep": [SWEEP]})
+    plain = gs.Study.from_dict({"study": {"name": "plain"}, "oscillator": PAPER, "sweep": [SWEEP]})
     with pytest.raises(gs.StudyError, match="bench: missing"):
         pipeline.bench(plain, tmp_path)
     assert work_precision(plain) is None
@@ -299,7 +301,7 @@ def test_names_are_given_once():
 
 
 def test_scene_merges_its_oscillator_into_the_studys():
-    study = study_of(SOFT | {"oscillator": {"zeta": 0.1}}, oscillator={"mass": 2.0})
+    study = study_of(SOFT | {"oscillator": {"zeta": 0.1}}, oscillator=PAPER | {"mass": 2.0})
     [scene] = scenarios(study, with_answer=False)
     assert (scene.oscillator.zeta, scene.oscillator.mass) == (0.1, 2.0)
 

@@ -106,17 +106,6 @@ def doubtful_numbers(values: Mapping[str, Any]) -> Iterator[str]:
             )
 
 
-def default_spring(study: "Study") -> Iterator[str]:
-    """A warning of the default cubic spring on a machine that is not the default one."""
-    given = study.spec.oscillator.model_fields_set | set(study.grid.axes)
-    alpha = study.spec.oscillator.alpha
-    if given & {"mass", "omega_n"} and "alpha" not in given and alpha:
-        yield (
-            f"alpha = {alpha:g} N/m³ by default: the spring hardens; write alpha = 0 in "
-            "[oscillator] for a linear spring"
-        )
-
-
 def wrong_tables(study: "Study") -> Iterator[str]:
     """Warnings of force tables in another unit than the walls, and of noise around zero."""
     walls = [wall for gap in study.grid.gaps for wall in (gap.j_1, gap.j_2) if wall]

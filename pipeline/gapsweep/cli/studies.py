@@ -89,7 +89,7 @@ def plan(
       gapsweep plan quick.toml --json
     """
     from gapsweep import pipeline
-    from gapsweep.analysis.unit_check import bounded, default_spring, doubtful_numbers
+    from gapsweep.analysis.unit_check import bounded, doubtful_numbers
     from gapsweep.console import print_table
 
     loaded = options.loaded(study, engine)
@@ -102,7 +102,7 @@ def plan(
         far = bounded(loaded)
         walls = {} if far else {"wall": [min(gap.j_1, gap.j_2) for gap in loaded.grid.gaps]}
         doubts = [*doubtful_numbers({**loaded.spec.model, **loaded.grid.axes, **walls})]
-        doubts += [*default_spring(loaded), *filter(None, [far])]
+        doubts += filter(None, [far])
     numbers = {
         "points": planned.n_points,
         "hits": planned.n_hits,

@@ -119,7 +119,8 @@ def special_curve(
     --------
     >>> import gapsweep as gs
     >>> law = gs.Piecewise(1.4e4, gs.Gap(0.4e-3, 0.4e-3))
-    >>> br = gs.branches(gs.Oscillator(), law, along="omega", between=(9.0, 16.0), at=12.0)
+    >>> machine = gs.systems.paper_oscillator()
+    >>> br = gs.branches(machine, law, along="omega", between=(9.0, 16.0), at=12.0)
     >>> curve = gs.special_curve(br, 0, "forcing", (3.0, 5.0))
     >>> curve["omega"].dims
     ('step',)

@@ -183,7 +183,7 @@ class Family:
             return made
         if not isinstance(model, Oscillator | System):
             raise ModelError(
-                f"oscillator = {model!r}: must be a gapsweep.Oscillator(), a gapsweep.System(), "
+                f"oscillator = {model!r}: must be a gapsweep.Oscillator(...), a gapsweep.System(), "
                 "or a function that returns one"
             )
         if not isinstance(model, Oscillator):

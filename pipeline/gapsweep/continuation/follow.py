@@ -89,7 +89,7 @@ def branches(
     --------
     >>> import gapsweep as gs
     >>> law = gs.Piecewise(1.4e4, gs.Gap(0.4e-3, 0.4e-3))
-    >>> br = gs.branches(gs.Oscillator(), law, along="omega", between=(6.0, 12.0))
+    >>> br = gs.branches(gs.systems.paper_oscillator(), law, along="omega", between=(6.0, 12.0))
     >>> br["special"].attrs["flag_meanings"].split()[:2]
     ['none', 'fold']
     """

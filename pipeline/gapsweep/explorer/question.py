@@ -11,6 +11,7 @@ from gapsweep.errors import ModelError
 from gapsweep.model.contact import FIT_RANGE, ContactLaw, Piecewise
 from gapsweep.model.labels import AUTO, EXACT, canonical_label, contact_law, law_of
 from gapsweep.model.oscillator import Gap, Oscillator, checked
+from gapsweep.model.systems import paper_oscillator
 from gapsweep.study.study import Study
 
 MAX_APPROXIMATIONS = 3
@@ -262,7 +263,7 @@ def of_model(
     ModelError
         If one of them is something else, or out of range.
     """
-    oscillator = Oscillator() if oscillator is None else oscillator
+    oscillator = paper_oscillator() if oscillator is None else oscillator
     law = Piecewise(K_c=1.4e4, gap=Gap(0.4e-3, 0.4e-3)) if law is None else law
     if not isinstance(oscillator, Oscillator):
         raise ModelError(f"oscillator = {oscillator!r:.80}: must be a gapsweep.Oscillator")

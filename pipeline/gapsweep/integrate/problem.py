@@ -64,7 +64,7 @@ class Models:
         for system in self.systems:
             if not isinstance(system, Oscillator | System):
                 raise ModelError(
-                    f"oscillator = {system!r}: must be a gapsweep.Oscillator() or a "
+                    f"oscillator = {system!r}: must be a gapsweep.Oscillator(...) or a "
                     "gapsweep.System()"
                 )
         for laws in self.laws:

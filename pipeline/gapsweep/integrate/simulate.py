@@ -128,11 +128,11 @@ def simulate(
     --------
     >>> import gapsweep as gs
     >>> law = gs.Piecewise(1.4e4, gs.Gap(0.4e-3, 0.4e-3))
-    >>> run = gs.simulate(gs.Oscillator(), law, omega=9.0, t_end=2.0)
+    >>> run = gs.simulate(gs.systems.paper_oscillator(), law, omega=9.0, t_end=2.0)
     >>> run.status.label, run.n_contacts > 0
     ('ok', True)
     >>> laws = [gs.Piecewise(K_c, gs.Gap(0.4e-3, 0.4e-3)) for K_c in (1.4e3, 1.4e4, 1.4e5)]
-    >>> runs = gs.simulate(gs.Oscillator(), laws, omega=9.0, n_periods=100)
+    >>> runs = gs.simulate(gs.systems.paper_oscillator(), laws, omega=9.0, n_periods=100)
     >>> runs.x_end.shape
     (3,)
     """
@@ -323,7 +323,7 @@ def _alike(systems: NDArray[Any]) -> Any:
     for each in systems.flat:
         if not isinstance(each, Oscillator | System):
             raise ModelError(
-                f"oscillator = {each!r}: must be a gapsweep.Oscillator() or a gapsweep.System()"
+                f"oscillator = {each!r}: must be a gapsweep.Oscillator(...) or a gapsweep.System()"
             )
     first, *others = systems.flat
     for each in others:

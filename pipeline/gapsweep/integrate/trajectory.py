@@ -86,7 +86,8 @@ class Trajectory:
     --------
     >>> import gapsweep as gs
     >>> law = gs.Piecewise(1.4e4, gs.Gap(0.4e-3, 0.4e-3))
-    >>> run = gs.simulate(gs.Oscillator(), law, omega=9.0, t_end=2.0, dense_output=True)
+    >>> machine = gs.systems.paper_oscillator()
+    >>> run = gs.simulate(machine, law, omega=9.0, t_end=2.0, dense_output=True)
     >>> x, v = run.sample([0.5, 1.0, 1.5])
     >>> x.shape, run.section.shape
     ((3,), (18, 2))

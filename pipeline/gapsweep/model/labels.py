@@ -167,7 +167,7 @@ def law(
     1.0
     >>> hertz = lambda x, n: 1e6 * x * abs(x) ** (n - 1.0)
     >>> laws = [gs.law(hertz, 1.4e4, gs.Gap(0.0, 0.0), n=n) for n in (1.4, 1.5, 1.6)]
-    >>> gs.respond(gs.Oscillator(), laws, omega=9.0).amplitude.shape
+    >>> gs.respond(gs.systems.paper_oscillator(), laws, omega=9.0).amplitude.shape
     (3,)
     """
     return UserLaw(K_c, gap, function, parameters, K_ratio=K_ratio)

@@ -43,7 +43,8 @@ def called_as(example: str) -> Callable[[type[T]], type[T]]:
             try:
                 construct(self, *values, **named)
             except TypeError:
-                try:
+                try:  # a wrong name first, then one left out
+                    signature(construct).bind_partial(self, *values, **named)
                     signature(construct).bind(self, *values, **named)
                 except TypeError as error:
                     known = list(signature(construct).parameters)[1:]
@@ -101,7 +102,8 @@ def whole(name: str, value: int, low: int, high: int) -> int:
 
 
 @called_as(
-    "gs.Oscillator(mass=3.0, omega_n=5.0, zeta=0.03, alpha=0.0), omega_n = sqrt(k/m)/(2 pi) in Hz"
+    "gs.Oscillator(mass=3.0, omega_n=5.0, zeta=0.03, forcing=4.0), with omega_n = sqrt(k/m)/(2 pi) "
+    "in Hz"
 )
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Oscillator:
@@ -116,21 +118,22 @@ class Oscillator:
         spring, such as a gear.
     mass : float
         Mass m [kg], ``> 0``.
-    alpha : float
-        Cubic stiffness α [N/m³]; negative values soften.
     forcing : float
         Forcing amplitude p [N].
+    alpha : float
+        Cubic stiffness α [N/m³], 0 by default; negative values soften.
     mean_load : float
-        Constant load p_0 [N], such as a weight.
+        Constant load p_0 [N], such as a weight; 0 by default.
     c : float
-        Viscous damping c [N s/m] in addition to `zeta`, ``>= 0``. `zeta` needs a spring.
+        Viscous damping c [N s/m] in addition to `zeta`, ``>= 0``; 0 by default. `zeta` needs a
+        spring.
 
     Examples
     --------
     >>> import gapsweep as gs
-    >>> gs.Oscillator(omega_n=12.0).mass
-    3.0
-    >>> gear = gs.Oscillator(omega_n=0.0, alpha=0.0, c=20.0, mean_load=2.0)
+    >>> gs.Oscillator(mass=12.0, omega_n=18.0, zeta=0.02, forcing=50.0).alpha
+    0.0
+    >>> gear = gs.Oscillator(mass=3.0, omega_n=0.0, zeta=0.0, forcing=4.0, c=20.0, mean_load=2.0)
     >>> gs.respond(gear, gs.Piecewise(1e5, gs.Gap(1e-4, 1e-4)), omega=20.0).status.label
     'ok'
     """
@@ -147,11 +150,11 @@ class Oscillator:
     directions: ClassVar[tuple[tuple[float, ...], ...]] = ((1.0,),)
     is_modulated: ClassVar[tuple[bool, ...]] = (False,)
 
-    zeta: float = 0.03
-    omega_n: float = 5.0
-    mass: float = 3.0
-    alpha: float = 7e8
-    forcing: float = 4.0
+    zeta: float
+    omega_n: float
+    mass: float
+    alpha: float = 0.0
+    forcing: float
     mean_load: float = 0.0
     c: float = 0.0
 

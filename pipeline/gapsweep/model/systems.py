@@ -4,6 +4,8 @@ A function ``NAME`` returns the `gapsweep.System`, ``NAME_law`` the law of its c
 
     system, law = gs.systems.two_masses(), gs.systems.two_masses_law()
     motion = gs.simulate(system, law, omega=0.1, t_end=100.0)
+
+``paper_oscillator`` returns a `gapsweep.Oscillator`, whose contact law is an argument of its own.
 """
 
 import math
@@ -14,13 +16,14 @@ from numpy.typing import NDArray
 
 from gapsweep.errors import ModelError
 from gapsweep.model.contact import Piecewise
-from gapsweep.model.oscillator import Gap, checked
+from gapsweep.model.oscillator import Gap, Oscillator, checked
 from gapsweep.model.system import Harmonic, Lags, Modulation, System
 
 __all__ = [
     "FREEPLAY",
     "gear_pair",
     "gear_pair_law",
+    "paper_oscillator",
     "soft_impact_oscillator",
     "soft_impact_oscillator_law",
     "two_masses",
@@ -33,6 +36,9 @@ Array = NDArray[np.float64]
 
 # Flap freeplay of the typical section on either side [rad]: 2.12 degrees.
 FREEPLAY = math.radians(2.12)
+
+# Table 1 of the paper.
+_PAPER = {"zeta": 0.03, "omega_n": 5.0, "mass": 3.0, "alpha": 7e8, "forcing": 4.0}
 
 # Semichord [m]; elastic axis and hinge of the flap, in semichords behind the middle of the chord.
 _SEMICHORD, _AXIS, _HINGE = 0.127, -0.5, 0.5
@@ -99,6 +105,30 @@ _COPIES = {
 
 def __dir__() -> list[str]:
     return __all__
+
+
+def paper_oscillator(**changes: float) -> Oscillator:
+    """Return the Duffing oscillator of the paper that gapsweep reproduces.
+
+    zeta = 0.03, omega_n = 5 Hz, mass = 3 kg, alpha = 7e8 N/m³, forcing = 4 N.
+
+    Parameters
+    ----------
+    **changes
+        Parameters of `gapsweep.Oscillator` with other values.
+
+    Raises
+    ------
+    ModelError
+        If a name is no parameter of it, or a value is out of range.
+
+    Examples
+    --------
+    >>> import gapsweep as gs
+    >>> gs.systems.paper_oscillator(alpha=0.0).omega_n
+    5.0
+    """
+    return Oscillator(**{**_PAPER, **changes})
 
 
 def typical_section(speed: float, copy: str = "darabseh", density: float = 1.225) -> System:

@@ -68,7 +68,8 @@ def plot(run: Trajectory, coordinate: str | None = None, *, start: float | None 
     --------
     >>> import gapsweep as gs
     >>> law = gs.contact_law("piecewise", 1.4e4, gs.Gap(4e-4, 4e-4))
-    >>> run = gs.simulate(gs.Oscillator(), law, omega=9.0, t_end=20.0, dense_output=True)
+    >>> machine = gs.systems.paper_oscillator()
+    >>> run = gs.simulate(machine, law, omega=9.0, t_end=20.0, dense_output=True)
     >>> figure = gs.plot(run)
     >>> len(figure.axes)
     4

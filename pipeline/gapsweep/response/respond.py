@@ -88,9 +88,9 @@ def respond(
     --------
     >>> import gapsweep as gs
     >>> law = gs.Piecewise(1.4e4, gs.Gap(0.4e-3, 0.4e-3))
-    >>> gs.respond(gs.Oscillator(), law, omega=9.0).period_multiple
+    >>> gs.respond(gs.systems.paper_oscillator(), law, omega=9.0).period_multiple
     1
-    >>> gs.respond(gs.Oscillator(), law, omega=[7.0, 9.0, 11.0]).amplitude.shape
+    >>> gs.respond(gs.systems.paper_oscillator(), law, omega=[7.0, 9.0, 11.0]).amplitude.shape
     (3,)
     """
     solver, steady = Solver.of(engine, rtol, atol), _STEADY if steady is None else steady

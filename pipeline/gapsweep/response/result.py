@@ -204,7 +204,7 @@ class Steady:
     >>> import gapsweep as gs
     >>> law = gs.Piecewise(1.4e4, gs.Gap(0.4e-3, 0.4e-3))
     >>> settings = gs.Steady(settle_tol=1e-3, n_periods=32, max_period_multiple=16)
-    >>> gs.respond(gs.Oscillator(), law, omega=9.0, steady=settings).status.label
+    >>> gs.respond(gs.systems.paper_oscillator(), law, omega=9.0, steady=settings).status.label
     'ok'
     """
 
@@ -311,10 +311,10 @@ class Response:
     --------
     >>> import gapsweep as gs
     >>> law = gs.Piecewise(1.4e4, gs.Gap(0.4e-3, 0.4e-3))
-    >>> found = gs.respond(gs.Oscillator(), law, omega=9.0)
+    >>> found = gs.respond(gs.systems.paper_oscillator(), law, omega=9.0)
     >>> found.response_class.name, found.multiplier_abs < 1.0
     ('PERIODIC', True)
-    >>> several = gs.respond(gs.Oscillator(), law, omega=[7.0, 9.0])
+    >>> several = gs.respond(gs.systems.paper_oscillator(), law, omega=[7.0, 9.0])
     >>> several.response_class == gs.ResponseClass.PERIODIC
     array([ True,  True])
     >>> several.response_class[1].name, dict(several.to_dataset().sizes)["omega"]

@@ -56,11 +56,11 @@ class TomlTable(BaseModel):
 class OscillatorTable(TomlTable):
     """Parameters of the oscillator, in the units of `Oscillator`; each may be swept."""
 
-    zeta: NonNegative = 0.03
-    omega_n: NonNegative = 5.0
-    mass: Positive = 3.0
-    alpha: Number = 7e8
-    forcing: Number = 4.0
+    zeta: NonNegative
+    omega_n: NonNegative
+    mass: Positive
+    alpha: Number = 0.0
+    forcing: Number
     mean_load: Number = 0.0
     c: NonNegative = 0.0
 

@@ -252,8 +252,9 @@ class ParametricModel:
         for i, block in enumerate(spec.sweep):
             wrong += [f"sweep[{i}].{problem}" for problem in self._problems(block)]
         for i, history in enumerate(spec.history):
-            for name, value in self._of_oscillator(history.parameter):
-                wrong += [f"history[{i}].{problem}" for problem in _out_of_range(name, [value])]
+            for name, value in history.parameter.items():
+                found = _out_of_range(spec.model, name, [value])
+                wrong += [f"history[{i}].{problem}" for problem in found]
         if wrong:
             raise StudyError([f"{self.source}: {problem}" for problem in wrong])
 
@@ -280,16 +281,13 @@ class ParametricModel:
             if axis is not None and count(axis) > 1 and not takes:
                 found.append(f"{name}: unused, [contact] sets it for all contacts; keep one value")
         if self.is_oscillator:
-            several = self._of_oscillator(block.parameter)
-            return found + [x for each in several for x in _out_of_range(*each)]
+            swept = block.parameter.items()
+            return found + [x for each in swept for x in _out_of_range(self.spec.model, *each)]
         if any(law_of(label) == AUTO for label in block.representation):
             found.append(
                 "representation: 'auto' is for oscillators only; write one, as 'piecewise'"
             )
         return found
-
-    def _of_oscillator(self, given: Mapping[str, Any]) -> list[tuple[str, Any]]:
-        return [(name, axis) for name, axis in given.items() if name not in self.spec.parameters]
 
     def _own(self, contact: str, name: str) -> Any:
         table = self.spec.contact.get(contact)
@@ -331,12 +329,12 @@ class ParametricModel:
         return number.reshape(-1), [self.at(some) for some in _named(names, axes, several.T)]
 
 
-def _out_of_range(name: str, axis: Any) -> Iterator[str]:
+def _out_of_range(others: Mapping[str, float], name: str, axis: Any) -> Iterator[str]:
     """What is wrong with an axis of a parameter of the oscillator: its ends, as ranges go."""
     several = values(axis)
-    for value in {min(several), max(several)}:
+    for value in {min(several), max(several)} if name in others else ():  # others are of laws
         try:
-            Oscillator(**{name: value})
+            Oscillator(**{**others, name: value})
         except ModelError as error:
             yield str(error)
 

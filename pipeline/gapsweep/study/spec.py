@@ -230,7 +230,7 @@ _OF_OSCILLATORS = ("oscillator", "auto", "history", "bench")
 
 class StudySpec(TomlTable):
     study: StudyTable
-    oscillator: OscillatorTable = OscillatorTable()
+    oscillator: OscillatorTable | None = None  # None: of a [system]
     system: SystemTable | None = None
     parameters: dict[str, Number] = Field({})
     contact: dict[str, ContactTable] = Field({})
@@ -275,8 +275,11 @@ class StudySpec(TomlTable):
         ]
         if wrong:
             raise ValueError("; ".join(wrong))
-        if not is_system and isinstance(given.get("sweep"), list):
-            given = given | {"sweep": [_with_walls(block) for block in given["sweep"]]}
+        if not is_system:
+            blocks = given.get("sweep")
+            if isinstance(blocks, list):
+                given = given | {"sweep": [_with_walls(block) for block in blocks]}
+            given = given | {"oscillator": _with_swept(given.get("oscillator"), blocks)}
         return given | {
             key: [_parted(table, names) for table in given[key]]
             for key in ("sweep", "history")
@@ -286,7 +289,7 @@ class StudySpec(TomlTable):
     @property
     def model(self) -> dict[str, float]:
         """Values of all parameters of the model where no block sweeps them."""
-        return self.oscillator.model_dump() if self.system is None else self.parameters
+        return self.oscillator.model_dump() if self.oscillator else self.parameters
 
     @property
     def tables(self) -> dict[str, Any]:
@@ -338,6 +341,7 @@ class StudySpec(TomlTable):
         wrong += [
             f"bench.scene[{scene.name!r}]: {problem}"
             for scene in scenes
+            if self.oscillator
             for problem in scene.contradictions(self.oscillator)
         ]
         if wrong:
@@ -351,6 +355,22 @@ def _parameters(tables: Any) -> Any:
     if isinstance(tables, dict) and tables.get("system") is not None:
         return given
     return [*OscillatorTable.model_fields, *given]
+
+
+def _with_swept(table: Any, blocks: Any) -> Any:
+    """The table of the oscillator; a number that each block sweeps is its first one there."""
+    table = {} if table is None else table
+    if not (isinstance(table, dict) and isinstance(blocks, list) and blocks):
+        return table
+    for name, field in OscillatorTable.model_fields.items():
+        swept = all(isinstance(block, dict) and name in block for block in blocks)
+        if field.is_required() and name not in table and swept:
+            first = blocks[0][name]
+            first = first.get("start") if isinstance(first, dict) else first
+            first = first[0] if isinstance(first, list) and first else first
+            # Another form is refused where it is swept.
+            table = table | {name: first if isinstance(first, int | float) else 1.0}
+    return table
 
 
 def _with_walls(block: Any) -> Any:

@@ -103,6 +103,7 @@ def scenarios(study: Study, *, with_answer: bool) -> list[Scenario]:
 
 def _scenario(study: Study, table: BenchSceneTable) -> Scenario:
     assert study.spec.bench is not None
+    assert study.spec.oscillator is not None
     x_0, v_0 = table.start
     j_1, j_2 = table.gap
     return Scenario(

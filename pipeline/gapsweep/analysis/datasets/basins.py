@@ -83,7 +83,7 @@ def basins(
     --------
     >>> import gapsweep as gs
     >>> law = gs.Piecewise(1.4e4, gs.Gap(0.4e-3, 0.4e-3))
-    >>> ds = gs.basins(gs.Oscillator(), law, 9.0, x=[-1e-3, 0.0, 1e-3], v=[0.0, 0.1])
+    >>> ds = gs.basins(gs.systems.paper_oscillator(), law, 9.0, x=[-1e-3, 0.0, 1e-3], v=[0.0, 0.1])
     >>> ds["attractor"].shape
     (2, 3)
     """
