@@ -2,7 +2,7 @@
 
 A law is loaded and called at x = 0 before anything is computed. The client does both in its own
 process, after an isolated process has survived them with the same snapshot. That process also
-compiles it.
+compiles it, if its points need that, and searches for jumps between the walls.
 """
 
 from collections.abc import Callable, Sequence
@@ -84,7 +84,7 @@ def try_out(study: Study, timeout: float, say: Callable[[str], None]) -> None:
                 own = study.own_law(label)
             except ModelError:
                 continue
-            for step, function in (("importing {}", _imports), ("calling {} at x = 0", _calls)):
+            for step, function in (("importing {}", _imports), ("calling {}", _calls)):
                 say(f"{step.format(label)} (timeout {limit:g} s)")
                 try:
                     isolated(function, own, study.model.default, gaps if label in compiled else ())
@@ -106,6 +106,8 @@ def _imports(own: OwnLaw, *_: Any) -> None:
 
 def _calls(own: OwnLaw, model: Model, gaps: Sequence[Gap]) -> None:
     checked(own)
-    laws = [(own.law(0.0, gap),) * len(model.contacts) for gap in gaps]
-    if laws:
-        loaded("compiled")(Models.of([model], laws[:1], np.ones(1)), Solver.of())
+    if gaps:
+        laws = (own.law(0.0, Gap(0.0, 0.0)),) * len(model.contacts)
+        loaded("compiled")(Models.of([model], [laws], np.ones(1)), Solver.of())
+    for gap in gaps:  # of what compiles, which neither ends a process nor raises
+        own.law(0.0, gap)

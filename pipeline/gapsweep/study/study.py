@@ -438,13 +438,7 @@ class Study:
 
     @cached_property
     def _law_parameters(self) -> dict[str, list[str]]:
-        """Names of the parameters that each user law takes.
-
-        Raises
-        ------
-        StudyError
-            If nothing takes one of [parameters].
-        """
+        """Names of the parameters that each user law takes; refuses those that nothing takes."""
         laws = {law_of(label): self.own_law(label) for label in self.grid.representations}
         found = {n: [name for name, _ in checked(own).parameters] for n, own in laws.items() if own}
         system = self.spec.system
