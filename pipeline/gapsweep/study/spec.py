@@ -307,9 +307,7 @@ class StudySpec(TomlTable):
             raise ValueError("contact: needs [system]")
         labels = [label for block in self.sweep for label in block.representation]
         if self.system is None and self.parameters and not any(":" in label for label in labels):
-            raise ValueError(
-                "parameters: needs [system], or a contact law of your own, module:name"
-            )
+            raise ValueError("parameters: needs [system], or an own contact law, as module:name")
         return self
 
     @model_validator(mode="after")
