@@ -1089,3 +1089,23 @@ def test_a_loop_longer_than_max_steps_holds_each_orbit_once():
     half = gs.branches(model, law, between=(4.0, 16.0), at=7.5, max_steps=n // 2 + 10)
     loop = int(half["n_orbits"].values.argmax())
     assert abs(int(half["n_orbits"][loop]) - n) < 40
+
+
+def _hertz(x, n):
+    depth = abs(x) - 0.4e-3
+    return 0.0 if depth <= 0.0 else math.copysign(1e6 * depth**n, x)
+
+
+def test_branches_go_along_a_parameter_of_an_own_law():
+    """Each orbit closes in the other engine, with the law at the branch's own value."""
+    o = gs.Oscillator(mass=3.0, omega_n=5.0, zeta=0.03, alpha=0.0, forcing=4.0)
+    law = gs.law(_hertz, 1.4e4, gs.Gap(0.4e-3, 0.4e-3), n=1.5)
+    found = gs.branches(o, law, along="n", between=(1.4, 1.6), omega=9.0)
+    assert_allclose([found.n.min(), found.n.max()], [1.4, 1.6])
+    n, state = found.n.values[0], found.start_state.values[0]
+    for step in (0, len(n) // 2):
+        law = gs.law(_hertz, 1.4e4, gs.Gap(0.4e-3, 0.4e-3), n=n[step])
+        given = {"engine": "scipy", "rtol": 1e-10, "atol": 1e-13}
+        periods = int(found.period_multiple[0, step])
+        run = gs.simulate(o, law, 9.0, *state[step], n_periods=periods, **given)
+        assert_allclose([run.x_end, run.v_end], state[step], rtol=1e-5, atol=1e-8)

@@ -17,6 +17,7 @@ from gapsweep.model.contact import ContactLaw, checked_law
 from gapsweep.model.oscillator import Gap, Oscillator, checked, is_number
 from gapsweep.model.structure import general_form
 from gapsweep.model.system import System
+from gapsweep.model.user_law import UserLaw
 
 Array = NDArray[np.float64]
 
@@ -128,7 +129,7 @@ class Family:
         if isinstance(self.model, Oscillator) and name in _names(self.model):
             return
         if any(name in _GAP or name in _names(law) for law in self._laws):
-            if not all(law.is_numbers for law in self._laws):
+            if not all(law.is_numbers or name in _names(law) for law in self._laws):
                 raise ModelError(
                     f"along = {name!r}: parameters of fitted laws and user laws cannot be "
                     "continued; use 'omega' or a parameter of the model"
@@ -219,7 +220,8 @@ class Family:
             raise ModelError("second = 'gap': the walls differ; use 'j_1' or 'j_2'")
         known: dict[str, Any] = {}
         for law in laws[::-1]:
-            known |= {each: getattr(law, each) for each in _names(law)}
+            own = law.parameters if isinstance(law, UserLaw) else vars(law)
+            known |= {each: own[each] for each in _names(law)}
             known |= {"gap": law.gap.j_1, "j_1": law.gap.j_1, "j_2": law.gap.j_2}
         known |= {each: getattr(model, each) for each in _names(model)}
         if callable(self.model):
@@ -259,9 +261,11 @@ class Family:
 
 
 def _names(of: Any) -> list[str]:
-    """Numbers and the gap of an oscillator or a law; none of a system."""
+    """Numbers and the gap of an oscillator or a law, parameters of a user law; none of a system."""
     if isinstance(of, System):
         return []
+    if isinstance(of, UserLaw):
+        return [*of.parameters]
     names = [field.name for field in fields(of)]
     return [name for name in names if is_number(getattr(of, name)) or name == "gap"]
 
@@ -270,6 +274,8 @@ def _law_at(law: ContactLaw, values: Mapping[str, float]) -> ContactLaw:
     known: dict[str, Any] = {
         name: value for name, value in values.items() if name in _names(law) and name != "gap"
     }
+    if isinstance(law, UserLaw):
+        return replace(law, parameters={**law.parameters, **known}) if known else law
     gap: dict[str, Any] = {name: values[name] for name in ("j_1", "j_2") if name in values}
     if "gap" in values:
         known["gap"] = Gap(values["gap"], values["gap"])

@@ -191,6 +191,7 @@ class PoincareMap(Ensemble):
                 last = (first + n[some] - 1)[is_back]
                 run.t[is_back], run.state[is_back] = events.t_section[last], events.section[last]
                 run.status[is_back] = Status.OK
+                run.t[run.t == 0.0] = t_end[some][run.t == 0.0]  # of what was not begun in time
                 for name in ("t", "state", "status", "reach", "n_steps"):
                     values = getattr(run, name)
                     whole = np.zeros((len(scenes), *values.shape[1:]), values.dtype)

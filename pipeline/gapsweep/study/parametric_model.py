@@ -85,6 +85,8 @@ class ParametricModel:
         if table is None:
             return self._oscillator
         unlike = table.scales ^ set(self.spec.parameters)
+        if any(":" in label for block in self.spec.sweep for label in block.representation):
+            unlike = table.scales - set(self.spec.parameters)  # others are of laws
         if table.function is None and unlike:
             raise StudyError(
                 [
@@ -330,7 +332,7 @@ class ParametricModel:
 def _out_of_range(others: Mapping[str, float], name: str, axis: Any) -> Iterator[str]:
     """What is wrong with an axis of a parameter of the oscillator: its ends, as ranges go."""
     several = values(axis)
-    for value in {min(several), max(several)}:
+    for value in {min(several), max(several)} if name in others else ():  # others are of laws
         try:
             Oscillator(**{**others, name: value})
         except ModelError as error:

@@ -2,7 +2,7 @@
 
 import json
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -149,7 +149,8 @@ class Study:
                 raise StudyError([f"{self.source}: {table}: {error}"]) from None
         self._check_modules()
         self.model.check()
-        lines = undecided(self.spec.history, self.spec.model, self._axes)
+        known = {**self.spec.model, **self.spec.parameters}
+        lines = undecided(self.spec.history, known, self._axes)
         if self.spec.branches:
             lines = chain(lines, self.spec.branches.problems(self._axes, self.spec.contact))
         problems = [f"{self.source}: {line}" for line in lines]
@@ -203,8 +204,8 @@ class Study:
         return json.dumps(self.spec.tables, sort_keys=True)
 
     def setting(self, history: HistoryTable) -> dict[str, float]:
-        """Parameters of the model, and the ratio of the walls' stiffnesses, of a time history."""
-        return setting(history, self.spec.model, self._axes)
+        """Parameters of model and laws, and the ratio of the walls' stiffnesses, of a history."""
+        return setting(history, {**self.spec.model, **self.spec.parameters}, self._axes)
 
     @cached_property
     def claims_module(self) -> Path | None:
@@ -259,8 +260,9 @@ class Study:
         """The user's own laws that have been read, by label."""
         return {}
 
-    def own_law(self, label: str) -> OwnLaw | None:
-        """The user law of a label, read once; None for laws of gapsweep.
+    def own_law(self, label: str, **parameters: float) -> OwnLaw | None:
+        """The user law of a label, its code read once, with some values of [parameters] replaced;
+        None for laws of gapsweep.
 
         Raises
         ------
@@ -272,7 +274,8 @@ class Study:
             return None
         if name not in self._known_laws:
             self._known_laws[name] = OwnLaw.of(name, self.folders)
-        return self._known_laws[name]
+        named = {**self.spec.parameters, **parameters}
+        return replace(self._known_laws[name], parameters=tuple(named.items()))
 
     def law(self, label: str, K_c: float, gap: Gap, K_ratio: float = 1.0) -> ContactLaw:
         """The contact law of a label; the label may name a user law.
@@ -321,7 +324,8 @@ class Study:
     @cached_property
     def _blocks(self) -> list[Axes]:
         swept = {name for block in self.spec.sweep for name in block.parameters}
-        default = {n: x for n, x in {**self.spec.model, "K_ratio": 1.0}.items() if n in swept}
+        known = {**self.spec.model, **self.spec.parameters, "K_ratio": 1.0}
+        default = {n: x for n, x in known.items() if n in swept}
         return [
             expanded(block, default) | {START: self._starts(block.initial_condition, i)}
             for i, block in enumerate(self.spec.sweep)
@@ -420,18 +424,39 @@ class Study:
 
     def _asked(self, cells: NDArray[np.int64]) -> Iterator[tuple[NDArray[np.intp], Points, str]]:
         """The points in some cells as they are asked for, with their label."""
-        axes, starts = self.grid.axes, self.grid.starts
+        axes, starts, names = self.grid.axes, self.grid.starts, self._law_parameters
         at = dict(zip(axes, np.unravel_index(cells, self.grid.shape), strict=True))
         kind = at["representation"] * len(Starts.KINDS) + starts.kind[at[START]]
         for one in np.unique(kind).tolist():
             rows = np.flatnonzero(kind == one)
             r, start = divmod(one, len(Starts.KINDS))
-            label, here = axes["representation"][r], {name: of[rows] for name, of in at.items()}
-            numbers = self.model.numbers(axes, here, len(rows))
-            yield rows, Points(self._kind(label, Starts.KINDS[start]), numbers), label
+            label = axes["representation"][r]
+            swept = [name for name in names.get(law_of(label), ()) if name in axes]
+            places = np.column_stack([0 * rows, *(at[name][rows] for name in swept)])
+            for place in np.unique(places, axis=0):
+                some = rows[(places == place).all(axis=1)]
+                here = {name: of[some] for name, of in at.items()}
+                named = {n: axes[n][i] for n, i in zip(swept, place[1:].tolist(), strict=True)}
+                numbers = self.model.numbers(axes, here, len(some))
+                yield some, Points(self._kind(label, Starts.KINDS[start], named), numbers), label
 
-    def _kind(self, label: str, start: str) -> Kind:
-        representation, own = law_of(label), self.own_law(label)
+    @cached_property
+    def _law_parameters(self) -> dict[str, list[str]]:
+        """Names of the parameters that each user law takes; refuses those that nothing takes."""
+        laws = {law_of(label): self.own_law(label) for label in self.grid.representations}
+        found = {n: [name for name, _ in checked(own).parameters] for n, own in laws.items() if own}
+        system = self.spec.system
+        taken = (system.scales if system else set()).union(*found.values())
+        unused = self.spec.parameters.keys() - taken
+        if unused and not (system and system.function):  # which refuses what it does not take
+            said = (
+                f"parameters: {', '.join(sorted(unused))}: must be arguments of {', '.join(found)}"
+            )
+            raise StudyError([f"{self.source}: {said}"])
+        return found
+
+    def _kind(self, label: str, start: str, parameters: Mapping[str, float]) -> Kind:
+        representation, own = law_of(label), self.own_law(label, **parameters)
         own = None if own is None else checked(own)
         return Kind(
             representation=representation,
