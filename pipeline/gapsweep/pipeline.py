@@ -9,7 +9,6 @@ everything up to date ends before they would be loaded.
 from __future__ import annotations
 
 import os
-import warnings
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass, replace
@@ -20,9 +19,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from gapsweep.analysis.unit_check import (
-    doubtful_numbers,
+    doubts_of,
     never_reached,
-    wrong_tables,
+    with_far,
 )
 from gapsweep.console import progress_bar
 from gapsweep.errors import ClusterError, StoreError, StudyError
@@ -33,6 +32,7 @@ from gapsweep.execution.plan import Plan
 from gapsweep.execution.plan import plan as make_plan
 from gapsweep.execution.progress import DEFAULT_TIMEOUT, OnProgress, Progress, tell
 from gapsweep.execution.recorder import Recorder
+from gapsweep.model.doubts import warn_of
 from gapsweep.run_folder import (
     CLAIMS,
     RESPONSES,
@@ -139,7 +139,9 @@ def run(
     --------
     >>> import gapsweep as gs
     >>> block = {"representation": "piecewise", "K_c": 1e4, "gap": [4e-4, 4e-4], "omega": 9.0}
-    >>> study = gs.Study.from_dict({"study": {"name": "small"}, "sweep": [block]})
+    >>> oscillator = {"mass": 3.0, "omega_n": 5.0, "zeta": 0.03, "forcing": 4.0}
+    >>> tables = {"study": {"name": "small"}, "oscillator": oscillator, "sweep": [block]}
+    >>> study = gs.Study.from_dict(tables)
     >>> with gs.run(study, out="small", cache="points") as ds:
     ...     ds["amplitude"].dims
     ('representation', 'K_c', 'gap', 'omega', 'initial_condition')
@@ -159,8 +161,7 @@ def run(
             retry_failed=retry_failed,
             on_progress=observer,
         )
-    for doubt in outcome.doubts:
-        warnings.warn(doubt, stacklevel=2)
+    warn_of(outcome.doubts)
     found = netcdf.read(outcome.folder / RESPONSES)
     if found.attrs["study_json"] != study.json:  # since the folder was let go
         found.close()
@@ -233,11 +234,11 @@ def carry_out(
             failures = _failures(planned)
             del planned, store  # a tenth of a gigabyte of keys at a million points
             make([stage for stage in stages if POINTS not in stage.sources], run)
-    doubts = []
-    if study.spec.system is None:
+    far = ""
+    if study.spec.oscillator:
         values, grid = partial(netcdf.values, folder / RESPONSES), study.grid
-        walls = never_reached(values, grid.dims, grid.representations)
-        doubts = [*doubtful_numbers({**study.spec.model, **grid.axes}), *filter(None, [walls])]
+        far = never_reached(values, grid.dims, grid.representations)
+    doubts = with_far(study, far)
     motions = {stage.file: stage.failed_motions(folder) for stage in stages}
     failed = {file: counts for file, counts in motions.items() if counts}
     return Outcome(folder, progress, failures, failed, tuple(doubts))
@@ -283,13 +284,16 @@ def plan(
     --------
     >>> import gapsweep as gs
     >>> block = {"representation": "piecewise", "K_c": 1e4, "gap": [4e-4, 4e-4], "omega": 9.0}
-    >>> study = gs.Study.from_dict({"study": {"name": "small"}, "sweep": [block]})
+    >>> oscillator = {"mass": 3.0, "omega_n": 5.0, "zeta": 0.03, "forcing": 4.0}
+    >>> tables = {"study": {"name": "small"}, "oscillator": oscillator, "sweep": [block]}
+    >>> study = gs.Study.from_dict(tables)
     >>> gs.plan(study, cache="no-cache-yet")
     <Plan: 1 sweep points, 0 in the cache, 1 missing, 0 failed>
     """
     study = Study.of(study)
     path, say = cache_path(cache), partial(tell, on_progress, Progress(0, 0))
     _try_out_own_laws(study, timeout, say)
+    warn_of(doubts_of(study))
     say("looking up cached points")
     if not path.exists():
         return make_plan(study, selection=selection)
@@ -470,13 +474,11 @@ def bench(
 
 
 def _try_out_own_laws(study: Study, timeout: float, say: Callable[[str], None]) -> None:
-    """Refuse users' laws that would end this process, or hang; warn of other units."""
+    """Refuse users' laws that would end this process, or hang."""
     if study.own_laws:
         from gapsweep.execution.try_out import try_out
 
         try_out(study, timeout, say)
-        for message in wrong_tables(study):
-            warnings.warn(message, stacklevel=3)
 
 
 def query(
@@ -520,7 +522,9 @@ def query(
     --------
     >>> import gapsweep as gs
     >>> block = {"representation": "piecewise", "K_c": 1e4, "gap": [4e-4, 4e-4], "omega": 9.0}
-    >>> study = gs.Study.from_dict({"study": {"name": "small"}, "sweep": [block]})
+    >>> oscillator = {"mass": 3.0, "omega_n": 5.0, "zeta": 0.03, "forcing": 4.0}
+    >>> tables = {"study": {"name": "small"}, "oscillator": oscillator, "sweep": [block]}
+    >>> study = gs.Study.from_dict(tables)
     >>> ds = gs.query(study, cache="points", omega=9.0)
     >>> ds.attrs["n_points"], ds.attrs["n_computed"]
     (1, 1)
@@ -530,6 +534,7 @@ def query(
     selection, path = study.select(**wanted), cache_path(cache)
     with progress_bar() if on_progress is None else nullcontext(on_progress) as observer:
         _try_out_own_laws(study, DEFAULT_TIMEOUT, partial(tell, observer, Progress(0, 0)))
+        warn_of(doubts_of(study))
         if path.exists():
             # One opening for both: to read what is stored of a million points takes .3 s.
             with Cache(path, read_only=True) as store:

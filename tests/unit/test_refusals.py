@@ -133,6 +133,7 @@ def test_one_line_names_the_value_and_the_remedy(name):
     ids=["light", "damped", "slow"],
 )
 @pytest.mark.parametrize("label", ["piecewise", "tanh-1e50", "logarctan-1e50"])
+@pytest.mark.filterwarnings("ignore:(zeta|omega) = :UserWarning")  # no machine is there
 def test_what_is_accepted_overflows_nowhere(label, oscillator):
     # Warnings are errors here. The motion may fail: that is a status.
     law = gs.contact_law(label, 1e50, gs.Gap(1e-50, 1.0))

@@ -16,6 +16,7 @@ from gapsweep.integrate.motions import Motions, merged
 from gapsweep.integrate.problem import DEFAULT_ENGINE, Integrate, Models, Problems, Solver
 from gapsweep.integrate.trajectory import SystemTrajectory, Trajectory
 from gapsweep.model.contact import ContactLaw, checked_law
+from gapsweep.model.doubts import doubts, warn_of
 from gapsweep.model.oscillator import LARGEST, SMALLEST, Oscillator, checked
 from gapsweep.model.system import System, floats
 from gapsweep.variables import objects
@@ -135,6 +136,7 @@ def simulate(
     models, start, shape = cases(
         oscillator, law, omega, x_0, v_0, q_0, z_0, np.shape(span.get("n_periods", 0))
     )
+    warn_of(doubts(objects(oscillator).ravel().tolist(), models.laws, models.omega, start))
     if t_end is not None:
         span["t_end"] = t_end = checked("t_end", t_end)
         if t_end <= t_0:
