@@ -18,11 +18,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from gapsweep.analysis.unit_check import (
-    doubts_of,
-    never_reached,
-    with_far,
-)
+from gapsweep.analysis.unit_check import doubts_of, never_reached
 from gapsweep.console import progress_bar
 from gapsweep.errors import ClusterError, StoreError, StudyError
 from gapsweep.execution.assemble import attributes_of, fill
@@ -139,9 +135,8 @@ def run(
     --------
     >>> import gapsweep as gs
     >>> block = {"representation": "piecewise", "K_c": 1e4, "gap": [4e-4, 4e-4], "omega": 9.0}
-    >>> oscillator = {"mass": 3.0, "omega_n": 5.0, "zeta": 0.03, "forcing": 4.0}
-    >>> tables = {"study": {"name": "small"}, "oscillator": oscillator, "sweep": [block]}
-    >>> study = gs.Study.from_dict(tables)
+    >>> m = {"mass": 3.0, "omega_n": 5.0, "zeta": 0.03, "forcing": 4.0}
+    >>> study = gs.Study.from_dict({"study": {"name": "small"}, "oscillator": m, "sweep": [block]})
     >>> with gs.run(study, out="small", cache="points") as ds:
     ...     ds["amplitude"].dims
     ('representation', 'K_c', 'gap', 'omega', 'initial_condition')
@@ -238,7 +233,7 @@ def carry_out(
     if study.spec.oscillator:
         values, grid = partial(netcdf.values, folder / RESPONSES), study.grid
         far = never_reached(values, grid.dims, grid.representations)
-    doubts = with_far(study, far)
+    doubts = doubts_of(study, far)
     motions = {stage.file: stage.failed_motions(folder) for stage in stages}
     failed = {file: counts for file, counts in motions.items() if counts}
     return Outcome(folder, progress, failures, failed, tuple(doubts))
@@ -284,9 +279,8 @@ def plan(
     --------
     >>> import gapsweep as gs
     >>> block = {"representation": "piecewise", "K_c": 1e4, "gap": [4e-4, 4e-4], "omega": 9.0}
-    >>> oscillator = {"mass": 3.0, "omega_n": 5.0, "zeta": 0.03, "forcing": 4.0}
-    >>> tables = {"study": {"name": "small"}, "oscillator": oscillator, "sweep": [block]}
-    >>> study = gs.Study.from_dict(tables)
+    >>> m = {"mass": 3.0, "omega_n": 5.0, "zeta": 0.03, "forcing": 4.0}
+    >>> study = gs.Study.from_dict({"study": {"name": "small"}, "oscillator": m, "sweep": [block]})
     >>> gs.plan(study, cache="no-cache-yet")
     <Plan: 1 sweep points, 0 in the cache, 1 missing, 0 failed>
     """
@@ -522,9 +516,8 @@ def query(
     --------
     >>> import gapsweep as gs
     >>> block = {"representation": "piecewise", "K_c": 1e4, "gap": [4e-4, 4e-4], "omega": 9.0}
-    >>> oscillator = {"mass": 3.0, "omega_n": 5.0, "zeta": 0.03, "forcing": 4.0}
-    >>> tables = {"study": {"name": "small"}, "oscillator": oscillator, "sweep": [block]}
-    >>> study = gs.Study.from_dict(tables)
+    >>> m = {"mass": 3.0, "omega_n": 5.0, "zeta": 0.03, "forcing": 4.0}
+    >>> study = gs.Study.from_dict({"study": {"name": "small"}, "oscillator": m, "sweep": [block]})
     >>> ds = gs.query(study, cache="points", omega=9.0)
     >>> ds.attrs["n_points"], ds.attrs["n_computed"]
     (1, 1)

@@ -68,48 +68,39 @@ def bounded(study: "Study") -> str:
     return never_reached(values.__getitem__, grid.dims, [EXACT])
 
 
-def doubts_of(study: "Study", own: bool = True) -> Iterator[str]:
+def doubts_of(study: "Study", far: str = "", own: bool = True) -> list[str]:
     """Warnings of numbers of a study that are probably in another unit: the rules of calls.
 
-    Parameters
-    ----------
-    own : bool
-        Whether code of the user may be run: force tables and functions of systems.
+    A sentence `far` on walls out of reach replaces that on the gap. Without `own` no code of the
+    user is run: systems of functions have no warnings, force tables count as exact laws.
     """
     grid, model = study.grid, study.model
     axes = {name: grid.axes[name] for name in study.spec.model if name in grid.axes}
-    if model.is_oscillator:  # corners bound each rule
-        ends = product(*({min(axis), max(axis)} for axis in axes.values()))
-        points = [dict(zip(axes, end, strict=True)) for end in ends]
-    elif own:
-        points = model.swept(grid.axes, grid.requested)
-    else:
-        return
+    if not (model.is_oscillator or own):
+        return []
+    ends = product(*({min(axis), max(axis)} for axis in axes.values()))
+    points = [dict(zip(axes, end, strict=True)) for end in ends]  # bound the rules of oscillators
+    if not model.is_oscillator:
+        points = [*model.swept(grid.axes, grid.requested)] or [{}]
     ratio, K_c = max(grid.axes.get("K_ratio", (1.0,))), max(grid.axes.get("K_c", (0.0,)))
+    gaps = grid.gaps if {"gap", "j_1"} & grid.axes.keys() else (Gap(0.0, 0.0),)
     laws = []
-    for label in grid.representations:
-        for gap in grid.gaps if {"gap", "j_1"} & grid.axes.keys() else (Gap(0.0, 0.0),):
-            with suppress(ModelError):  # of a law that cannot be used: reported where it is used
-                laws.append(tuple(_laws(study, label, K_c, gap, ratio, own)))
-    models = [model.at(some) for some in points] or [model.default]
-    if laws:
-        yield from doubts(models, laws, grid.axes.get("omega", 0.0), starts_of(grid.axes).states)
+    for label, gap in product(grid.representations, gaps):
+        with suppress(ModelError):  # of a law that cannot be used: reported where it is used
+            laws.append(tuple(_laws(study, label, K_c, gap, ratio, own)))
+    omega, starts = grid.axes.get("omega", 0.0), starts_of(grid.axes).states
+    found = doubts([model.at(some) for some in points], laws, omega, starts) if laws else ()
+    return [*(each for each in found if not (far and each.startswith("gap"))), *[far] * bool(far)]
 
 
 def _laws(
     study: "Study", label: str, K_c: float, gap: Gap, ratio: float, own: bool
 ) -> Iterator[ContactLaw]:
-    """The laws of all contacts; of fitted ones the exact law, whose numbers they have."""
+    """The laws of all contacts; in place of fits the exact law, which has their numbers."""
     for name, one in zip(study.model.contacts, study.model.labels(law_of(label)), strict=True):
-        table = study.spec.contact.get(name)
-        stiffness = K_c if table is None or table.K_c is None else table.K_c
-        walls = gap if table is None or table.gap is None else Gap(*table.gap)
-        r = ratio if table is None or table.K_ratio is None else table.K_ratio
+        given: dict[str, Any] = {"K_c": K_c, "gap": (gap.j_1, gap.j_2), "K_ratio": ratio}
+        if name in study.spec.contact:
+            given |= study.spec.contact[name].model_dump(exclude_none=True)
         is_exact = one == AUTO or is_fitted(one) or (":" in one and not own)
-        yield study.law(EXACT if is_exact else one, stiffness, walls, r)
-
-
-def with_far(study: "Study", far: str) -> list[str]:
-    """Those warnings, with one of walls out of reach in place of that of the gap, if not empty."""
-    said = (each for each in doubts_of(study) if not (far and each.startswith("gap")))
-    return [*said, *filter(None, [far])]
+        walls = Gap(*given["gap"])
+        yield study.law(EXACT if is_exact else one, given["K_c"], walls, given["K_ratio"])

@@ -89,7 +89,7 @@ def plan(
       gapsweep plan quick.toml --json
     """
     from gapsweep import pipeline
-    from gapsweep.analysis.unit_check import bounded, with_far
+    from gapsweep.analysis.unit_check import bounded, doubts_of
     from gapsweep.console import print_table
 
     loaded = options.loaded(study, engine)
@@ -97,7 +97,7 @@ def plan(
         planned = pipeline.plan(loaded, cache, retry_failed=retry_failed, on_progress=observer)
         expected = pipeline.expected_seconds(planned, cache, workers)
         stages = pipeline.stage_reasons(loaded, planned, out, cache)
-    doubts = with_far(loaded, bounded(loaded) if loaded.spec.oscillator else "")
+    doubts = doubts_of(loaded, bounded(loaded) if loaded.spec.oscillator else "")
     numbers = {
         "points": planned.n_points,
         "hits": planned.n_hits,

@@ -21,7 +21,7 @@ from gapsweep.explorer.server import Explorer
 from gapsweep.explorer.stored import StoredRun
 from gapsweep.model.contact import ContactLaw
 from gapsweep.model.doubts import doubts
-from gapsweep.model.labels import EXACT, is_fitted
+from gapsweep.model.labels import EXACT
 from gapsweep.model.oscillator import Oscillator
 from gapsweep.store.artefact import reading
 from gapsweep.study.spec import read
@@ -105,10 +105,10 @@ def opened(
             "explore: needs Bokeh, which is not installed: pip install 'gapsweep[explore]'"
         ) from None
 
-    formulas = (label for label in question.approximations if not is_fitted(label))
-    laws = [(question.law(label),) for label in (EXACT, *formulas)]
-    found = doubts([question.oscillator], laws, question.band, np.array([question.start]))
-    said = ". ".join(filter(None, [note, *found]))
+    laws, starts = [(question.law(EXACT),)], np.array([question.start])
+    said = ". ".join(
+        [note] * bool(note) + [*doubts([question.oscillator], laws, question.band, starts)]
+    )
 
     def fill(document: Any) -> Callable[[], None]:
         return Page(document, question, ranges or {}, stored, said).stop

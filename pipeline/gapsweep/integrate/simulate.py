@@ -247,6 +247,10 @@ def cases(
     else:
         for name, value in (("q_0", q_0), ("z_0", z_0)):
             _zero(name, value, "an Oscillator starts from x_0 and v_0")
+        if omega is None:
+            raise ModelError(
+                "omega: missing; write omega = 9.0, in Hz; a machine without forcing is a gs.System"
+            )
         frequency, x_0, v_0 = broadcast(omega=omega, x_0=x_0, v_0=v_0)
         start = np.stack([x_0, v_0], axis=-1)
         laws = [(checked_law(each),) for each in given.flat]

@@ -33,16 +33,8 @@ def doubts(
 ) -> Iterator[str]:
     """Warnings of a call or a study, one sentence each; a rule that any case passes is silent.
 
-    Parameters
-    ----------
-    models : sequence of Oscillator or System
-        With the same contacts.
-    laws : sequence of sequence of ContactLaw
-        Laws of all contacts.
-    omega : array_like
-        Forcing frequencies [Hz].
-    starts : ndarray, shape (n, n_states)
-        Initial states.
+    Models have the same contacts, each entry of `laws` the laws of all of them; `omega` are
+    frequencies [Hz], `starts` initial states, one a row.
     """
     first = models[0]
     zeta = max((each.zeta for each in models if isinstance(each, Oscillator)), default=0.0)
@@ -103,38 +95,34 @@ def _walls(law: ContactLaw) -> Iterator[float]:
 def _linear(model: Oscillator | System, starts: Array) -> tuple[Array, Array]:
     """Stiffness at each contact, and the largest displacement there without contacts [m].
 
-    The displacement is that at resonance, under the mean loads and from the initial state; without
-    bound where nothing is forced, a coordinate is free or a spring softens.
+    At resonance, under the mean loads and from the initial states; infinite if nothing is forced or
+    damped, a coordinate is free or a spring softens.
     """
+    along = np.reshape(model.directions, (-1, model.n))
+    none = np.zeros(len(along)), np.full(len(along), math.inf)
     if isinstance(model, Oscillator):
         spring, forced = model.mass * model.omega_n_rad**2, abs(model.forcing)
         if not (spring and model.damping_ratio and forced) or model.alpha < 0.0:
-            return np.array([spring]), np.array([math.inf])
+            return none
         load = forced * max(1.0, 0.5 / model.damping_ratio) + abs(model.mean_load)
-        return np.array([spring]), load / spring + _from(starts, np.eye(1), model)
-    along, none = model.directions, np.full(len(model.contacts), math.inf)
-    softens = any(cubic.alpha < 0.0 for cubic in model.cubic)
-    if softens or not model.is_held or model.n_lags:
-        return 0.0 * none.clip(0.0, 1.0), none
-    compliance = np.linalg.inv(model.stiffness)
-    springs = 1.0 / np.abs(np.einsum("ci,ij,cj->c", along, compliance, along))
-    mean, reach = np.zeros(len(along)), np.zeros(len(along))
-    rates = np.abs(np.linalg.eigvals(first_order(model)))
-    for rate in (0.0, *rates, 1e3 * rates.max()):
-        dynamic = model.stiffness - rate**2 * model.mass + 1j * rate * model.damping
-        try:
-            moved = along @ np.linalg.inv(dynamic)
-        except np.linalg.LinAlgError:
-            return springs, none
-        sizes = [
-            np.abs(moved @ one.amplitude) * (rate**2 if one.inertial else 1.0)
-            for one in model.forcing
-            if one.k
-        ]
-        reach = np.maximum(reach, np.sum(sizes, axis=0))
-    for one in model.forcing:
-        mean += 0.0 if one.k else np.abs(along @ compliance @ one.amplitude)
-    return springs, np.where(reach > 0.0, reach + mean + _from(starts, along, model), math.inf)
+        return np.array([spring]), load / spring + _from(starts, along, model)
+    if model.n_lags or not model.is_held or any(cubic.alpha < 0.0 for cubic in model.cubic):
+        return none
+    own = np.abs(np.linalg.eigvals(first_order(model)))
+    # Not exactly at resonance, where an undamped system has no inverse.
+    rates = (1.0 + 1e-9) * np.array([0.0, *own, 1e3 * own.max()])[:, None, None]
+    dynamic = model.stiffness - rates**2 * model.mass + 1j * rates * model.damping
+    moved = along @ np.linalg.inv(dynamic)
+    sizes = [
+        np.abs(moved @ one.amplitude) * (rates[:, :, 0] ** 2 if one.inertial else 1.0)
+        for one in model.forcing
+    ]
+    reach = np.sum([x for x, one in zip(sizes, model.forcing, strict=True) if one.k], axis=0)
+    mean = np.sum([x[0] for x, one in zip(sizes, model.forcing, strict=True) if not one.k], axis=0)
+    springs = 1.0 / np.abs(np.sum(moved[0].real * along, axis=1))
+    if not np.any(reach):
+        return springs, none[1]
+    return springs, reach.max(axis=0) + mean + _from(starts, along, model)
 
 
 def _from(starts: Array, along: Array, model: Oscillator | System) -> Array:

@@ -96,16 +96,9 @@ class ForceTable(ContactLaw):
     ) -> "ForceTable":
         """Return the table of a text file: displacements and forces in its first two columns.
 
-        Columns are separated by commas, semicolons or blanks; lines before the first number and
-        lines that begin with ``#`` are skipped.
-
-        Parameters
-        ----------
-        path : str or path
-        x, force : str
-            Units of the columns: ``"m"``, ``"mm"`` or ``"um"``, and ``"N"``, ``"mN"`` or ``"kN"``.
-        gap, noise
-            As of the class, in SI units.
+        Columns are separated by commas, semicolons or blanks; lines of words at the top and lines
+        that begin with ``#`` are skipped. Units of `x` are ``"m"``, ``"mm"``, ``"um"``, of `force`
+        ``"N"``, ``"mN"``, ``"kN"``; `gap` and `noise` are as of the class, in SI units.
 
         Raises
         ------

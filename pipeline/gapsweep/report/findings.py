@@ -57,8 +57,8 @@ def _doubtful(responses: xr.Dataset) -> list[str]:
     if "oscillator" not in tables:
         return []
     study = Study.from_dict({k: v for k, v in tables.items() if k not in ("claims", "report")})
-    said = (each for each in doubts_of(study, own=False) if not each.startswith("gap"))
-    return [f"{doubt[0].upper()}{doubt[1:]}." for doubt in said]
+    said = doubts_of(study, own=False)
+    return [f"{each[0].upper()}{each[1:]}." for each in said if not each.startswith("gap")]
 
 
 _CURVE = 10  # values that make a curve

@@ -224,9 +224,8 @@ def read(path: str | Path, *, lazy: bool = False) -> "xr.Dataset":
     --------
     >>> import gapsweep as gs
     >>> block = {"representation": "piecewise", "K_c": 1e4, "gap": [4e-4, 4e-4], "omega": 9.0}
-    >>> oscillator = {"mass": 3.0, "omega_n": 5.0, "zeta": 0.03, "forcing": 4.0}
-    >>> tables = {"study": {"name": "small"}, "oscillator": oscillator, "sweep": [block]}
-    >>> study = gs.Study.from_dict(tables)
+    >>> m = {"mass": 3.0, "omega_n": 5.0, "zeta": 0.03, "forcing": 4.0}
+    >>> study = gs.Study.from_dict({"study": {"name": "small"}, "oscillator": m, "sweep": [block]})
     >>> gs.run(study, out="small", cache="points-cache").close()
     >>> gs.open("small/attractors.nc")["n_attractors"].values.ravel().tolist()
     [1]
