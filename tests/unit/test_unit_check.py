@@ -178,3 +178,19 @@ def test_the_paper_and_published_systems_are_usual():
         model = getattr(gs.systems, name)()
         law = getattr(gs.systems, f"{name}_law")()
         assert warned(gs.simulate, model, law, omega, n_periods=1) == []
+
+
+def test_a_method_of_a_study_warns_where_it_is_called(tmp_path):
+    study = study_of({"zeta": 2.0})
+    (said,) = warned(study.plan, cache=tmp_path / "none")
+    assert said.startswith("zeta = 2:")
+    (again,) = warned(gs.plan, study, cache=tmp_path / "none")
+    assert again == said
+
+
+def test_a_script_warns_at_its_top_level_and_in_code_without_a_name():
+    code = "gs.simulate(gs.Oscillator(**usual), law, 17.0, n_periods=1)"
+    law = gs.Piecewise(1e6, gs.Gap(0.15, 0.3))
+    given = {"gs": gs, "usual": USUAL, "law": law}
+    with pytest.warns(UserWarning, match="gap = 0.15 m:"):
+        exec(code, given)

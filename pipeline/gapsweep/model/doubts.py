@@ -72,10 +72,9 @@ def doubts(
 def warn_of(found: Iterable[str]) -> None:
     """Issue one `UserWarning` with the doubts of a user's call; none of calls in the package."""
     level = 2
-    if sys._getframe(level).f_globals["__name__"] == "gapsweep.study.study":  # study.run()
-        level += 1
-    caller = sys._getframe(level).f_globals.get("__name__", "")
-    if not caller.startswith("gapsweep.") and (said := "; ".join(found)):
+    while (caller := sys._getframe(level).f_globals.get("__name__", "")) == "gapsweep.study.study":
+        level += 1  # of study.run()
+    if not str(caller).startswith("gapsweep.") and (said := "; ".join(found)):
         warnings.warn(said, stacklevel=level + 1)
 
 
