@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import math
 import os
-import warnings
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass, replace
@@ -20,11 +19,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from gapsweep.analysis.unit_check import (
-    doubtful_numbers,
-    never_reached,
-    wrong_tables,
-)
+from gapsweep.analysis.unit_check import doubts_of, never_reached
 from gapsweep.console import progress_bar
 from gapsweep.errors import ClusterError, StoreError, StudyError
 from gapsweep.execution.assemble import attributes_of, fill
@@ -34,6 +29,7 @@ from gapsweep.execution.plan import Plan
 from gapsweep.execution.plan import plan as make_plan
 from gapsweep.execution.progress import DEFAULT_TIMEOUT, OnProgress, Progress, tell
 from gapsweep.execution.recorder import Recorder
+from gapsweep.model.doubts import warn_of
 from gapsweep.model.oscillator import checked, whole
 from gapsweep.run_folder import (
     CLAIMS,
@@ -142,7 +138,8 @@ def run(
     --------
     >>> import gapsweep as gs
     >>> block = {"representation": "piecewise", "K_c": 1e4, "gap": [4e-4, 4e-4], "omega": 9.0}
-    >>> study = gs.Study.from_dict({"study": {"name": "small"}, "sweep": [block]})
+    >>> m = {"mass": 3.0, "omega_n": 5.0, "zeta": 0.03, "forcing": 4.0}
+    >>> study = gs.Study.from_dict({"study": {"name": "small"}, "oscillator": m, "sweep": [block]})
     >>> with gs.run(study, out="small", cache="points") as ds:
     ...     ds["amplitude"].dims
     ('representation', 'K_c', 'gap', 'omega', 'initial_condition')
@@ -161,8 +158,7 @@ def run(
             retry_failed=retry_failed,
             on_progress=observer,
         )
-    for doubt in outcome.doubts:
-        warnings.warn(doubt, stacklevel=2)
+    warn_of(outcome.doubts)
     found = netcdf.read(outcome.folder / RESPONSES)
     if found.attrs["study_json"] != study.json:  # since the folder was let go
         found.close()
@@ -239,11 +235,11 @@ def carry_out(
                 recorder.state = replace(recorder.state, failed=n_failed, message=why)
             del planned, store  # a tenth of a gigabyte of keys at a million points
             make([stage for stage in stages if POINTS not in stage.sources], run)
-    doubts = []
-    if study.spec.system is None:
+    far = ""
+    if study.spec.oscillator:
         values, grid = partial(netcdf.values, folder / RESPONSES), study.grid
-        walls = never_reached(values, grid.dims, grid.representations)
-        doubts = [*doubtful_numbers({**study.spec.model, **grid.axes}), *filter(None, [walls])]
+        far = never_reached(values, grid.dims, grid.representations)
+    doubts = doubts_of(study, far)
     motions = {stage.file: stage.failed_motions(folder) for stage in stages}
     failed = {file: counts for file, counts in motions.items() if counts}
     return Outcome(folder, progress, failures, failed, tuple(doubts))
@@ -289,7 +285,8 @@ def plan(
     --------
     >>> import gapsweep as gs
     >>> block = {"representation": "piecewise", "K_c": 1e4, "gap": [4e-4, 4e-4], "omega": 9.0}
-    >>> study = gs.Study.from_dict({"study": {"name": "small"}, "sweep": [block]})
+    >>> m = {"mass": 3.0, "omega_n": 5.0, "zeta": 0.03, "forcing": 4.0}
+    >>> study = gs.Study.from_dict({"study": {"name": "small"}, "oscillator": m, "sweep": [block]})
     >>> gs.plan(study, cache="no-cache-yet")
     <Plan: 1 sweep points, 0 in the cache, 1 missing, 0 failed>
     """
@@ -297,6 +294,7 @@ def plan(
     _check_call(timeout=timeout)
     path, say = cache_path(cache), partial(tell, on_progress, Progress(0, 0))
     _try_out_own_laws(study, timeout, say)
+    warn_of(doubts_of(study))
     say("looking up cached points")
     if not path.exists():
         return make_plan(study, selection=selection)
@@ -478,13 +476,11 @@ def bench(
 
 
 def _try_out_own_laws(study: Study, timeout: float, say: Callable[[str], None]) -> None:
-    """Refuse users' laws that would end this process, or hang; warn of other units."""
+    """Refuse users' laws that would end this process, or hang."""
     if study.own_laws:
         from gapsweep.execution.try_out import try_out
 
         try_out(study, timeout, say)
-        for message in wrong_tables(study):
-            warnings.warn(message, stacklevel=3)
 
 
 def query(
@@ -528,7 +524,8 @@ def query(
     --------
     >>> import gapsweep as gs
     >>> block = {"representation": "piecewise", "K_c": 1e4, "gap": [4e-4, 4e-4], "omega": 9.0}
-    >>> study = gs.Study.from_dict({"study": {"name": "small"}, "sweep": [block]})
+    >>> m = {"mass": 3.0, "omega_n": 5.0, "zeta": 0.03, "forcing": 4.0}
+    >>> study = gs.Study.from_dict({"study": {"name": "small"}, "oscillator": m, "sweep": [block]})
     >>> ds = gs.query(study, cache="points", omega=9.0)
     >>> ds.attrs["n_points"], ds.attrs["n_computed"]
     (1, 1)
@@ -538,6 +535,7 @@ def query(
     selection, path = study.select(**wanted), cache_path(cache)
     with progress_bar() if on_progress is None else nullcontext(on_progress) as observer:
         _try_out_own_laws(study, DEFAULT_TIMEOUT, partial(tell, observer, Progress(0, 0)))
+        warn_of(doubts_of(study))
         if path.exists():
             # One opening for both: to read what is stored of a million points takes .3 s.
             with Cache(path, read_only=True) as store:

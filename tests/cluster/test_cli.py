@@ -285,7 +285,7 @@ def test_failed_points_end_with_their_own_exit_code(gapsweep, folder):
         (("tanh-1e4", "tanhh-1e4"), "sweep[0].representation[1] = 'tanhh-1e4': unknown"),
         (("1.4e4]", "-1.4e4]"), "sweep[0].K_c[0] = -14000.0: must be >= 0"),
         (("[[0.4e-3,", "[[-0.4e-3,"), "sweep[0].gap[0][0] = -0.0004: must be >= 0"),
-        (("12.0", "nan"), "sweep[0].omega[0] = nan: must be a finite number"),
+        (("12.0", "nan"), "sweep[0].omega[0] = nan: must be finite"),
         (("12.0", "0"), "sweep[0].omega[0] = 0: must be > 0"),
         (("n_periods", "periods"), "steady.periods = 16: unknown key"),
     ],

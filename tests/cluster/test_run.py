@@ -10,6 +10,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import xarray as xr
+from tests.machine import PAPER
 from tests.stored import commit, messages, point, stored, tile_rows
 
 import gapsweep as gs
@@ -62,7 +63,7 @@ def test_dataset_has_every_dimension_unit_and_flag(responses):
 
 def test_dataset_holds_what_respond_returns(tables, client, tmp_path):
     tables["sweep"][0]["initial_condition"] = [[0.0, 0.0], [5e-3, 0.0]]
-    tables["oscillator"] = {"alpha": -7e8}  # the second start is lost
+    tables["oscillator"] = PAPER | {"alpha": -7e8}  # the second start is lost
     responses, study = run(tables, client, tmp_path), gs.Study.from_dict(tables)
     for at, label in enumerate(responses["representation"].values.tolist()):
         table = point(study, at, 0, 0, 1, 0)

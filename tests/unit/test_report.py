@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 import xarray as xr
 from matplotlib.figure import Figure
+from tests.machine import PAPER
 from tests.made import branches, chaotic, datasets, datasets_by_place, failed, periodic, tables
 from tests.unit.test_system_tables import TWO_MASSES
 
@@ -509,7 +510,7 @@ def test_a_contact_of_its_own_numbers_is_told():
 
 def test_the_model_is_told_with_the_numbers_that_a_run_used(tmp_path):
     study = tables(("piecewise", "piecewise@half", "tanh-1e4", "tanh-1e6"), OMEGA, **HALF)
-    study["oscillator"] = {"zeta": 0.07}
+    study["oscillator"] = PAPER | {"zeta": 0.07}
     study["sweep"][0] |= {"forcing": [1.5, 2.5], "K_ratio": [0.5], "K_c": [2e4]}
     responses, _ = datasets(tmp_path, study, lambda *_: periodic([(1e-3, 0.0)], 1.0))
     told = dict(model(responses))

@@ -158,3 +158,15 @@ def test_coordinates_align_with_those_of_a_study():
     motions = gs.simulate(OSCILLATOR, LAW, omega[:, None], starts, t_end=1e-4).to_dataset()
     assert motions["omega"].values.tolist() == study["omega"].tolist()
     assert motions["x_0"].values.tolist() == study["x_0"].tolist()
+
+
+def test_an_array_says_how_many_motions_touch_a_wall():
+    """A linear oscillator whose amplitude p/k |H| passes the wall at resonance only."""
+    linear, omega = paper_oscillator(alpha=0.0, forcing=1.0), [0.5, 5.0, 20.0]
+    found = gs.respond(linear, gs.Piecewise(1.4e4, gs.Gap(2e-3, 2e-3)), omega)
+    spring, r = linear.mass * linear.omega_n_rad**2, np.array(omega) / linear.omega_n
+    free = 1.0 / spring / np.hypot(1.0 - r**2, 2.0 * linear.zeta * r)
+    n = np.count_nonzero(free > 2e-3)
+    assert n == 1
+    assert f"{n} touched a wall" in repr(found)
+    assert found.to_dataset().attrs["touched_a_wall"] == f"{n} of 3 motions"

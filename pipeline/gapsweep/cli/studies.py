@@ -94,7 +94,7 @@ def plan(
       gapsweep plan quick.toml --json
     """
     from gapsweep import pipeline
-    from gapsweep.analysis.unit_check import bounded, doubtful_numbers
+    from gapsweep.analysis.unit_check import bounded, doubts_of
     from gapsweep.console import print_table
 
     loaded = options.loaded(study, engine)
@@ -102,12 +102,7 @@ def plan(
         planned = pipeline.plan(loaded, cache, retry_failed=retry_failed, on_progress=observer)
         expected = pipeline.expected_seconds(planned, cache, workers)
         stages = pipeline.stage_reasons(loaded, planned, out, cache)
-    doubts = []
-    if loaded.spec.system is None:
-        far = bounded(loaded)
-        walls = {} if far else {"wall": [min(gap.j_1, gap.j_2) for gap in loaded.grid.gaps]}
-        doubts = [*doubtful_numbers({**loaded.spec.model, **loaded.grid.axes, **walls})]
-        doubts += filter(None, [far])
+    doubts = doubts_of(loaded, bounded(loaded) if loaded.spec.oscillator else "")
     numbers = {
         "points": planned.n_points,
         "hits": planned.n_hits,

@@ -18,6 +18,7 @@ from gapsweep.continuation.seed import Attractor
 from gapsweep.errors import ModelError
 from gapsweep.integrate.problem import Model, Solver
 from gapsweep.integrate.simulate import AnyLaw, simulate
+from gapsweep.model.doubts import doubts, warn_of
 from gapsweep.model.oscillator import checked, whole
 from gapsweep.response.respond import respond_models
 from gapsweep.response.result import Response, ResponseClass, Steady
@@ -106,7 +107,13 @@ def branches(
             raise ModelError(f"omega = {omega!r}: leave it out, it is the parameter")
         omega = checked("omega", omega, low=0.0, strict=True)
     family = Family(oscillator, law, omega, (along,), values)
-    solver = Solver.of("compiled", rtol, atol)
+    solver, ends = (
+        Solver.of("compiled", rtol, atol),
+        [{along: x} for x in (window.low, window.high)],
+    )
+    models, laws = zip(*((family.model_at(end), family.laws_at(end)) for end in ends), strict=True)
+    frequencies = (window.low, window.high) if along == "omega" else omega or 0.0
+    warn_of(doubts(models, laws, frequencies, np.zeros((1, family.example.n_states))))
     equations = OrbitEquations(family, (window,), solver)
     found = Branches(equations=equations, max_steps=whole("max_steps", max_steps, 2, 100_000))
     if start is None and not family.is_conservative:

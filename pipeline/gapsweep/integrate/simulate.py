@@ -24,6 +24,7 @@ from gapsweep.integrate.problem import (
 )
 from gapsweep.integrate.trajectory import SystemTrajectory, Trajectory
 from gapsweep.model.contact import ContactLaw, checked_law
+from gapsweep.model.doubts import doubts, warn_of
 from gapsweep.model.oscillator import LARGEST, SMALLEST, Oscillator, checked
 from gapsweep.model.system import System, floats
 from gapsweep.variables import objects
@@ -147,6 +148,7 @@ def simulate(
     models, start, shape = cases(
         oscillator, law, omega, x_0, v_0, q_0, z_0, np.shape(span.get("n_periods", 0))
     )
+    warn_of(doubts(objects(oscillator).ravel().tolist(), models.laws, models.omega, start))
     if t_end is not None:
         span["t_end"] = t_end = checked("t_end", t_end)
         if t_end <= t_0:
@@ -259,6 +261,10 @@ def cases(
     else:
         for name, value in (("q_0", q_0), ("z_0", z_0)):
             _zero(name, value, "an Oscillator starts from x_0 and v_0")
+        if omega is None:
+            raise ModelError(
+                "omega: missing; write omega = 9.0, in Hz; a machine without forcing is a gs.System"
+            )
         frequency, x_0, v_0 = broadcast(omega=omega, x_0=x_0, v_0=v_0)
         start = np.stack([x_0, v_0], axis=-1)
         laws = [(checked_law(each),) for each in given.flat]

@@ -9,6 +9,7 @@
 ``logarctan-1e4``         log-arctan, gamma = 1e4 /m
 ``my_module:spring``      the function ``spring(x)`` in ``my_module.py``, or a
                           `gapsweep.ForceTable` of that name
+``stop.csv:mm``           measured forces [N] at displacements [mm] in ``stop.csv``
 ``auto``                  in a study: the least model that each sweep point needs
 ========================= ==========================================================
 """
@@ -78,7 +79,7 @@ def canonical_label(label: str) -> str:
     if law is None:
         raise ModelError(
             f"unknown representation {label!r}: {_likely(label)}use one of {EXAMPLES} or "
-            "module:name"
+            "module:name, or stop.csv:mm for a table"
         )
     return f"{name}{dash}{law.canonical(label, parameter)}"
 

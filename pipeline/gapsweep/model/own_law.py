@@ -39,13 +39,21 @@ class OwnLaw:
     def of(cls, label: str, folders: Iterable[Path]) -> "OwnLaw":
         """Read the code of a label; its module is searched in these folders after Python's path.
 
+        A module that ends in ``.csv`` is a file of measured forces, the name the unit of its
+        displacements; forces are in newtons.
+
         Raises
         ------
         ModelError
             If it cannot be read.
         """
+        module, _, name = label.partition(":")
         try:
-            return cls(label, Snapshot.of_module(label.partition(":")[0], folders))
+            if module.endswith(".csv"):
+                paths = [folder / module for folder in folders]
+                path = next((path for path in paths if path.exists()), paths[0])
+                return cls(label, ForceTable.from_csv(path, name))
+            return cls(label, Snapshot.of_module(module, folders))
         except ModelError as error:
             raise ModelError(f"{label!r}: {error}") from None
 

@@ -10,7 +10,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from gapsweep.analysis.dimensions import REPRESENTATION, in_metres
-from gapsweep.analysis.unit_check import doubtful_numbers, never_reached
+from gapsweep.analysis.unit_check import doubts_of, never_reached
 from gapsweep.model.labels import EXACT
 from gapsweep.report.answer import Contact
 from gapsweep.report.drawing import labels_of
@@ -21,6 +21,7 @@ from gapsweep.response.result import ResponseClass
 from gapsweep.status import Status
 from gapsweep.study.grid import CONTACT, COORDINATE, START
 from gapsweep.study.points import FIXED
+from gapsweep.study.study import Study
 
 
 def findings(inputs: Inputs, found: Sequence[Contact]) -> list[str]:
@@ -52,13 +53,13 @@ def findings(inputs: Inputs, found: Sequence[Contact]) -> list[str]:
 
 
 def _doubtful(responses: xr.Dataset) -> list[str]:
-    """Numbers of an oscillator that are probably in another unit."""
-    oscillator = json.loads(responses.attrs.get("study_json", "{}")).get("oscillator")
-    if oscillator is None:
+    """Numbers of an oscillator that are probably in another unit; no code of the user is run."""
+    tables = json.loads(responses.attrs.get("study_json", "{}"))
+    if "oscillator" not in tables:
         return []
-    swept = {str(name): c for name, c in responses.coords.items() if c.dtype.kind == "f"}
-    found = doubtful_numbers({**oscillator, **swept})
-    return [f"{doubt[0].upper()}{doubt[1:]}." for doubt in found]
+    study = Study.from_dict({k: v for k, v in tables.items() if k not in ("claims", "report")})
+    said = doubts_of(study, own=False)
+    return [f"{each[0].upper()}{each[1:]}." for each in said if not each.startswith("gap")]
 
 
 _CURVE = 10  # values that make a curve

@@ -228,7 +228,8 @@ def read(
     --------
     >>> import gapsweep as gs
     >>> block = {"representation": "piecewise", "K_c": 1e4, "gap": [4e-4, 4e-4], "omega": 9.0}
-    >>> study = gs.Study.from_dict({"study": {"name": "small"}, "sweep": [block]})
+    >>> m = {"mass": 3.0, "omega_n": 5.0, "zeta": 0.03, "forcing": 4.0}
+    >>> study = gs.Study.from_dict({"study": {"name": "small"}, "oscillator": m, "sweep": [block]})
     >>> gs.run(study, out="small", cache="points-cache").close()
     >>> gs.open("small/attractors.nc")["n_attractors"].values.ravel().tolist()
     [1]

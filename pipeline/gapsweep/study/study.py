@@ -59,7 +59,8 @@ class Study:
     --------
     >>> import gapsweep as gs
     >>> block = {"representation": "piecewise", "K_c": 1e4, "gap": [4e-4, 4e-4], "omega": 9.0}
-    >>> study = gs.Study.from_dict({"study": {"name": "small"}, "sweep": [block]})
+    >>> m = {"mass": 3.0, "omega_n": 5.0, "zeta": 0.03, "forcing": 4.0}
+    >>> study = gs.Study.from_dict({"study": {"name": "small"}, "oscillator": m, "sweep": [block]})
     >>> study
     <Study 'small': 1 sweep point, representation 1, K_c 1, gap 1, omega 1, initial_condition 1>
     """
