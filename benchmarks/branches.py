@@ -1,12 +1,12 @@
 """Cost and correctness of branches of periodic orbits.
 
-    python benchmarks/branches.py [--scenes 200] [--trilinear 50] [--seed 3] [--steps 250]
+    python benchmarks/branches.py [--scenes 200] [--trilinear 50] [--seed 3]
 
 1. Orbits with multipliers per second of processor time at rtol 1e-9, of an isolated branch and of
    branches that are followed together.
 2. Processor time of the frequency response of the hard contact 0/0.8 mm, 1 to 30 Hz.
-3. Drawn scenes with and without walls (`tests/random_scenes.py`): what no special point explains,
-   orbits that do not return to themselves, multipliers at folds, doublings and crossings.
+3. Faults of random branches by kind (`tests/random_branches.py`), and of 32 nearly symmetric
+   oscillators, whose branches do not cross.
 4. Symmetric orbits between walls against the solution of four equations in closed form.
 """
 
@@ -21,28 +21,16 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
-from tests.exact_orbits import (
-    drawn_branches,
-    is_trilinear,
-    kinds,
-    multipliers,
-    return_error,
-    rows,
-    special_points,
-    trilinear_cases,
-    trilinear_error,
-    unexplained,
-)
+from tests.exact_orbits import is_trilinear, kinds, rows, trilinear_cases, trilinear_error
+from tests.random_branches import examined, nearly_symmetric, printed, scenes
 
 import gapsweep as gs
 from gapsweep.continuation.branches import Branches
-from gapsweep.continuation.dataset import END_FLAGS
 from gapsweep.continuation.family import Family, Window
 from gapsweep.continuation.follow import settled
 from gapsweep.continuation.orbits import OrbitEquations
 from gapsweep.integrate.problem import Solver
 
-ENDS = dict(END_FLAGS)
 HARD = gs.Piecewise(1.4e6, gs.Gap(0.0, 0.8e-3))
 SOFT = gs.Piecewise(1.4e4, gs.Gap(0.4e-3, 0.4e-3))
 
@@ -92,41 +80,12 @@ def response() -> str:
     return f"{seconds:.1f} s ({of})"
 
 
-def scenes(n: int, seed: int, max_steps: int) -> None:
-    begin = time.process_time()
-    n_orbits, missed, not_closed, off = 0, [], [], []
-    ends, names = dict.fromkeys(ENDS, 0), list(ENDS)
-    n_special = 0
-    for number, (case, ds) in enumerate(drawn_branches(n, seed, max_steps)):
-        for which in ds["branch"].values:
-            branch = rows(ds, which)
-            n_orbits += branch.sizes["step"]
-            for name in ("begins", "ends"):
-                ends[names[int(ds[name][which])]] += 1
-            missed += [f"scene {number}, {each}" for each in unexplained(branch)]
-            for step in range(0, branch.sizes["step"], 10):
-                error = return_error(case.oscillator, case.law, branch, step)
-                if error > 1e-9:
-                    not_closed.append(f"scene {number}, step {step}: {error:.1e}")
-            for kind, step in special_points(branch):
-                mu = multipliers(branch)[step]
-                if kind in ("grazing", "torus"):
-                    continue
-                n_special += 1
-                # Orbits of the double period have a multiplier 1 where half of it crosses.
-                ones = (1.0, -1.0) if kind == "period_doubling" else (1.0,)
-                error = min(float(np.abs(mu - one).min()) for one in ones)
-                if error > 1e-8:
-                    omega = branch["omega"].values
-                    near = np.abs(omega[kinds(branch) == "grazing"] / omega[step] - 1.0)
-                    beside = ", beside a graze" if near.min(initial=1.0) < 1e-8 else ""
-                    off.append(f"scene {number}, {kind} {omega[step]:.9g}: {error:.1e}{beside}")
-    row(f"{n} drawn scenes, {n_orbits} orbits: jumps, missed points", "0", str(len(missed)))
-    row("  orbits that do not return within 1e-9", "0", str(len(not_closed)))
-    row(f"  multipliers of {n_special} points off by more than 1e-8", "0", str(len(off)))
-    for each in missed + not_closed + off:
-        print(f"    {each}")
-    print(f"    ends: {ends}; {time.process_time() - begin:.0f} s")
+def random_scenes(n: int, seed: int) -> None:
+    done = printed(scenes(range(n), seed, {}))
+    n_orbits = sum(each.n_orbits for each in done)
+    row(f"{n} random scenes, {n_orbits} orbits: faults", "0", str(sum(len(r.found) for r in done)))
+    done = printed((name, examined(scene)) for name, scene in nearly_symmetric())
+    row("32 nearly symmetric oscillators: faults", "0", str(sum(len(r.found) for r in done)))
 
 
 def trilinear(n: int, seed: int) -> None:
@@ -147,14 +106,14 @@ def trilinear(n: int, seed: int) -> None:
     row(f"{len(errors)} trilinear orbits: largest error", "1e-8", worst)
 
 
-def main(n_scenes: int, n_trilinear: int, seed: int, max_steps: int) -> None:
+def main(n_scenes: int, n_trilinear: int, seed: int) -> None:
     row("", "asked", "measured")
     row("orbits per second, isolated branch, soft contact", ">= 2000", rate(SOFT, 8.0, 1))
     row("orbits per second, branches together, hard contact", ">= 2000", rate(HARD, 12.0, 64))
     row("orbits per second, 64 in lanes, soft contact", ">= 2000", together(SOFT, 64))
     row("response of hard contact, 1 to 30 Hz, processor time", "<= 10 s", response())
     trilinear(n_trilinear, seed)
-    scenes(n_scenes, seed, max_steps)
+    random_scenes(n_scenes, seed)
 
 
 if __name__ == "__main__":
@@ -162,6 +121,5 @@ if __name__ == "__main__":
     parser.add_argument("--scenes", type=int, default=200)
     parser.add_argument("--trilinear", type=int, default=50)
     parser.add_argument("--seed", type=int, default=3)
-    parser.add_argument("--steps", type=int, default=250)
     given = parser.parse_args()
-    main(given.scenes, given.trilinear, given.seed, given.steps)
+    main(given.scenes, given.trilinear, given.seed)

@@ -18,7 +18,7 @@ def on_a_cluster(client):
             chdir(folder), redirect_stdout(out), redirect_stderr(errors),
             pytest.MonkeyPatch.context() as patch,
         ):  # fmt: skip
-            patch.setattr("gapsweep.execution.cluster._local", lambda workers: nullcontext(client))
+            patch.setattr("gapsweep.execution.cluster._local", lambda *_: nullcontext(client))
             patch.setattr("gapsweep.execution.cluster._CONNECT_SECONDS", 1)
             if cache is None:
                 patch.delenv("GAPSWEEP_CACHE", raising=False)

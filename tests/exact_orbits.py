@@ -1,6 +1,6 @@
 """Periodic orbits and their bifurcations by exact propagation, independent of gapsweep's code.
 
-Shared by `tests/physics/test_branches.py` and `benchmarks/branches.py`.
+Shared by `tests/physics/test_branches.py`, `tests/random_branches.py` and `benchmarks/branches.py`.
 """
 
 import itertools

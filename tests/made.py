@@ -16,7 +16,9 @@ from tests.stored import commit
 
 COST = {"n_steps": 10, "nfev": 100, "n_rejected": 0, "n_contacts": 4, "cpu_time": 0.5}
 
-KINDS = "none fold period_doubling torus branch_point grazing symmetry_breaking"
+KINDS = (
+    "none fold period_doubling torus branch_point grazing symmetry_breaking hopf unresolved cusp"
+)
 
 
 def branches(stable, special, **coordinates):
@@ -34,9 +36,13 @@ def branches(stable, special, **coordinates):
             "x_min": (dims, -x, metres),
             "period_multiple": (dims, there.astype("i4") * (1 + branch)),
             "stable": (dims, stable),
-            "special": (dims, special, {"flag_meanings": KINDS}),
+            "special": (dims, special, {"flag_meanings": KINDS, "flag_values": np.arange(10)}),
         },
-        {"branch": np.arange(len(stable)), **{n: ("branch", v) for n, v in coordinates.items()}},
+        {
+            "branch": np.arange(len(stable)),
+            "step": np.arange(stable.shape[1]),
+            **{n: ("branch", v) for n, v in coordinates.items()},
+        },
         {"along": "omega"},
     )
 

@@ -148,3 +148,11 @@ def test_completion_offers_the_public_names_and_nothing_else(use_jedi):
         found = [each.text for each in offered.completions("gapsweep.", 9)]
     assert sorted(text.rpartition(".")[2] for text in found) == gapsweep.__all__
     assert set(dir(gapsweep)) == {*gapsweep.__all__, "__version__"}
+
+
+def test_the_command_line_prints_through_one_function():
+    """It leaves out control characters of foreign files."""
+    printing = [
+        path.name for path in (PACKAGE / "cli").glob("*.py") if "click.echo(" in path.read_text()
+    ]
+    assert printing == ["options.py"]

@@ -18,11 +18,11 @@ from rich.progress import (
     SpinnerColumn,
     TextColumn,
     TimeElapsedColumn,
-    TimeRemainingColumn,
 )
 from rich.progress import Progress as Bar
 from rich.table import Column, Table
 
+from gapsweep.errors import printable
 from gapsweep.execution.progress import OnProgress, Progress
 
 _SOON_SECONDS, _LINE_SECONDS = 3.0, 10.0
@@ -33,7 +33,7 @@ def print_table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> None:
 
     Numbers are aligned right; texts that are too long continue in the next line.
     """
-    texts = list(rows)
+    texts = [[printable(cell) for cell in row] for row in rows]
     table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0))
     for i, title in enumerate(head):
         is_text = any(not _is_number(row[i]) for row in texts)
@@ -48,7 +48,7 @@ def print_text(text: str) -> None:
     """Print a paragraph as wide as the terminal, broken between words."""
     print(
         textwrap.fill(
-            text,
+            printable(text),
             Console().width,
             subsequent_indent="  ",
             break_long_words=False,
@@ -65,15 +65,15 @@ def _is_number(text: str) -> bool:
     return True
 
 
-def sentence(progress: Progress, seconds: float = 0.0) -> str:
-    """The stage of a run, or its counts and the time left if its points took some seconds."""
+def sentence(progress: Progress) -> str:
+    """The stage of a run, or its counts and the time left if it is known."""
     if progress.stage:
         return progress.stage
     if progress.n_hits == progress.n_done < progress.n_points:
         return "loading kernels (the first run compiles them, up to a minute)"
-    missing, left = progress.n_points - progress.n_done, ""
-    if progress.n_computed and seconds > 0.0:
-        left = f", {timedelta(seconds=round(seconds * missing / progress.n_computed))} left"
+    left = ""
+    if (progress.seconds_left or 0.0) > _SOON_SECONDS:
+        left = f", {timedelta(seconds=round(progress.seconds_left or 0.0))} left"
     stored = f"{progress.n_hits} from the cache, " if progress.n_hits else ""
     return f"{progress.n_done}/{progress.n_points} points, {stored}{progress.n_failed} failed{left}"
 
@@ -106,7 +106,7 @@ def _on_terminal(console: Console) -> Iterator[OnProgress]:
     console.width -= len("^C ")  # which the terminal puts at the end, and must not break the line
     text = TextColumn("{task.description}", markup=False, table_column=Column(no_wrap=True))
     rest = BarColumn(bar_width=None, table_column=Column(ratio=1))
-    columns = SpinnerColumn(), text, rest, TimeElapsedColumn(), TimeRemainingColumn()
+    columns = SpinnerColumn(), text, rest, TimeElapsedColumn()
     with Bar(*columns, console=console, transient=True, expand=True) as bar:
         task, stage = bar.add_task("", total=None, visible=False), ""
 
@@ -158,7 +158,7 @@ def _in_lines(show: Callable[[str], None]) -> Iterator[OnProgress]:
             timer.start()
         elif now - shown >= _LINE_SECONDS:
             shown = now
-            show(sentence(progress, now - begun))
+            show(sentence(progress))
 
     try:
         yield observe

@@ -19,6 +19,8 @@ from collections.abc import Sequence
 # Ctrl-C, the end of a batch job and that of a terminal: what a run stops at, to be resumed later.
 STOPPING = signal.SIGINT, signal.SIGTERM, getattr(signal, "SIGHUP", signal.SIGTERM)
 _LONGEST = 300  # characters of an error that is somebody else's
+_CONTROL = dict.fromkeys({*range(32), *range(127, 160)} - {*b"\t\n"})
+_MOST = 100  # problems of a study that are listed
 
 
 class GapsweepError(Exception):
@@ -35,12 +37,13 @@ class StudyError(GapsweepError, ValueError):
     Parameters
     ----------
     problems : sequence of str
-        All problems of the study, a line each.
+        Problems of the study, a line each; the first 100 are kept.
     """
 
     def __init__(self, problems: Sequence[str]) -> None:
-        super().__init__("\n".join(problems))
-        self.problems = tuple(problems)
+        more = [f"and {len(problems) - _MOST} more problems"] if len(problems) > _MOST else []
+        self.problems = (*problems[:_MOST], *more)
+        super().__init__("\n".join(self.problems))
 
 
 class StoreError(GapsweepError, OSError):
@@ -53,6 +56,11 @@ class DatasetError(GapsweepError, ValueError):
 
 class ClusterError(GapsweepError, RuntimeError):
     """A Dask cluster cannot be reached or was lost."""
+
+
+def printable(text: str) -> str:
+    """A text of anybody's without control characters but tabs and ends of lines."""
+    return text.translate(_CONTROL)
 
 
 def described(error: BaseException) -> str:

@@ -8,8 +8,8 @@ everything up to date ends before they would be loaded.
 
 from __future__ import annotations
 
+import math
 import os
-import warnings
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass, replace
@@ -19,11 +19,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from gapsweep.analysis.unit_check import (
-    doubtful_numbers,
-    never_reached,
-    wrong_tables,
-)
+from gapsweep.analysis.unit_check import doubts_of, never_reached
 from gapsweep.console import progress_bar
 from gapsweep.errors import ClusterError, StoreError, StudyError
 from gapsweep.execution.assemble import attributes_of, fill
@@ -33,6 +29,8 @@ from gapsweep.execution.plan import Plan
 from gapsweep.execution.plan import plan as make_plan
 from gapsweep.execution.progress import DEFAULT_TIMEOUT, OnProgress, Progress, tell
 from gapsweep.execution.recorder import Recorder
+from gapsweep.model.doubts import warn_of
+from gapsweep.model.oscillator import checked, whole
 from gapsweep.run_folder import (
     CLAIMS,
     RESPONSES,
@@ -53,6 +51,7 @@ from gapsweep.status import Status
 from gapsweep.store import netcdf
 from gapsweep.store.artefact import alone_in
 from gapsweep.store.cache import Cache
+from gapsweep.study.axes import MAX_POINTS
 from gapsweep.study.grid import Selection
 from gapsweep.study.study import Study
 from gapsweep.study_code import check_modules
@@ -113,7 +112,7 @@ def run(
     cache : path, optional
         Folder of the cache; by default ``$GAPSWEEP_CACHE``, else ``data/cache``.
     workers : int
-        Number of processes of the local cluster, ``>= 1``.
+        Number of processes of the local cluster, 1 to 1024.
     scheduler : str, optional
         Address of a running Dask scheduler.
     batch : int, optional
@@ -139,13 +138,13 @@ def run(
     --------
     >>> import gapsweep as gs
     >>> block = {"representation": "piecewise", "K_c": 1e4, "gap": [4e-4, 4e-4], "omega": 9.0}
-    >>> study = gs.Study.from_dict({"study": {"name": "small"}, "sweep": [block]})
+    >>> m = {"mass": 3.0, "omega_n": 5.0, "zeta": 0.03, "forcing": 4.0}
+    >>> study = gs.Study.from_dict({"study": {"name": "small"}, "oscillator": m, "sweep": [block]})
     >>> with gs.run(study, out="small", cache="points") as ds:
     ...     ds["amplitude"].dims
     ('representation', 'K_c', 'gap', 'omega', 'initial_condition')
     """
     study = Study.of(study)
-    _check_client(client)
     with progress_bar() if on_progress is None else nullcontext(on_progress) as observer:
         outcome = carry_out(
             study,
@@ -159,8 +158,7 @@ def run(
             retry_failed=retry_failed,
             on_progress=observer,
         )
-    for doubt in outcome.doubts:
-        warnings.warn(doubt, stacklevel=2)
+    warn_of(outcome.doubts)
     found = netcdf.read(outcome.folder / RESPONSES)
     if found.attrs["study_json"] != study.json:  # since the folder was let go
         found.close()
@@ -183,8 +181,10 @@ def carry_out(
     workers: int = 2,
     scheduler: str | None = None,
     batch: int | None = None,
+    dashboard: bool = False,
 ) -> Outcome:
     """`run`, with the outcome instead of the dataset."""
+    _check_call(client, workers=workers, batch=batch, timeout=timeout)
     folder, path = run_folder(study, out), cache_path(cache)
     check_writable(folder)
     check_owner(study, folder)
@@ -192,8 +192,8 @@ def carry_out(
     stages = stages_of(study)
     if planned.n_missing:
         check_modules(study)  # now, though what they make comes last
-    say = partial(tell, on_progress, Progress(planned.n_points, planned.n_hits))
-    connect = partial(_connected, client, workers, scheduler, say)
+    say = partial(tell, on_progress, planned.progress)
+    connect = partial(_connected, client, say, scheduler, workers=workers, dashboard=dashboard)
     with Recorder(folder, study, path, planned, on_progress) as recorder:
 
         def begin() -> None:
@@ -230,14 +230,16 @@ def carry_out(
                 planned = _as_stored(planned, store)
                 exports = [stage for stage in stages if POINTS in stage.sources]
                 make(exports, replace(run, points=(planned, store)))
-            failures = _failures(planned)
+                failures = _failures(planned)
+                n_failed, why = sum(failures.values()), _reasons(planned, store)
+                recorder.state = replace(recorder.state, failed=n_failed, message=why)
             del planned, store  # a tenth of a gigabyte of keys at a million points
             make([stage for stage in stages if POINTS not in stage.sources], run)
-    doubts = []
-    if study.spec.system is None:
+    far = ""
+    if study.spec.oscillator:
         values, grid = partial(netcdf.values, folder / RESPONSES), study.grid
-        walls = never_reached(values, grid.dims, grid.representations)
-        doubts = [*doubtful_numbers({**study.spec.model, **grid.axes}), *filter(None, [walls])]
+        far = never_reached(values, grid.dims, grid.representations)
+    doubts = doubts_of(study, far)
     motions = {stage.file: stage.failed_motions(folder) for stage in stages}
     failed = {file: counts for file, counts in motions.items() if counts}
     return Outcome(folder, progress, failures, failed, tuple(doubts))
@@ -283,13 +285,16 @@ def plan(
     --------
     >>> import gapsweep as gs
     >>> block = {"representation": "piecewise", "K_c": 1e4, "gap": [4e-4, 4e-4], "omega": 9.0}
-    >>> study = gs.Study.from_dict({"study": {"name": "small"}, "sweep": [block]})
+    >>> m = {"mass": 3.0, "omega_n": 5.0, "zeta": 0.03, "forcing": 4.0}
+    >>> study = gs.Study.from_dict({"study": {"name": "small"}, "oscillator": m, "sweep": [block]})
     >>> gs.plan(study, cache="no-cache-yet")
     <Plan: 1 sweep points, 0 in the cache, 1 missing, 0 failed>
     """
     study = Study.of(study)
+    _check_call(timeout=timeout)
     path, say = cache_path(cache), partial(tell, on_progress, Progress(0, 0))
     _try_out_own_laws(study, timeout, say)
+    warn_of(doubts_of(study))
     say("looking up cached points")
     if not path.exists():
         return make_plan(study, selection=selection)
@@ -438,7 +443,7 @@ def bench(
     say : callable, optional
         Called with what is measured next.
     timeout : float
-        Time [s] that a call of a user's law may take.
+        Time [s] that a call of a user's law may take, ``> 0``.
 
     Returns
     -------
@@ -455,6 +460,7 @@ def bench(
         raise StudyError(
             [f"{study.source}: bench: missing; add [bench] with scenarios and methods"]
         )
+    _check_call(timeout=timeout)
     folder = run_folder(study, out)
     check_writable(folder)
     study, say = Study.of(study), say or (lambda _: None)
@@ -470,13 +476,11 @@ def bench(
 
 
 def _try_out_own_laws(study: Study, timeout: float, say: Callable[[str], None]) -> None:
-    """Refuse users' laws that would end this process, or hang; warn of other units."""
+    """Refuse users' laws that would end this process, or hang."""
     if study.own_laws:
         from gapsweep.execution.try_out import try_out
 
         try_out(study, timeout, say)
-        for message in wrong_tables(study):
-            warnings.warn(message, stacklevel=3)
 
 
 def query(
@@ -520,34 +524,42 @@ def query(
     --------
     >>> import gapsweep as gs
     >>> block = {"representation": "piecewise", "K_c": 1e4, "gap": [4e-4, 4e-4], "omega": 9.0}
-    >>> study = gs.Study.from_dict({"study": {"name": "small"}, "sweep": [block]})
+    >>> m = {"mass": 3.0, "omega_n": 5.0, "zeta": 0.03, "forcing": 4.0}
+    >>> study = gs.Study.from_dict({"study": {"name": "small"}, "oscillator": m, "sweep": [block]})
     >>> ds = gs.query(study, cache="points", omega=9.0)
     >>> ds.attrs["n_points"], ds.attrs["n_computed"]
     (1, 1)
     """
     study = Study.of(study)
-    _check_client(client)
+    _check_call(client, workers=workers)
     selection, path = study.select(**wanted), cache_path(cache)
     with progress_bar() if on_progress is None else nullcontext(on_progress) as observer:
         _try_out_own_laws(study, DEFAULT_TIMEOUT, partial(tell, observer, Progress(0, 0)))
+        warn_of(doubts_of(study))
         if path.exists():
             # One opening for both: to read what is stored of a million points takes .3 s.
             with Cache(path, read_only=True) as store:
                 planned = make_plan(study, store, selection=selection)
                 if not planned.n_missing:
-                    done = Progress(planned.n_points, planned.n_hits)
-                    return _exported(study, planned, store, selection, done)
+                    return _exported(study, planned, store, selection, planned.progress)
         else:
             planned = make_plan(study, selection=selection)
-        say = partial(tell, observer, Progress(planned.n_points, planned.n_hits))
-        connect = partial(_connected, client, workers, scheduler, say)
+        say = partial(tell, observer, planned.progress)
+        connect = partial(_connected, client, say, scheduler, workers=workers)
         progress = _computed(study, planned, path, observer, connect)
     with Cache(path, read_only=True) as store:
         return _exported(study, _as_stored(planned, store), store, selection, progress)
 
 
-def _check_client(client: Any) -> None:
-    """Refuse what is no Dask client, even if nothing is computed."""
+def _check_call(
+    client: Any = None, *, workers: int = 1, batch: int | None = None, timeout: float = math.inf
+) -> None:
+    """Refuse arguments that cannot be used before anything starts, even if nothing is computed."""
+    whole("workers", workers, 1, 1024)
+    if batch is not None:
+        whole("batch", batch, 1, MAX_POINTS)
+    if timeout != math.inf:
+        checked("timeout", timeout, low=0.0, strict=True)
     if client is not None and not hasattr(client, "nthreads"):
         raise ClusterError(
             f"client = {client!r:.80}: must be a distributed.Client; select by name, as omega=9.0"
@@ -591,7 +603,7 @@ def _computed(
 
     `begin` is called once it is there, before anything is computed.
     """
-    before = Progress(planned.n_points, planned.n_hits)
+    before = planned.progress
     if not planned.n_missing:
         begin()
         return before
@@ -614,7 +626,7 @@ def _computed(
 
 @contextmanager
 def _connected(
-    client: Client | None, workers: int, scheduler: str | None, say: Callable[[str], None]
+    client: Client | None, say: Callable[[str], None], scheduler: str | None, **how: Any
 ) -> Iterator[Client]:
     """The client of a call, or one of a cluster that is started or joined."""
     if client is not None:
@@ -623,10 +635,21 @@ def _connected(
     from gapsweep.execution.cluster import cluster
 
     say(f"connecting to {scheduler}" if scheduler else "starting the workers")
-    with cluster(workers, scheduler) as connected:
+    with cluster(scheduler=scheduler, **how) as connected:
         yield connected
 
 
 def _failures(planned: Plan) -> dict[str, int]:
     counts = {s.label: int(np.sum(planned.status == s)) for s in Status if s.failed}
     return {label: n for label, n in counts.items() if n}
+
+
+def _reasons(planned: Plan, store: Cache) -> str:
+    """Numbers of failed points by status, each with the message of its first point."""
+    reasons = []
+    for status in filter(lambda status: status.failed, Status):
+        rows = np.flatnonzero(planned.status == status)
+        if rows.size and (place := store.place(planned.keys[rows[:1]])):
+            message = place[1].responses.row(place[2]).message
+            reasons.append(f"{rows.size} {status.label}: {message:.200}".rstrip(": "))
+    return "; ".join(reasons)

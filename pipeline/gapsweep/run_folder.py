@@ -9,12 +9,12 @@ import os
 import re
 import tempfile
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from gapsweep.errors import StoreError
-from gapsweep.store import netcdf
+from gapsweep.store import artefact, netcdf
 from gapsweep.store.artefact import alone_in, digests, is_intact, is_recorded, recording, sha256
 from gapsweep.store.state import NO_FOLDER, RunState
 from gapsweep.study.study import Study
@@ -43,12 +43,24 @@ def run_folder(study: Study, out: str | Path | None) -> Path:
 
     Absolute, as `cache_path`: the user's code may change the current folder.
     """
-    return (Path(out) if out is not None else RUNS / study.name).absolute()
+    return _path("out", RUNS / study.name if out is None else out)
 
 
 def cache_path(cache: str | Path | None) -> Path:
     """The folder of the cache: the argument, else ``GAPSWEEP_CACHE``, else ``data/cache``."""
-    return Path(cache or os.environ.get("GAPSWEEP_CACHE") or DEFAULT_CACHE).absolute()
+    given = os.environ.get("GAPSWEEP_CACHE") or DEFAULT_CACHE if cache is None else cache
+    return _path("cache", given)
+
+
+def _path(name: str, value: Any) -> Path:
+    """A path that the operating system can have, absolute."""
+    try:
+        with suppress(FileNotFoundError, NotADirectoryError, PermissionError):
+            os.stat(value)
+        return Path(value).absolute()
+    except (TypeError, ValueError, OSError) as error:
+        why = f"{name} = {value!r:.80}: must be the path of a folder: {error!s:.80}"
+        raise StoreError(why) from None
 
 
 def check_owner(study: Study, folder: Path) -> None:
@@ -138,7 +150,7 @@ def read_json(path: Path) -> dict[str, Any] | None:
         raise StoreError(
             f"{path}: {why}; 'gapsweep {command} {path.parent} --study FILE' rewrites it"
         )
-    found: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+    found: dict[str, Any] = json.loads(artefact.text_of(path))
     return found if is_of_run(path) else None
 
 
@@ -166,7 +178,7 @@ def reason_to_make(path: Path, now: MadeFrom) -> str | None:
 def _linked(path: Path) -> Iterator[Path]:
     """The files in folders below a page that it links to."""
     if path.suffix == ".html":
-        page = path.read_text(encoding="utf-8", errors="replace")
+        page = artefact.text_of(path)
         for name in dict.fromkeys(re.findall(r'href="(\w+/[\w.-]+)"', page)):
             yield path.parent / name
 
@@ -191,8 +203,8 @@ def _recorded(path: Path) -> MadeFrom:
         if path.suffix == ".nc":
             return dict(json.loads(netcdf.attributes(path).get("made_from", "{}")))
         if path.suffix == ".json":
-            return dict(json.loads(path.read_text(encoding="utf-8"))["made_from"])
-        found = re.search(_META, path.read_text(encoding="utf-8", errors="replace"))
+            return dict(json.loads(artefact.text_of(path))["made_from"])
+        found = re.search(_META, artefact.text_of(path))
         return dict(json.loads(html.unescape(found[1]))) if found else {}
-    except (OSError, ValueError, TypeError, KeyError):
+    except (OSError, ValueError, TypeError, KeyError, RecursionError):
         return {}

@@ -66,6 +66,16 @@ class Variable:
         return self if self.units in _OWN_UNITS else replace(self, units="")
 
 
+def canonical(value: float) -> float:
+    """The value rounded to 12 significant digits.
+
+    Grids reach the same coordinate by different arithmetic; after rounding they agree to the last
+    bit. Studies round when they are read: they compute, key and store these values. Datasets of a
+    call have rounded coordinates, so that they align with those of studies.
+    """
+    return float(f"{value:.11e}") + 0.0  # -0.0 becomes 0.0
+
+
 # Of every variable the dimensions, and what it is.
 Described = Mapping[str, tuple[tuple[str, ...], Variable]]
 
@@ -182,7 +192,8 @@ def dataset(
         own = tuple(dim for dim in dims if dim in (POINT, "omega" if name == "omega" else START))
         if name != START:
             at = tuple(slice(None) if dim in own else 0 for dim in dims)
-            found[name] = variable(name, own, values[at])
+            rounded = np.array([canonical(value) for value in values[at].ravel().tolist()])
+            found[name] = variable(name, own, rounded)
     found |= {name: variable(name, dims, values) for name, values in arrays.items()}
     attributes = {
         name: value if isinstance(value, str | float) else repr(value)

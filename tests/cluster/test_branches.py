@@ -102,6 +102,20 @@ def test_folds_are_those_that_the_call_finds(branches):
     np.testing.assert_allclose(ours, special(called, 1), rtol=1e-9)
 
 
+def test_a_special_point_of_the_file_is_continued_in_a_second_parameter(branches):
+    """A graze between linear orbits: force over amplitude is the spring's dynamic stiffness."""
+    table = branches.gapsweep.special_points()
+    assert {"representation", "K_c", "gap"} <= set(table.columns)
+    point = table.index[(table["kind"] == "grazing") & (table["representation"] == "piecewise")][0]
+    law = gs.contact_law("piecewise", 3.0, gs.Gap(0.1745, 0.1745))
+    given = {"oscillator": gs.Oscillator(**OSCILLATOR), "law": law}
+    curve = gs.special_curve(branches, int(point), "forcing", (0.02, 0.05), **given)
+    rate = curve["omega"].values / ONE_RAD
+    expected = 0.1745 * np.hypot(1.0 - rate**2, 0.05 * rate)
+    np.testing.assert_allclose(curve["forcing"], expected, rtol=1e-8)
+    assert "attractors.nc" in branches.attrs["initial_conditions"]
+
+
 def test_every_periodic_attractor_lies_on_a_branch_that_is_stable_there(branches, folder):
     with gs.open(folder / "out" / "attractors.nc") as attractors:
         labels = attractors["representation"] != "piecewise-noevents"

@@ -268,6 +268,13 @@ def test_failed_points_end_with_their_own_exit_code(gapsweep, folder):
     done = gapsweep(folder, "run", "tiny.toml")
     assert done.returncode == 3
     assert "failed points: 2 error" in done.stderr
+    told = [json.loads(gapsweep(folder, "status", "data/runs/tiny", "--json").stdout)]
+    assert gapsweep(folder, "run", "tiny.toml").returncode == 3
+    told += [json.loads(gapsweep(folder, "status", "data/runs/tiny", "--json").stdout)]
+    counts = [[state[name] for name in ("hits", "computed", "failed")] for state in told]
+    assert counts == [[0, 4, 2], [4, 0, 2]]
+    assert all("2 error: " in state["message"] for state in told)
+    assert all("ZeroDivisionError" in state["message"] for state in told)
 
 
 @pytest.mark.parametrize(
@@ -278,7 +285,7 @@ def test_failed_points_end_with_their_own_exit_code(gapsweep, folder):
         (("tanh-1e4", "tanhh-1e4"), "sweep[0].representation[1] = 'tanhh-1e4': unknown"),
         (("1.4e4]", "-1.4e4]"), "sweep[0].K_c[0] = -14000.0: must be >= 0"),
         (("[[0.4e-3,", "[[-0.4e-3,"), "sweep[0].gap[0][0] = -0.0004: must be >= 0"),
-        (("12.0", "nan"), "sweep[0].omega[0] = nan: must be a finite number"),
+        (("12.0", "nan"), "sweep[0].omega[0] = nan: must be finite"),
         (("12.0", "0"), "sweep[0].omega[0] = 0: must be > 0"),
         (("n_periods", "periods"), "steady.periods = 16: unknown key"),
     ],
@@ -410,8 +417,10 @@ def slow_run(folder, *prefix):
     (folder / "tiny.toml").write_text(slow + '[solver]\nengine = "scipy"\nrtol = 1e-8\n')
     command = [sys.executable, "-c", "from gapsweep.cli import main; main()", "run", "tiny.toml"]
     process = subprocess.Popen(
-        [*prefix, *command], cwd=folder, stderr=subprocess.PIPE, text=True, start_new_session=True
-    )
+        [*prefix, *command], cwd=folder, stderr=subprocess.PIPE, text=True, start_new_session=True,
+        # SIGINT is ignored if a script started pytest with &.
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
+    )  # fmt: skip
     wait_for_points(folder, 3)
     return process
 

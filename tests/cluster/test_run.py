@@ -5,14 +5,17 @@ import subprocess
 import sys
 import threading
 import time
+from types import SimpleNamespace
 
+import numpy as np
 import pytest
 import xarray as xr
+from tests.machine import PAPER
 from tests.stored import commit, messages, point, stored, tile_rows
 
 import gapsweep as gs
 from gapsweep import pipeline
-from gapsweep.execution import execute
+from gapsweep.execution import execute, portions
 from gapsweep.execution.cluster import cluster
 from gapsweep.execution.plan import plan
 from gapsweep.execution.portions import Costs
@@ -60,7 +63,7 @@ def test_dataset_has_every_dimension_unit_and_flag(responses):
 
 def test_dataset_holds_what_respond_returns(tables, client, tmp_path):
     tables["sweep"][0]["initial_condition"] = [[0.0, 0.0], [5e-3, 0.0]]
-    tables["oscillator"] = {"alpha": -7e8}  # the second start is lost
+    tables["oscillator"] = PAPER | {"alpha": -7e8}  # the second start is lost
     responses, study = run(tables, client, tmp_path), gs.Study.from_dict(tables)
     for at, label in enumerate(responses["representation"].values.tolist()):
         table = point(study, at, 0, 0, 1, 0)
@@ -101,9 +104,47 @@ def test_workers_and_batches_do_not_change_a_bit(tables, client, tmp_path):
 
 @pytest.mark.parametrize("timeout", [0.5, 5.0, 600.0])
 def test_a_task_aims_at_less_than_the_time_that_a_point_may_take(timeout):
-    costs = Costs("compiled", timeout)
-    costs.add(0, n_points=100, seconds=1.0)
-    assert 1 < costs.room(0) <= 0.5 * timeout * 100
+    costs = Costs("compiled", timeout, 1)
+    costs.add((0, 0), n_points=100, seconds=1.0, spent=1.0)
+    assert 1 < costs.room((0, 0)) <= 0.5 * timeout * 100
+
+
+def test_the_time_left_is_that_of_what_is_left(monkeypatch):
+    """On a machine on which tasks get one second of processor time per second."""
+    now = [0.0]
+    monkeypatch.setattr(portions, "time", SimpleNamespace(monotonic=lambda: now[0]))
+    costs, n_left = Costs("compiled", 600.0, 3), np.array([[10_000, 0], [1000, 0], [0, 0]])
+    for label, now[0] in ((0, 30.0), (1, 60.0)):  # half a minute of compiling each
+        assert costs.seconds_left(n_left) is None
+        costs.add((label, 0), n_points=16, seconds=0.16, spent=25.0)
+    assert costs.seconds_left(n_left) is None, "no task has come back since"
+    for label, n_points, now[0] in ((0, 20_000, 80.0), (1, 10_000, 180.0)):
+        seconds = 0.001 * 10**label * n_points
+        costs.add((label, 0), n_points, seconds, spent=seconds)
+    assert costs.seconds_left(n_left) == pytest.approx(20.0, rel=0.05)
+    assert costs.seconds_left(np.add(n_left, [[0, 0], [0, 0], [5, 0]])) is None, "not compiled yet"
+    assert costs.seconds_left(np.add(n_left, [[0, 5], [0, 0], [0, 0]])) is None, "no sweep is known"
+    for label, now[0] in ((0, 190.0), (0, 200.0)):
+        costs.add((label, 1), n_points=100, seconds=10.0, spent=10.0)
+    with_sweeps = costs.seconds_left(np.add(n_left, [[0, 80], [0, 20], [0, 0]]))
+    assert with_sweeps == pytest.approx(20.0 + 10.0, rel=0.05), "of other laws they cost as much"
+
+
+def test_runs_begin_at_different_points_and_cut_no_sweep(tables):
+    tables["sweep"][0]["omega"] = {"start": 6.0, "stop": 30.0, "num": 50}
+    starts = [[0.0, 0.0], "sweep_up", "sweep_down", [1e-4, 0.0]]
+    tables["sweep"][0]["initial_condition"] = starts
+    planned = plan(gs.Study.from_dict(tables))
+    rows, firsts = np.arange(planned.n_points), set()
+    for _ in range(40):
+        blocks = list(portions.shuffled(planned, rows))
+        firsts.add(int(blocks[0][0]))
+        assert np.array_equal(np.sort(np.concatenate(blocks)), rows)
+        assert all((np.diff(block) == 1).all() for block in blocks)
+        assert not any(planned.follows[block[0]] for block in blocks)
+        kinds = planned.representation(np.array([block[0] for block in blocks[:3]]))
+        assert kinds.tolist() == [0, 1, 2], "one of each representation leads"
+    assert len(firsts) > 10
 
 
 def test_points_in_no_block_are_not_requested(tables, client, tmp_path):
@@ -259,3 +300,50 @@ def test_further_axes_are_dimensions_after_the_frequency(tables, client, tmp_pat
     with gs.open(tmp_path / "out" / "attractors.nc") as sets:
         assert sets["x_max"].dims == (*found["x_max"].dims[:-1], "attractor")
         assert (sets["n_attractors"] > 0).all()
+
+
+_LEFTOVERS = """
+import sys, urllib.request
+import gapsweep as gs
+from gapsweep.execution.cluster import cluster
+
+def answer(port):
+    try:
+        return urllib.request.urlopen(f"http://127.0.0.1:{port}{path}").status
+    except urllib.error.HTTPError as error:
+        return error.code
+
+for dashboard in (False, True):
+    with cluster(1, dashboard=dashboard) as client:
+        ports = [client.cluster.scheduler.http_server.port]
+        ports += client.run(lambda dask_worker: dask_worker.http_server.port).values()
+        for path in ("/status", "/info/main/workers.html", "/health", "/metrics"):
+            print(dashboard, path, *map(answer, ports))
+study = gs.Study.load("own.toml")
+gs.run(study, out="out", cache="cache", workers=1).close()
+"""
+
+
+def test_a_run_serves_no_page_and_leaves_no_temporary_file(tables, tmp_path):
+    """Though its processes end with a kill, and the code of the study has a folder of its own."""
+    (tmp_path / "temporary").mkdir()
+    (tmp_path / "own.py").write_text("def soft(x):\n    return 1e4 * x\n")
+    (tmp_path / "own.toml").write_text(
+        '[study]\nname = "own"\n'
+        "[oscillator]\nmass = 3.0\nomega_n = 5.0\nzeta = 0.03\nforcing = 4.0\n"
+        '[[sweep]]\nrepresentation = "own:soft"\nK_c = 1e4\n'
+        'gap = [4e-4, 4e-4]\nomega = [9.0, 20.0]\n[solver]\nengine = "scipy"\nrtol = 1e-4\n'
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", _LEFTOVERS], cwd=tmp_path, capture_output=True, text=True,
+        env=os.environ | {"TMPDIR": str(tmp_path / "temporary")}, timeout=120,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    answers = [line.split() for line in done.stdout.splitlines()]
+    off = [codes for dashboard, _, *codes in answers if dashboard == "False"]
+    assert off == [["404", "404"]] * 4, done.stdout
+    assert ["True", "/status", "200"] in [line[:3] for line in answers], done.stdout
+    deadline = time.monotonic() + 10.0
+    while left := sorted(path.name for path in (tmp_path / "temporary").iterdir()):
+        assert time.monotonic() < deadline, left
+        time.sleep(0.05)

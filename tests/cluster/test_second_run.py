@@ -103,7 +103,7 @@ def test_of_a_sweep_through_a_polynomial_that_runs_away(client, tmp_path):
 def test_of_a_sweep_through_failures(client, tmp_path, label):
     """The law fails beyond a displacement that is reached at resonance alone."""
     others = {"solver": {"engine": "scipy", "rtol": 1e-4}}
-    others["oscillator"] = {"zeta": 0.3, "forcing": 0.2}
+    others["oscillator"] = PAPER | {"zeta": 0.3, "forcing": 0.2}
     study = swept(label, [1.0, 5.0, 12.0, 20.0], **others)
     assert 0 < sum(run_twice(study, client, tmp_path).failures.values()) < 8
 

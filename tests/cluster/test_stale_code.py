@@ -11,6 +11,7 @@ import sys
 
 import pytest
 from tests.cluster.test_dask import SOURCES, scheduler, stored, worker
+from tests.machine import PAPER
 
 import gapsweep as gs
 
@@ -104,7 +105,7 @@ def replaced(path, old, new):
 @pytest.fixture
 def of_mine(tables):
     tables["sweep"][0] |= {"representation": ["mine.laws:spring"], "omega": [20.0]}
-    tables["oscillator"] = {"zeta": 0.3}  # settles soon
+    tables["oscillator"] = PAPER | {"zeta": 0.3}  # settles soon
     tables["solver"] = {"engine": "scipy"}
     return tables
 

@@ -3,6 +3,7 @@
 import os
 import re
 import select
+import signal
 import sys
 import time
 from itertools import pairwise
@@ -35,6 +36,7 @@ def watched(folder, until):
     if pid == 0:
         os.chdir(folder)
         os.environ |= {"COLUMNS": "80", "LINES": "24", "TERM": "xterm"}
+        signal.signal(signal.SIGINT, signal.SIG_DFL)  # ignored if a script started pytest with &
         os.execv(COMMAND[0], COMMAND)
     written, begun, is_typed = [(0.0, "")], time.monotonic(), False
     while written[-1][0] < 120.0:

@@ -21,7 +21,8 @@ from gapsweep import pipeline, stages
 from gapsweep.cli.main import commands
 from gapsweep.execution.portions import SWEEP_PART
 from gapsweep.explorer.widget import explore_path
-from gapsweep.store.artefact import alone_in, checked, recording
+from gapsweep.store import netcdf
+from gapsweep.store.artefact import alone_in, checked, recording, sha256
 from gapsweep.store.state import RunState
 
 COMMAND = Path(sys.executable).with_name("gapsweep")
@@ -127,6 +128,59 @@ def test_what_stands_in_the_place_of_a_file_is_one_line(gapsweep, finished, tmp_
         assert gapsweep(finished, *command).returncode == 0
 
 
+PIPES = {
+    "status": ("run.json", 1),
+    "report": ("SHA256SUMS", 0),
+    "claims": ("claims.json", 1),
+    "run tiny.toml --out": ("responses.nc", 0),  # it is rewritten
+    "run tiny.toml --cache c-cache --out": ("../c-cache/claims", 1),
+}
+
+
+@pytest.mark.parametrize("kind", ["pipe", "endless"])
+@pytest.mark.parametrize("command", PIPES)
+def test_a_pipe_or_device_in_the_place_of_a_file_is_not_read(finished, tmp_path, command, kind):
+    """In a process, for a pipe would be waited for until the end of the test."""
+    out = shutil.copytree(finished / "out", tmp_path / "out")
+    (tmp_path / "c-cache").mkdir()
+    shutil.copy(finished / "tiny.toml", tmp_path)
+    name, code = PIPES[command]
+    path = out / name
+    path.unlink(missing_ok=True)
+    os.mkfifo(path) if kind == "pipe" else path.symlink_to("/dev/zero")
+    run = "from gapsweep.cli import main; main()"
+    done = subprocess.run(
+        [sys.executable, "-c", run, *command.split(), "out"],
+        cwd=tmp_path, capture_output=True, text=True, timeout=100,
+    )  # fmt: skip
+    assert done.returncode == code, done.stderr
+    assert "Traceback" not in done.stderr
+
+
+def test_a_pipe_is_no_dataset(tmp_path):
+    os.mkfifo(tmp_path / "responses.nc")
+    with pytest.raises(gs.StoreError, match="damaged or changed"):
+        gs.open(tmp_path / "responses.nc")
+    assert netcdf.attributes(tmp_path / "responses.nc") == {}
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [[], {"claims": 1}, {"claims": [{"id": 1}], "counts": {}}, {"claims": [], "counts": 3}, "deep"],
+)
+def test_forged_claims_are_one_line(gapsweep, finished, tmp_path, wrong):
+    out = shutil.copytree(finished / "out", tmp_path / "out")
+    text = "[" * 100_000 if wrong == "deep" else json.dumps(wrong)
+    if isinstance(wrong, dict):
+        made_from = {"responses.nc": sha256(out / "responses.nc")}
+        text = json.dumps(wrong | {"made_from": made_from})
+    with recording(out / "claims.json", lambda _: True) as temporary:
+        temporary.write_text(text)
+    done = gapsweep(tmp_path, "claims", "out")
+    assert done.returncode == 1
+    assert [line[:7] for line in done.stderr.splitlines()] == ["error: "]
+
+
 def test_a_link_to_nowhere_is_one_line(gapsweep, finished, tmp_path):
     (tmp_path / "dangling").symlink_to(tmp_path / "nowhere" / "else")
     done = gapsweep(tmp_path, "run", os.fspath(finished / "tiny.toml"), "--out", "dangling")
@@ -142,7 +196,7 @@ def test_a_claims_file_that_is_a_link_is_one_line(gapsweep, tmp_path):
     done = gapsweep(tmp_path, "run", "tiny.toml", "--out", "out")
     assert done.returncode == 1
     assert "Traceback" not in done.stderr
-    assert "c-cache/claims: must be a file, is a symbolic link" in done.stderr.splitlines()[-1]
+    assert "c-cache/claims: must be a regular file" in done.stderr.splitlines()[-1]
     assert not (tmp_path / "nowhere").exists()
 
 
@@ -352,6 +406,8 @@ def test_benchmarks_name_what_they_were_made_from_before_they_began(tables, tmp_
         {"host": "elsewhere", "updated": 3},
         {"pid": "one"},
         {"pid": -1},
+        {"hits": None},
+        {"study": ["s"]},
     ],
 )
 def test_a_state_that_no_run_has_written_is_one_line(tmp_path, wrong):
@@ -364,6 +420,24 @@ def test_a_state_that_no_run_has_written_is_one_line(tmp_path, wrong):
     ):
         RunState.read(tmp_path)
     assert not whole.is_hidden_in(tmp_path)
+
+
+def test_a_terminal_is_sent_no_commands_of_a_folder(gapsweep, finished, tmp_path):
+    out, bad = shutil.copytree(finished / "out", tmp_path / "out"), "\x1b]0;a\x07b\x9b31m\r"
+    state = RunState.read(out)
+    replace(state, study=bad, message=bad).write(out)
+    claims = [{"id": 1, "verdict": bad, "place": bad, "claim": bad, "sentence": bad}]
+    made_from = {"responses.nc": sha256(out / "responses.nc")}
+    with recording(out / "claims.json", lambda _: True) as temporary:
+        whole = {"claims": claims, "counts": {bad: 1}, "made_from": made_from}
+        temporary.write_text(json.dumps(whole))
+    for command in ("status", "claims"):
+        for options in ([], ["--json"]):
+            done = gapsweep(tmp_path, command, "out", *options)
+            assert done.returncode == 0, done.stderr
+            assert "]0;ab31m" in done.stdout or options
+            shown = done.stdout + done.stderr
+            assert not [c for c in shown if (ord(c) < 32 and c != "\n") or 127 <= ord(c) < 160]
 
 
 def test_status_names_files_that_are_not_as_written(tmp_path):

@@ -9,14 +9,17 @@ import re
 import resource
 import subprocess
 import sys
+from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
 
 import pytest
 
 import gapsweep as gs
+from gapsweep.execution.recorder import Recorder
 from gapsweep.store.cache import Cache
 from gapsweep.store.maintenance import verify
+from gapsweep.store.state import RunState
 
 STUDY = """
 oscillator = { mass = 3.0, omega_n = 5.0, zeta = 0.03, forcing = 4.0, alpha = 7e8 }
@@ -32,6 +35,11 @@ settle_tol = 1e-2
 n_periods = 16
 max_period_multiple = 8
 """
+SMALL = {
+    "study": {"name": "small"},
+    "oscillator": {"mass": 3.0, "omega_n": 5.0, "zeta": 0.03, "forcing": 4.0},
+    "sweep": [{"representation": "piecewise", "K_c": 1e4, "gap": [4e-4, 4e-4], "omega": 9.0}],
+}
 RUN = "from gapsweep.cli import main; main()"
 
 
@@ -72,7 +80,7 @@ def test_full_disk_while_committing(run, folder):
     (folder / "full.toml").write_text(STUDY)
     error = one_error(limited_run(folder, "out", "--batch", "600", room=40_000))
     assert "cannot be written: " in error
-    assert "free disk space" in error
+    assert "disk space" in error
     with Cache(folder / "cache") as cache:
         kept = verify(cache)
     assert kept.is_sound
@@ -92,7 +100,7 @@ def test_full_disk_while_exporting(run, folder):
     error = one_error(limited_run(folder, "out", room=size // 2))
     # Both are written side by side: either may be the first without room.
     assert re.search(r"(responses|attractors)\.nc: cannot be written", error)
-    assert "free disk space" in error
+    assert "disk space" in error
     assert [p.name for p in (folder / "out").iterdir() if p.name != "run.json"] == []
     done = run("out")
     assert (done.returncode, done.stdout.split("\n")[0]) == (
@@ -119,3 +127,21 @@ def test_a_closed_output_hinders_nothing(folder):
     command = f"{sys.executable} -c '{RUN}' plan full.toml >&-"
     done = subprocess.run(["sh", "-c", command], cwd=folder, stderr=subprocess.PIPE, text=True)
     assert (done.returncode, done.stderr) == (0, "")
+
+
+def test_a_state_that_finds_no_room_for_a_new_file_takes_that_of_the_old(tmp_path, monkeypatch):
+    """As on a full disk, on which status told of a run that died."""
+    plan = gs.plan(gs.Study.from_dict(SMALL), cache=tmp_path / "none")
+    recorder = Recorder(tmp_path, gs.Study.from_dict(SMALL), tmp_path, plan, None)
+    recorder.write()
+
+    @contextmanager
+    def full(path, **_):
+        raise gs.StoreError("No space left on device")
+        yield
+
+    monkeypatch.setattr("gapsweep.store.state.replacing", full)
+    with pytest.raises(ZeroDivisionError), recorder:
+        raise ZeroDivisionError("of the run")
+    state = RunState.read(tmp_path)
+    assert (state.state, state.message) == ("failed", "of the run")

@@ -1,6 +1,7 @@
 """Code of the user's own that ends, hangs or raises: what a real run makes of it."""
 
 import os
+import re
 import subprocess
 import sys
 from functools import partial
@@ -158,9 +159,9 @@ FATAL = [
     ("import os; os._exit(7)", "importing fatal:law: its process ended with exit code 7"),
     (
         AT_ZERO.format("os._exit(0)"),
-        "calling fatal:law at x = 0: its process ended with exit code 0",
+        "calling fatal:law: its process ended with exit code 0",
     ),
-    (AT_ZERO.format("raise KeyboardInterrupt"), "calling fatal:law at x = 0: KeyboardInterrupt"),
+    (AT_ZERO.format("raise KeyboardInterrupt"), "calling fatal:law: KeyboardInterrupt"),
 ]
 
 
@@ -175,13 +176,33 @@ def test_a_law_that_would_end_the_client_is_one_line(gapsweep, tmp_path, code, r
         assert line.endswith(f"own.toml: {reason}")
 
 
+COMPILED = SWEEP.replace('engine = "scipy"', 'engine = "compiled"')
+BAD = {
+    "T = {'a': 1.0}\ndef law(x):\n    return T['a'] * x\n": "numba cannot compile it .*'T'",
+    "def law(x):\n    return 5.0 if x > 0.4e-3 else 0.0\n": "jumps by 5 N at x = 0.0004 m",
+    "def law(x, v):\n    return x\n": "loses energy",
+}
+
+
+@pytest.mark.parametrize("code", BAD)
+def test_a_plan_refuses_what_no_point_can_be_computed_with(gapsweep, tmp_path, code):
+    (tmp_path / "bad.py").write_text(code)
+    study(tmp_path, COMPILED, "bad:law")
+    for command in (["plan"], ["run", "--out", "out"]):
+        done = gapsweep(tmp_path, command[0], "own.toml", *command[1:])
+        assert done.returncode == 1
+        (line,) = errors(done)
+        assert re.search(f"own.toml: bad:law.*{BAD[code]}", line)
+        assert len(line) < 500
+
+
 def test_benchmarks_too_try_laws_out_elsewhere(gapsweep, tmp_path):
     (tmp_path / "fatal.py").write_text(AT_ZERO.format("os._exit(7)"))
     bench = MEASURED + METHOD.format("fatal:law")
     study(tmp_path, SWEEP.replace("{laws}", '["piecewise"]') + bench)
     done = gapsweep(tmp_path, "bench", "own.toml", "--out", "out")
     assert done.returncode == 1
-    assert "own.toml: calling fatal:law at x = 0: its process ended" in done.stderr
+    assert "own.toml: calling fatal:law: its process ended" in done.stderr
 
 
 def test_a_law_that_hangs_at_zero_is_refused(tmp_path, monkeypatch):
@@ -199,13 +220,13 @@ def test_a_law_that_hangs_at_zero_is_refused(tmp_path, monkeypatch):
         pipeline.carry_out(loaded, out=tmp_path / "out", timeout=2.0, **asked)
     assert told == [
         "importing endless:law (timeout 2 s)",
-        "calling endless:law at x = 0 (timeout 2 s)",
+        "calling endless:law (timeout 2 s)",
     ]
     monkeypatch.setattr(try_out, "_LONGEST", 1.5)
     with pytest.raises(gs.StudyError, match=r"exceeded the time limit of 1\.5 s") as refused:
         pipeline.query(loaded, **asked)
     assert "--timeout" not in str(refused.value), "no longer time is to be had"
-    assert told[-1] == "calling endless:law at x = 0 (timeout 1.5 s)"
+    assert told[-1] == "calling endless:law (timeout 1.5 s)"
 
 
 POISONS = {

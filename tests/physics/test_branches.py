@@ -7,9 +7,10 @@ from functools import cache
 
 import numpy as np
 import pytest
+import xarray as xr
 from numpy.testing import assert_allclose
 from scipy.integrate import solve_ivp
-from scipy.optimize import brentq, minimize_scalar
+from scipy.optimize import brentq, fsolve, minimize_scalar
 from scipy.special import ellipk
 from tests.exact_orbits import (
     TURN,
@@ -34,6 +35,7 @@ from tests.exact_orbits import (
 from tests.random_scenes import random_cases
 
 import gapsweep as gs
+from gapsweep.continuation.family import Window
 from gapsweep.model.system import first_order
 
 RATE = 1.0 / TURN  # Hz at 1 rad/s
@@ -627,6 +629,10 @@ SOFT = gs.Piecewise(1.4e4, gs.Gap(0.4e-3, 0.4e-3))
         ({"along": "amplitude"}, "along = 'amplitude': .* forcing and damping must be 0"),
         ({"at": 8.0, "start": [0.0, 0.0], "starts": [0.0, 0.0]}, "start and starts: "),
         ({"at": [8.0, 9.0], "start": [0.0, 0.0]}, r"at = \[8.0, 9.0\]: .*one value of omega"),
+        (
+            {"along": "forcing", "between": (0.0, 5.0), "at": 0.0, "omega": 9.0},
+            r"starts: no motion .*\(3 equilibrium\)",
+        ),
     ],
 )
 def test_bad_input_gives_one_line(options, message):
@@ -663,6 +669,97 @@ def test_free_motions_stay_within_their_window():
     model = gs.Oscillator(zeta=0.0, omega_n=RATE, mass=1.0, alpha=1.0, forcing=0.0)
     ds = gs.branches(model, NO_CONTACT, "amplitude", (0.5, 1.0))
     assert float(ds["amplitude"].min()) >= 0.5 * (1.0 - 1e-9)
+
+
+def free(**changes):
+    """An undamped oscillator with a cubic spring, and a wall on one side where asked for."""
+    return gs.Oscillator(
+        **{"zeta": 0.0, "omega_n": RATE, "mass": 1.0, "alpha": 1.0, "forcing": 0.0} | changes
+    )
+
+
+def duffing(*loads):
+    """The oscillator without contact: x'' + (0.1 x' if it is forced) + x + x³."""
+    return gs.System(
+        mass=[[1.0]],
+        stiffness=[[1.0]],
+        damping=[[0.1 * len(loads)]],
+        cubic=[gs.Cubic(along=[1.0], alpha=1.0)],
+        forcing=loads,
+    )
+
+
+def test_a_system_without_contacts_has_the_branches_of_walls_out_of_reach():
+    window, at = (0.8 * RATE, 4.0 * RATE), RATE
+    system = duffing(gs.Harmonic(amplitude=[0.5]))
+    ours = rows(gs.branches(system, {}, between=window, at=at), 0)
+    other = free(zeta=0.05, forcing=0.5)
+    walls = rows(gs.branches(other, NO_CONTACT, "omega", window, at=at), 0)
+    folds = [
+        [branch["omega"].values[i] for _, i in special_points(branch)] for branch in (ours, walls)
+    ]
+    assert len(folds[0]) == 2
+    assert_allclose(*folds, rtol=1e-9)
+
+
+def test_free_motions_of_a_system_without_contacts_have_elliptic_periods():
+    branch = rows(gs.branches(duffing(), {}, along="amplitude", between=(0.1, 2.0)), 0)
+    a = branch["amplitude"].values
+    periods = 4.0 * ellipk(a**2 / (2.0 * (1.0 + a**2))) / np.sqrt(1.0 + a**2)
+    assert_allclose(branch["period"].values, periods, rtol=1e-9)
+    assert_allclose([a.min(), a.max()], [0.1, 2.0], rtol=1e-9)
+
+
+def test_free_motions_start_at_every_value_and_stay_between():
+    """A bilinear oscillator: with 9 times the stiffness on one side it swings 3 times as far."""
+    model, law = free(alpha=0.0), gs.Piecewise(8.0, gs.Gap(0.0, 0.0), K_ratio=0.0)
+    ds = gs.branches(model, law, "amplitude", (0.2, 0.8), at=[0.2, 0.3])
+    assert_allclose(ds["attractor_amplitude"], [0.4, 0.6], rtol=1e-9)
+    assert ds.attrs["initial_conditions"].startswith("free motions;")
+    a = rows(ds, 0)["amplitude"].values
+    assert_allclose([a.min(), a.max()], [0.2, 0.8], rtol=1e-9)
+    for wrong in ({"at": 0.4, "start": [0.3, 0.0]}, {"start": [1.5, 0.0]}, {"at": 0.7}):
+        with pytest.raises(gs.ModelError, match=r"^(at|amplitude) = [\d.\[\]]+: must "):
+            gs.branches(model, law, "amplitude", (0.2, 0.8), **wrong)
+    response = gs.respond(duffing(), {}, q_0=[0.5])
+    ds = gs.branches(duffing(), {}, "amplitude", (0.3, 0.8), start=response)
+    assert float(ds["attractor_amplitude"][0]) == pytest.approx(0.5, rel=1e-6)
+
+
+def coupled(rate):
+    """Two masses whose coupling feeds one from the other: flutter beyond 0.251."""
+    return gs.System(
+        mass=np.eye(2),
+        stiffness=[[1.0, rate], [-rate, 1.5]],
+        damping=0.02 * np.eye(2),
+        cubic=[gs.Cubic(along=each, alpha=1.0) for each in ([1.0, 0.0], [0.0, 1.5])],
+    )
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("law", [{}, gs.law(lambda x: 0.5 * x**3, K_c=0.0, gap=gs.Gap(0.0, 0.0))])
+def test_default_starts_leave_the_equilibrium_without_warnings(law):
+    def make(rate):
+        return replace(coupled(rate), contacts={"spring": [1.0, 0.0]} if law else {})
+
+    ds = gs.branches(make, law, "rate", (0.3, 0.4), at=0.35)
+    assert ds.sizes["branch"] >= 1
+    with pytest.raises(gs.ModelError, match=r"starts: no motion .* \(\d+ equilibrium\)"):
+        gs.branches(make, law, "rate", (0.05, 0.1), at=0.07)
+
+
+@pytest.mark.filterwarnings("error")
+def test_a_motion_that_starts_where_it_counts_as_diverged_gives_no_warning():
+    response = gs.respond(coupled(0.3), {}, q_0=[1e9, 0.0])
+    assert response.status == gs.Status.DIVERGED
+
+
+@pytest.mark.parametrize("ends", [(1.0, 1e6), (0.3, 7.7), (1e-3, 0.7), (-0.1, 0.7)])
+def test_a_window_has_the_values_that_it_was_given(ends):
+    window = Window.of("K_c", ends)
+    assert (window.value(0.0), window.value(1.0)) == ends
+    assert window.value(np.array([0.0, 2.0, -1.0])).tolist() == [ends[0], ends[1], ends[0]]
+    assert (window.place(ends[0]), window.place(ends[1])) == (0.0, 1.0)
 
 
 TURNS_BACK = 17  # a drawn scene whose branch turns back at a graze
@@ -744,7 +841,8 @@ def test_grazes_of_a_linear_oscillator_follow_its_resonance_curve():
     stiffness = np.hypot(1.0 - rate**2, 0.05 * rate)
     assert_allclose(curve["forcing"].values, 0.1745 * stiffness, rtol=1e-8)
     assert np.ptp(rate) > 0.3
-    assert (curve["special"] == 5).all()
+    assert curve.attrs["curve"] == "grazing"
+    assert not curve["special"].any()
 
 
 @pytest.mark.parametrize(
@@ -761,6 +859,85 @@ def test_curves_of_two_masses_keep_their_multiplier(kind, value):
         apart = np.abs(mu - value).min(axis=1)
     assert apart.max() < 1e-7
     assert curve["K_c"].values.min() < 60.0 < 190.0 < curve["K_c"].values.max()
+    # Multipliers of the bifurcation are on the unit circle; no other one may be outside.
+    assert (curve["stable"] == (np.abs(mu).max(axis=1) < 1.0 + 1e-6)).all()
+
+
+def hardening(F=0.3):
+    """x'' + 0.1 x' + x + x³ = F cos w t, a System without contacts."""
+    return duffing(gs.Harmonic(amplitude=[F]))
+
+
+@cache
+def hardening_folds():
+    return gs.branches(hardening, {}, between=(0.1, 0.6), at=0.15)
+
+
+def test_the_curve_of_folds_has_its_cusp_where_harmonic_balance_has_it():
+    """There the frequency over the first harmonic has a slope whose largest value is zero."""
+    curve = gs.special_curve(hardening_folds(), 0, "F", (0.01, 0.5))
+    (cusp,) = np.flatnonzero(curve["special"].values == 9)
+    # At a fold one multiplier is 1 and their product is below 1.
+    assert (curve["stable"] == 1).all()
+    at = curve.isel(step=cusp)
+
+    def steepest(F):
+        """Largest slope of the frequency over a coefficient, and the frequency there."""
+        balance = HarmonicBalance(0.1, F, n=8, n_times=128)
+        guess = balance.guess(at["start_state"].values, float(at["omega"]) * TURN)
+        normal = np.eye(len(guess))[np.abs(guess[:-1]).argmax()]
+
+        def orbit(s):
+            return balance.on_plane(guess + s * normal, normal)
+
+        options = {"bounds": (-0.07, 0.07), "method": "bounded", "options": {"xatol": 1e-9}}
+        top = minimize_scalar(lambda s: -orbit(s)[1], **options)
+        return -top.fun, orbit(top.x)[0][-1]
+
+    truth = brentq(lambda F: steepest(F)[0], 0.045, 0.06, xtol=1e-12)
+    assert float(at["F"]) == pytest.approx(truth, rel=1e-8)
+    assert float(at["omega"]) * TURN == pytest.approx(steepest(truth)[1], rel=1e-8)
+
+
+def test_a_closed_curve_is_stored_once():
+    """The folds of an asymmetric orbit of a loose joint over its gap: a loop with two cusps."""
+    joint = gs.Oscillator(mass=3.0, omega_n=5.0, zeta=0.03, alpha=7e8, forcing=4.0)
+    ds, other = (
+        gs.branches(
+            joint,
+            gs.Piecewise(1.4e4, gs.Gap(gap, gap)),
+            between=(3.5, 6.0),
+            at=4.6,
+            starts=[[6e-4, 0.0]],
+        )
+        for gap in (0.4e-3, 0.39e-3)
+    )
+    curve = gs.special_curve(ds, point(ds, "fold"), "gap", (1e-5, 2e-3))
+    reasons = curve["ends"].attrs["flag_meanings"].split()
+    assert reasons[int(curve["ends"])] == reasons[int(curve["begins"])] == "closed"
+    assert (curve["special"] == 9).sum() == 2
+    off, omega = curve["gap"].values - 0.39e-3, curve["omega"].values
+    passes = np.flatnonzero(off[:-1] * off[1:] < 0.0)
+    ours = omega[passes] + off[passes] / (off[passes] - off[passes + 1]) * np.diff(omega)[passes]
+    folds = other["omega"].values[other["special"].values == 1]
+    assert_allclose(sorted(ours), sorted(folds), rtol=1e-3)
+
+
+def stiffer(F=0.3):
+    return replace(hardening(F), stiffness=[[1.01]])
+
+
+def test_a_curve_of_a_reopened_file_is_that_of_the_call(tmp_path):
+    ds = hardening_folds()
+    ds.to_netcdf(tmp_path / "branches.nc")
+    with xr.open_dataset(tmp_path / "branches.nc") as again:
+        with pytest.raises(gs.ModelError, match="oscillator, law: missing"):
+            gs.special_curve(again, 1, "F", (0.2, 0.4))
+        with pytest.raises(gs.ModelError, match="oscillator, law: must be those"):
+            gs.special_curve(again, 1, "F", (0.2, 0.4), oscillator=stiffer, law={})
+        ours = gs.special_curve(again, 1, "F", (0.2, 0.4), oscillator=hardening, law={})
+    expected = gs.special_curve(ds, 1, "F", (0.2, 0.4))
+    assert_allclose(ours["omega"], expected["omega"], rtol=1e-12)
 
 
 def test_speeds_of_folds_with_freeplay_do_not_depend_on_its_width():
@@ -809,3 +986,126 @@ def test_a_branch_that_ends_at_its_range_says_so():
             zip(end.attrs["flag_values"], end.attrs["flag_meanings"].split(), strict=True)
         )
         assert {reasons[value] for value in end.values} <= {"window", "branch_point"}
+
+
+def flutter_in_two_cubic_springs(coupling):
+    """Two masses with a coupling that is not symmetric: the origin has a Hopf point."""
+    return gs.System(
+        mass=np.eye(2),
+        stiffness=[[1.0, coupling], [-coupling, 1.5]],
+        damping=0.02 * np.eye(2),
+        contacts={"none": [1.0, 0.0]},
+        cubic=[gs.Cubic(along=[1.0, 0.0], alpha=-1.0), gs.Cubic(along=[0.0, 1.0], alpha=1.5)],
+    )
+
+
+def test_cycles_end_at_the_hopf_point_of_the_equilibrium():
+    def growth(coupling):
+        return np.linalg.eigvals(first_order(flutter_in_two_cubic_springs(coupling))).real.max()
+
+    hopf = brentq(growth, 0.2, 0.3, xtol=1e-14)
+    ds = gs.branches(
+        flutter_in_two_cubic_springs,
+        NO_CONTACT,
+        along="coupling",
+        between=(0.15, 0.4),
+        at=0.3,
+        starts=[[0.1, 0.1, 0.0, 0.0]],
+    )
+    assert ds.sizes["branch"] == 1
+    branch = rows(ds, 0)
+    ((kind, step),) = special_points(branch)
+    assert kind == "hopf"
+    assert step in (0, branch.sizes["step"] - 1)
+    assert float(branch["coupling"][step]) == pytest.approx(hopf, abs=1e-8)
+    assert_allclose(branch["amplitude"].values[step], 0.0, atol=1e-12)
+    # Cycles exist on one side of the point.
+    assert (branch["coupling"].values >= hopf - 1e-8).all()
+
+
+def test_a_hopf_point_of_a_loaded_equilibrium_is_found():
+    """A constant load displaces the equilibrium, so that cubic springs change its eigenvalues."""
+    load = np.array([0.1, 0.05])
+
+    def loaded(coupling):
+        system = flutter_in_two_cubic_springs(coupling)
+        return replace(system, forcing=[gs.Harmonic(amplitude=load, k=0)])
+
+    def growth(coupling):
+        system, cubic = flutter_in_two_cubic_springs(coupling), np.array([-1.0, 1.5])
+        q = fsolve(lambda q: system.stiffness @ q + cubic * q**3 - load, [0.1, 0.05], xtol=1e-12)
+        matrix = first_order(system)
+        matrix[2:, :2] -= np.diag(3.0 * cubic * q**2)
+        return np.linalg.eigvals(matrix).real.max()
+
+    hopf = brentq(growth, 0.25, 0.3, xtol=1e-14)
+    window = 0.8 * hopf, 1.3 * hopf
+    at, starts = 1.1 * hopf, [[0.2, 0.15, 0.0, 0.0]]
+    ds = gs.branches(loaded, NO_CONTACT, "coupling", window, at=at, starts=starts)
+    branch = rows(ds, 0)
+    (step,) = (i for kind, i in special_points(branch) if kind == "hopf")
+    assert float(branch["coupling"][step]) == pytest.approx(hopf, abs=1e-8)
+
+
+def test_a_coordinate_that_stands_still_does_no_harm():
+    model = gs.System(
+        mass=np.eye(2),
+        stiffness=np.diag([30.0, 20.0]),
+        damping=np.diag([0.3, 0.2]),
+        contacts={"stop": [1.0, 0.0]},
+        forcing=[gs.Harmonic(amplitude=[1.0, 0.0])],
+    )
+    ds = gs.branches(model, gs.Piecewise(100.0, gs.Gap(0.02, 0.02)), between=(0.8, 1.2), at=1.0)
+    branch = rows(ds, 0)
+    alone = gs.Oscillator(
+        mass=1.0, omega_n=math.sqrt(30.0) / TURN, zeta=0.15 / math.sqrt(30.0), forcing=1.0
+    )
+    wall = gs.Piecewise(100.0, gs.Gap(0.02, 0.02))
+    again = rows(gs.branches(alone, wall, between=(0.8, 1.2), at=1.0), 0)
+    assert_allclose(branch["x_max"].max(), again["x_max"].max(), rtol=1e-3)
+    assert [kind for kind, _ in special_points(branch)] == [k for k, _ in special_points(again)]
+
+
+def test_a_branch_of_twice_the_period_ends_on_that_of_the_period():
+    """Started on the doubled orbit, `follow` finds the orbit of one period through its end."""
+    model, law, *_ = FORCED["two masses"]
+    low, high = 0.745 * RATE, 0.753 * RATE
+    ds = gs.branches(model, law, "omega", (low, high), at=0.749 * RATE, follow=1)
+    for number in ds["branch"].values:
+        branch = rows(ds, number)
+        for kind, step in special_points(branch):
+            if kind == "period_doubling":
+                one = 1.0 if step in (0, branch.sizes["step"] - 1) else -1.0
+                assert np.abs(multipliers(branch)[step] - one).min() < 1e-6
+
+
+def test_a_loop_longer_than_max_steps_holds_each_orbit_once():
+    law = gs.Piecewise(1.4e5, gs.Gap(0.2e-3, 0.6e-3))
+    model = gs.Oscillator(mass=3.0, omega_n=5.0, zeta=0.03, forcing=4.0, alpha=7e8)
+    whole = gs.branches(model, law, between=(4.0, 16.0), at=7.5)
+    loops = (whole["ends"] == 2) & (whole["begins"] == 2)
+    assert loops.any()
+    n = int(whole["n_orbits"].where(loops, 0).max())
+    half = gs.branches(model, law, between=(4.0, 16.0), at=7.5, max_steps=n // 2 + 10)
+    loop = int(half["n_orbits"].values.argmax())
+    assert abs(int(half["n_orbits"][loop]) - n) < 40
+
+
+def _hertz(x, n):
+    depth = abs(x) - 0.4e-3
+    return 0.0 if depth <= 0.0 else math.copysign(1e6 * depth**n, x)
+
+
+def test_branches_go_along_a_parameter_of_an_own_law():
+    """Each orbit closes in the other engine, with the law at the branch's own value."""
+    o = gs.Oscillator(mass=3.0, omega_n=5.0, zeta=0.03, alpha=0.0, forcing=4.0)
+    law = gs.law(_hertz, 1.4e4, gs.Gap(0.4e-3, 0.4e-3), n=1.5)
+    found = gs.branches(o, law, along="n", between=(1.4, 1.6), omega=9.0)
+    assert_allclose([found.n.min(), found.n.max()], [1.4, 1.6])
+    n, state = found.n.values[0], found.start_state.values[0]
+    for step in (0, len(n) // 2):
+        law = gs.law(_hertz, 1.4e4, gs.Gap(0.4e-3, 0.4e-3), n=n[step])
+        given = {"engine": "scipy", "rtol": 1e-10, "atol": 1e-13}
+        periods = int(found.period_multiple[0, step])
+        run = gs.simulate(o, law, 9.0, *state[step], n_periods=periods, **given)
+        assert_allclose([run.x_end, run.v_end], state[step], rtol=1e-5, atol=1e-8)

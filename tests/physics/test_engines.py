@@ -17,6 +17,7 @@ import gapsweep as gs
 from gapsweep.integrate.problem import Models, Problems, Solver
 from gapsweep.integrate.simulate import prepared
 from gapsweep.integrate.stepping import batch
+from gapsweep.integrate.stepping.loop import advance_users
 
 SYMMETRIC = gs.Gap(0.4e-3, 0.4e-3)
 TIGHT = {"rtol": 1e-12, "atol": 1e-15}
@@ -218,6 +219,74 @@ def test_law_that_numba_cannot_compile_says_what_to_do():
         gs.ModelError, match=r"prints_a_number: numba cannot compile .*engine='scipy'"
     ):
         gs.simulate(gs.systems.paper_oscillator(), law, 9.0, t_end=0.1)
+
+
+FACTOR = {"k": 1e3}
+
+
+def deep(x):
+    return deeper(x, 3.0) / 3.0 if x > 0.0 else -deep(-x) if x < 0.0 else 0.0
+
+
+def deeper(x, n):
+    return x * n
+
+
+def calls_helpers(x):
+    return 1e3 * deep(x)
+
+
+def test_helpers_of_a_law_are_compiled_with_it():
+    """Global and local ones, and one that calls itself; the linear law is what they come to."""
+    inner = calls_helpers
+    several = [gs.law(calls_helpers, 0.0, SYMMETRIC), gs.law(lambda x: inner(x), 0.0, SYMMETRIC)]
+    runs = gs.simulate(gs.systems.paper_oscillator(), several, 9.0, 1e-3, t_end=0.5)
+    direct = gs.simulate(
+        gs.systems.paper_oscillator(), gs.law(springy, 0.0, SYMMETRIC), 9.0, 1e-3, t_end=0.5
+    )
+    assert_allclose(runs.x_end, direct.x_end, rtol=1e-7)
+
+
+def springy(x):
+    return 1e3 * x
+
+
+def test_a_law_that_is_mended_compiles_in_the_same_process():
+    def law(x):
+        return factor["k"] * x
+
+    factor = FACTOR
+    for _ in range(2):  # not the second time otherwise than the first
+        with pytest.raises(
+            gs.ModelError, match=r"law: numba cannot compile it .*factor"
+        ) as refused:
+            gs.simulate(gs.systems.paper_oscillator(), gs.law(law, 0.0, SYMMETRIC), 9.0, t_end=0.1)
+        assert len(str(refused.value)) < 500
+    factor = np.array([(1e3,)], [("k", "f8")])[0]
+    run = gs.simulate(
+        gs.systems.paper_oscillator(), gs.law(law, 0.0, SYMMETRIC), 9.0, 1e-3, t_end=0.1
+    )
+    assert run.status is gs.Status.OK
+
+
+def test_parameters_of_a_law_are_numbers_for_one_compiled_function():
+    """Against the closed form of a linear oscillator with springs k + s, each law in its row."""
+    k, s = np.array([0.0, 1e3, 2e3]), 500.0
+    o = gs.Oscillator(mass=3.0, omega_n=5.0, zeta=0.03, alpha=0.0, forcing=4.0)
+    laws = [gs.law(sprung, 0.0, gs.Gap(each, 1.0), s=s, k=each) for each in k]
+    before = len(advance_users.signatures)
+    found = gs.respond(o, laws, 7.0)
+    compiled = len(advance_users.signatures)
+    gs.respond(o, gs.law(sprung, 0.0, SYMMETRIC, k=123.0, s=1.0), 7.0)
+    assert len(advance_users.signatures) == compiled > before
+    w = 2.0 * math.pi * 7.0
+    stiffness = o.mass * o.omega_n_rad**2 + k + s
+    amplitude = o.forcing / np.hypot(stiffness - o.mass * w**2, 2.0 * o.mass * o.decay_rate * w)
+    assert_allclose(found.amplitude, amplitude, rtol=1e-7)
+
+
+def sprung(x, k, s):
+    return k * x + s * x
 
 
 def test_the_reference_counts_the_right_hand_sides_of_steps_alone():

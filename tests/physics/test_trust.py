@@ -250,7 +250,7 @@ def test_a_users_slope_is_right_at_any_length():
     kind = representations.user(_nanometres).kind
     for x in (2e-9, 1e-6, 1.0):
         assert_allclose(law.derivative(x), 3e18 * x**2, rtol=1e-6)
-        assert_allclose(kind.slope(x), 3e18 * x**2, rtol=1e-6)
+        assert_allclose(kind.slope(x, 0.0, 0.0, 0.0, 0.0), 3e18 * x**2, rtol=1e-6)
 
 
 def _nanometres(x):

@@ -23,7 +23,7 @@ import gapsweep as gs
 import gapsweep.report.accessor  # plain xarray.load_dataset does not bring it along
 from gapsweep.analysis.agreement.comparison import agreement
 from gapsweep.model.systems import paper_oscillator
-from gapsweep.report.branch_lines import of_scene
+from gapsweep.report.branch_lines import caption, of_scene
 from gapsweep.report.figure_marks import as_csv
 from gapsweep.report.figures import frequency_response
 from gapsweep.report.style import MATPLOTLIB, NOT_PERIODIC, colour
@@ -362,6 +362,65 @@ def test_special_points_are_marked_and_named(branched, ax):
     assert sorted(text.get_text().strip() for text in ax.texts) == ["GR", "LP", "PD"]
     told = [text.get_text() for text in ax.get_legend().get_texts()]
     assert told[:4] == ["branch 0, period 1", "branch 1, period 2", "unstable", "LP fold"]
+
+
+def test_two_points_of_a_kind_at_one_place_have_one_symbol(ax):
+    """As a bifurcation that is on the branch that it leaves, and on the one that it starts."""
+    made = of_branches(np.ones((2, 3), "i1"), [[0, 6, 5], [0, 6, 0]])
+    made["x_max"][1] = made["x_max"][0]
+    made.gapsweep.branches(ax=ax)
+    assert sorted(text.get_text().strip() for text in ax.texts) == ["GR", "SB"]
+
+
+def test_special_points_are_numbered_in_a_table(branched):
+    n = branched.sizes["step"]
+    real = np.array([[0.5, 1.0]] * n + [[-1.0, 0.2]] * n).reshape(2, n, 2)
+    dims = ("branch", "step", "multiplier")
+    made = branched.assign(multiplier_real=(dims, real), multiplier_imag=(dims, 0.0 * real))
+    made["status"] = xr.where(made["stable"] < 0, 1, 0).assign_attrs(
+        flag_values=[0, 1], flag_meanings="ok not_requested"
+    )
+    height = xr.DataArray([1.0, -7.0], {"coordinate": ["h", "beta"]}, "coordinate")
+    made["x_max"] = made["x_max"] * height
+    table = made.gapsweep.special_points()
+    assert table.index.name == "point"
+    assert table.columns.tolist() == [
+        *("branch", "step", "kind", "symbol", "omega", "x_max[h]", "x_max[beta]"),
+        *("period_multiple", "multiplier"),
+    ]
+    assert table["branch"].tolist() == [0, 0, 1]
+    assert table["step"].tolist() == [2, 4, 2]
+    assert table["symbol"].tolist() == ["LP", "GR", "PD"]
+    assert table["multiplier"].tolist() == [1.0, 1.0, -1.0]
+    assert_allclose(table["x_max[beta]"], -7e-3 * np.array([2.0, 4.0, 12.0]))
+    none = made.isel(step=[0, 1]).gapsweep.special_points()
+    assert none.columns.tolist() == table.columns.tolist()
+    assert none.empty
+
+
+def test_a_curve_is_one_line_over_both_parameters(ax):
+    made = of_branches(np.ones((1, 6), "i1"), [[0, 0, 9, 0, 0, 0]])
+    made["forcing"] = 2.0 * made["omega"]
+    made.attrs |= {"curve": "period_doubling", "second": "forcing"}
+    made.isel(branch=0, drop=True).gapsweep.branches(ax=ax)
+    assert ax.get_ylabel().startswith("forcing amplitude")
+    assert marks(ax) == {"CP cusp": [12.0]}
+    told = [text.get_text() for text in ax.get_legend().get_texts()]
+    assert told == ["PD period doubling", "CP cusp"]
+
+
+def test_attractors_on_no_branch_are_counted(branched):
+    here = xr.Dataset(coords={"representation": "piecewise"})
+    found = branched.assign_coords(representation=("branch", ["piecewise"] * 2)).assign(
+        attractor_on_branch=("attractor", [0, -1, -1])
+    )
+    found.attrs["initial_conditions"] = "states [[0.0, 0.0]] at omega = [5.0]"
+    assert "2 of 3 periodic attractors lie on no branch" in caption(found, here, "omega")
+    assert "3 periodic, 2 of them on no branch" in repr(found.gapsweep)
+    assert "[[0.0, 0.0]]" in repr(found.gapsweep)
+    labels = ["piecewise", "piecewise", "tanh-1e4"]
+    found = found.assign_coords(attractor_representation=("attractor", labels))
+    assert "1 of 2 periodic attractors" in caption(found, here, "omega")
 
 
 def test_symbols_that_would_overlap_are_left_out(ax):

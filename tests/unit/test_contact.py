@@ -159,6 +159,53 @@ def test_user_law_is_evaluated_and_differentiated():
     assert_allclose(law.derivative(np.array([[1e-3]])), [[1e3]], rtol=1e-6)
 
 
+def hertz(x: float, n: float) -> float:
+    depth = abs(x) - 0.4e-3
+    return 0.0 if depth <= 0.0 else math.copysign(1e6 * depth**n, x)
+
+
+def test_a_user_law_takes_named_numbers():
+    law = gs.law(hertz, SOFT, SYMMETRIC, n=1.5)
+    assert_allclose(law.force([1.4e-3, -1.4e-3, 0.0]), [10.0**1.5, -(10.0**1.5), 0.0], rtol=1e-9)
+    assert law == gs.law(hertz, SOFT, SYMMETRIC, n=1.5) != gs.law(hertz, SOFT, SYMMETRIC, n=1.4)
+
+
+JUMPS = {
+    "a relay at 0": (lambda x: 5.0 * np.sign(x) + 1e4 * x, 0.0, 5.0),
+    "a relay beyond a wall": (lambda x: 5.0 * (x > 0.4e-3) + 1e4 * x, 0.4e-3, 5.0),
+    "a relay on a wall": (lambda x: 5.0 * (x <= -0.4e-3) + 1e4 * x, -0.4e-3, 5.0),
+    "in the gap": (lambda x: 0.25 * (x > 1.2345e-4), 1.2345e-4, 0.25),
+}
+
+
+@pytest.mark.parametrize("name", JUMPS)
+def test_a_jump_of_the_force_is_refused_by_its_place_and_size(name):
+    force, place, size = JUMPS[name]
+    with pytest.raises(gs.ModelError, match="jumps by") as refused:
+        gs.law(force, SOFT, SYMMETRIC)
+    words = str(refused.value).split()
+    assert_allclose(float(words[words.index("by") + 1]), size, rtol=1e-2)
+    assert_allclose(float(words[words.index("=") + 1]), place, atol=1e-12)
+
+
+@pytest.mark.parametrize("gap", [SYMMETRIC, gs.Gap(0.0, 0.0), gs.Gap(1e-9, 1.0)])
+@pytest.mark.parametrize(
+    "force",
+    [
+        lambda x: math.tanh(1e12 * (x - 0.4e-3)),
+        lambda x: 5.0 * min(max(x / 1e-15, -1.0), 1.0),
+        lambda x: math.copysign(abs(x) ** 0.1, x),
+        lambda x: 1e18 * x**3,
+        lambda x: 1e-6 / (5.1e-6 - x) - 1e-6 / 5.1e-6,
+        lambda x: 1e3 * x * (1.0 - 0.1 / math.hypot(0.1, x)),
+        lambda x: 1e6 * max(x - 0.4e-3, 0.0) ** 1.5,
+        lambda x: 0.0,
+    ],
+)
+def test_a_steep_continuous_force_is_taken(force, gap):
+    assert gs.law(force, SOFT, gap).force(0.0) == force(0.0)
+
+
 @pytest.mark.parametrize(
     ("build", "message"),
     [
@@ -181,6 +228,20 @@ def test_user_law_is_evaluated_and_differentiated():
         (lambda: gs.law(lambda x: 1 / x, SOFT, SYMMETRIC), r"raised ZeroDivisionError"),
         (lambda: gs.law(lambda x: "12", SOFT, SYMMETRIC), r"must return a number, not '12'"),
         (lambda: gs.law(lambda x: x > 1.0, SOFT, SYMMETRIC), r"must return a number, not False"),
+        (lambda: gs.law(lambda x, v: x, SOFT, SYMMETRIC), r"\(x, v\).*loses energy"),
+        (lambda: gs.law(lambda x, v=0.0: x, SOFT, SYMMETRIC), r"\(x, v\).*loses energy"),
+        (lambda: gs.law(lambda x, *, v: x, SOFT, SYMMETRIC), r"\(x, v\).*loses energy"),
+        (lambda: gs.law(soft_spring, SOFT, SYMMETRIC, damping=2.0), r"damping.*loses energy"),
+        (lambda: gs.Piecewise(SOFT, SYMMETRIC, damping=2.0), r"'damping'.*loses energy"),
+        (lambda: gs.Tanh(SOFT, SYMMETRIC, 1e4, restitution=0.3), r"'restitution'.*loses energy"),
+        (lambda: gs.law(hertz, SOFT, SYMMETRIC, n="1.5"), r"n = '1.5': must be a number"),
+        (lambda: gs.law(hertz, SOFT, SYMMETRIC, m=1.5), r"\(x, n\) with \{'m': 1.5\}.*n=1.5"),
+        (
+            lambda: gs.law(
+                lambda x, a, b, c, d, e: x, SOFT, SYMMETRIC, **dict.fromkeys("abcde", 1)
+            ),
+            r"up to 4 numbers",
+        ),
     ],
 )
 def test_bad_parameters_are_refused_by_name(build, message):

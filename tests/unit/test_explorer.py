@@ -4,12 +4,14 @@ import asyncio
 import gc
 import json
 import re
+import stat
 import subprocess
 import sys
 import threading
 import tomllib
 import urllib.request
 from dataclasses import replace
+from pathlib import Path
 from urllib.parse import urljoin, urlsplit
 
 import numpy as np
@@ -340,9 +342,9 @@ def test_motions_of_micrometres_are_as_good_as_those_of_millimetres():
     assert np.quantile(apart, 0.9) < 1e-4
 
 
-@pytest.mark.parametrize("port", [-1, 65536, 70000])
+@pytest.mark.parametrize("port", [-1, 65536, 70000, "x", None])
 def test_a_port_that_is_none_is_refused(port):
-    with pytest.raises(GapsweepError, match=rf"port {port}: must be 0 to 65535"):
+    with pytest.raises(GapsweepError, match=rf"port = {port!r}: must be .* 0\.\.65535"):
         gs.explore(port=port)
 
 
@@ -540,10 +542,11 @@ def test_another_site_cannot_talk_to_the_page():
         page.stop()
 
 
-@pytest.mark.parametrize("path", ["/", "/ws", "/static/js/bokeh.min.js", "/guessed/ws"])
+@pytest.mark.parametrize("path", ["/", "/ws", "/static/js/bokeh.min.js", "/guessed/ws", "known"])
 def test_a_site_that_takes_the_name_of_this_machine_does_not_know_the_path(path):
     """DNS rebinding: its pages reach the port, with a host and an origin that agree."""
     page = gs.explore(approximations=())
+    path = urlsplit(page.url).path if path == "known" else path
     port = urlsplit(page.url).port
     headers = {"Host": f"rebound.example:{port}", "Origin": f"http://rebound.example:{port}"}
 
@@ -560,6 +563,24 @@ def test_a_site_that_takes_the_name_of_this_machine_does_not_know_the_path(path)
         urllib.request.urlopen(urljoin(page.url, script.decode()), timeout=SOON).close()
     finally:
         page.stop()
+
+
+def test_the_command_line_of_a_browser_does_not_hold_the_path(monkeypatch, capsys):
+    launched = []
+
+    def launch(address):
+        file = Path(urlsplit(address).path)
+        modes = [stat.S_IMODE(file.parent.stat().st_mode), file.read_text()]
+        launched.extend([address, *modes])
+
+    monkeypatch.setattr("click.launch", launch)
+    monkeypatch.setattr("gapsweep.explorer.server.Explorer.wait", lambda page: page.stop())
+    assert exit_code(["explore"]) == 0
+    url = capsys.readouterr().out.split()[0]
+    address, mode, text = launched
+    assert url in text
+    assert urlsplit(url).path not in address
+    assert mode == 0o700
 
 
 def test_a_wrong_path_is_a_line_not_a_traceback(tmp_path, capsys):

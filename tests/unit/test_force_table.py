@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 from scipy.integrate import solve_ivp
 from scipy.interpolate import PchipInterpolator
+from tests.machine import PAPER
 
 import gapsweep as gs
 from gapsweep.analysis.bench.references import motion
@@ -291,15 +292,17 @@ def test_a_label_names_a_table_of_a_module(bench):
         (1.0, [4e-4, 4e-4], False),
         (1e3, [4e-4, 4e-4], True),  # the table in mm
         (1.0, [0.4, 0.4], True),  # the gap in mm
-        (1e3, [4e-4, 1.0], False),  # a wall that is out of reach
-        (1e3, [0.0, 0.0], False),
+        (1.0, [4e-4, 1.0], False),  # a wall that is out of reach
+        (1e3, [0.0, 0.0], True),
     ],
 )
 def test_a_table_in_another_unit_than_the_gap_is_warned_of(tables, bench, factor, gap, is_odd):
     np.savetxt(bench, np.transpose([np.multiply(X, factor), F]), delimiter=",")
     tables["sweep"][0] |= {"representation": ["bench_spring:spring"], "gap": gap}
     study = gs.Study.from_dict(tables)
-    warned = pytest.warns(UserWarning, match="bench_spring:spring") if is_odd else nullcontext()
+    nearest = 0.4 if factor == 1.0 else 1e3 * min(abs(x) for x in X if x)
+    said = f"gap = {nearest:g} m: "
+    warned = pytest.warns(UserWarning, match=said) if is_odd else nullcontext()
     with warned:
         plan(study)
 
@@ -309,7 +312,7 @@ def test_noise_in_the_gap_is_warned_of(tables, bench):
     forces = np.interp(x, X, F) + 0.2 * np.cos(2.0 * np.arange(41))
     np.savetxt(bench, np.transpose([x, forces]), delimiter=",")
     tables["sweep"][0] |= {"representation": ["bench_spring:spring"]}
-    with pytest.warns(UserWarning, match=r"bench_spring:spring: .* noise"):
+    with pytest.warns(UserWarning, match="measurement noise"):
         plan(gs.Study.from_dict(tables))
 
 
@@ -325,10 +328,86 @@ def test_a_study_of_tables_needs_no_walls(tables, bench):
         gs.Study.from_dict(tables)
 
 
+def test_contacts_of_a_system_that_are_tables_need_no_walls(tables, bench):
+    block = tables["sweep"][0] | {"representation": ["bench_spring:spring"], "omega": [9.0]}
+    del block["K_c"], block["gap"]
+    tables["system"] = {
+        "mass": [[3.0, 0.0], [0.0, 1.0]], "stiffness": [[3e3, 0.0], [0.0, 1e3]],
+        "contacts": {"a": [1.0, 0.0], "b": [1.0, -1.0]}, "forcing": [{"amplitude": [1.0, 0.0]}],
+    }  # fmt: skip
+    del tables["oscillator"]
+    study = gs.Study.from_dict(tables | {"sweep": [block]})
+    ((_, points),) = study.points(np.arange(study.grid.requested.size))
+    numbers = dict(zip(points.kind.numbers, points.numbers[0].tolist(), strict=True))
+    assert [numbers[name] for name in numbers if "K_c" in name] == [0.0, 0.0]
+    law = study.law("bench_spring:spring", 0.0, gs.Gap(0.0, 0.0))
+    assert law == gs.ForceTable(X, F)
+    tables["contact"] = {"b": {"representation": "piecewise"}}
+    with pytest.raises(gs.StudyError, match=r"K_c: missing.*contact 'b' needs"):
+        gs.Study.from_dict(tables | {"sweep": [block]})
+
+
+CSV = {
+    "commas and a head": "x,F\n{}",
+    "blanks": "# measured\n\n{}",
+    "semicolons": "x [mm]; F [kN]\n{}\n",
+}
+
+
+@pytest.mark.parametrize("name", CSV)
+def test_a_file_is_a_table_in_its_units(name, tmp_path):
+    between = {"commas and a head": ",", "blanks": "  ", "semicolons": "; "}[name]
+    rows = [f"{1e3 * x!r}{between}{1e-3 * f!r}{between}7" for x, f in zip(X, F, strict=True)]
+    (tmp_path / "stop.csv").write_text(CSV[name].format("\n".join(rows)))
+    found = gs.ForceTable.from_csv(tmp_path / "stop.csv", x="mm", force="kN", gap=GAP)
+    assert_allclose([found.x, found.F], [X, F], rtol=1e-12)
+    assert found.gap == GAP
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("x,F\n1,2\n3,a\n", "line 3: 3,a: must be two numbers"),
+        ("0,1\n\n2\n", "line 3: 2: must be two numbers"),
+        ("x,F\n", "no line of two numbers"),
+        ("1,1\n2,2\n", "must hold 0"),
+        (None, "cannot be read"),
+    ],
+)
+def test_a_file_that_is_no_table_is_refused(text, said, tmp_path):
+    path = tmp_path / "stop.csv"
+    if text is not None:
+        path.write_text(text)
+    with pytest.raises(gs.ModelError, match=said):
+        gs.ForceTable.from_csv(path)
+
+
+def test_a_file_in_place_of_points_names_the_way_to_read_it(tmp_path):
+    with pytest.raises(gs.ModelError, match=r"write .*gs\.ForceTable\.from_csv\('stop.csv'"):
+        gs.ForceTable("stop.csv")
+    with pytest.raises(gs.ModelError, match="x = 'cm': must be a unit: m, mm"):
+        gs.ForceTable.from_csv("stop.csv", x="cm")
+
+
+def test_a_label_names_a_file_and_the_unit_of_its_displacements(tables, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    rows = [f"{1e3 * x!r}, {f!r}" for x, f in zip(X, F, strict=True)]
+    (tmp_path / "stop.csv").write_text("\n".join(rows))
+    block = {"representation": "stop.csv:mm", "omega": [12.0]}
+    study = gs.Study.from_dict(tables | {"sweep": [block]})
+    law = study.law("stop.csv:mm", 0.0, gs.Gap(0.0, 0.0))
+    assert_allclose([law.x, law.F], [X, F], rtol=1e-12)
+    ((_, points),) = study.points(np.arange(1))
+    assert points.kind.law_code == study.own_law("stop.csv:mm").key
+    wrong = gs.Study.from_dict(tables | {"sweep": [block | {"representation": "stop.csv:cm"}]})
+    with pytest.raises(gs.ModelError, match="must be a unit"):
+        wrong.points(np.arange(1))
+
+
 @pytest.mark.parametrize("engine", ["compiled", "scipy"])
 def test_a_study_of_a_table_has_the_numbers_of_respond(client, tables, bench, tmp_path, engine):
     tables["sweep"][0] |= {"representation": ["bench_spring:spring"], "omega": [12.0, 20.0]}
-    tables["oscillator"], tables["solver"] = {"zeta": 0.3}, {"engine": engine}
+    tables["oscillator"], tables["solver"] = PAPER | {"zeta": 0.3}, {"engine": engine}
     study, steady = gs.Study.from_dict(tables), gs.Steady(**tables["steady"])
 
     def asked():

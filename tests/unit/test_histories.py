@@ -135,7 +135,7 @@ def test_protocol_of_a_label_is_used():
 
 
 def test_failures_are_statuses():
-    runs_away = {"alpha": -7e9, "forcing": 4e3}
+    runs_away = PAPER | {"alpha": -7e9, "forcing": 4e3}
     table = SCENE | {"t_end": 1.0, "representation": ["no_such_module:spring", "piecewise"]}
     found = histories(study_of(table, oscillator=runs_away)).isel(history=0)
     assert_array_equal(found["status"], [Status.MODEL_INVALID, Status.DIVERGED])

@@ -111,6 +111,21 @@ def test_a_dataset_holds_its_values_unless_it_is_lazy(tmp_path):
     assert not any(file.path == str(path) for file in psutil.Process().open_files())
 
 
+def test_chunks_are_those_of_dask(tmp_path):
+    path = tmp_path / "small.nc"
+    netcdf.write(small(), path, {})
+    with gs.open(path, chunks={}) as lazy, gs.open(path, chunks={"t": 3}) as whole:
+        assert lazy["x"].chunks is not None
+        assert whole["x"].chunks == ((3,),)
+        xr.testing.assert_identical(lazy.compute(), gs.open(path))
+
+
+@pytest.mark.parametrize("wrong", [None, 3, []])
+def test_what_is_no_path_is_refused(wrong):
+    with pytest.raises(gs.StoreError, match=r"^path = .*: must be a path, as 'data"):
+        gs.open(wrong)
+
+
 def test_texts_are_characters_and_come_back_as_texts(tmp_path):
     texts = np.array([["", "tanh-1e4"], ["größer", "a"]])
     with netcdf.writing(tmp_path / "texts.nc", {}) as dataset:

@@ -29,6 +29,7 @@ law = gs.Piecewise(1.4e4, gs.Gap(4e-4, 4e-4))
 assert gs.respond(gs.systems.paper_oscillator(), law, omega=9.0).status.label == "ok"
 block = {"representation": ["piecewise", "tanh-1e4@tight"], "K_c": 1.4e4, "gap": [4e-4, 4e-4]}
 tables = {"study": {"name": "small"}, "protocol": {"tight": {"rtol": 1e-10}}}
+tables["oscillator"] = {"mass": 3.0, "omega_n": 5.0, "zeta": 0.03, "forcing": 4.0, "alpha": 7e8}
 tables["sweep"] = [block | {"omega": [8.0, 9.0]}]
 if __name__ == "__main__":
     with gs.run(gs.Study.from_dict(tables), out="run", cache="points", workers=1) as ds:

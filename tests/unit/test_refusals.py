@@ -11,6 +11,11 @@ import gapsweep as gs
 from gapsweep.model.systems import paper_oscillator
 
 GAP = gs.Gap(4e-4, 4e-4)
+TABLES = {
+    "study": {"name": "small"},
+    "oscillator": {"mass": 3.0, "omega_n": 5.0, "zeta": 0.03, "forcing": 4.0},
+    "sweep": [{"representation": "piecewise", "K_c": 1e4, "gap": [4e-4, 4e-4], "omega": 9.0}],
+}
 OSCILLATOR, LAW = paper_oscillator(), gs.Piecewise(1.4e4, GAP)
 
 
@@ -26,7 +31,7 @@ def answered(**changes):
 
 REFUSED = {
     "no frequency": (lambda: simulated(omega=[]), r"omega = \[\]: .* at least one"),
-    "None for a frequency": (lambda: simulated(omega=None), "omega = None: must be a number"),
+    "None for a frequency": (lambda: simulated(omega=None), "omega: missing; write omega = 9"),
     "None for a start": (lambda: simulated(x_0=None), "x_0 = None: must be a number"),
     "no law": (lambda: simulated(law=None), r"law = None: .* gapsweep\.contact_law\("),
     "law by its label": (lambda: simulated(law="tanh-1e4"), r"'tanh-1e4': .*contact_law\("),
@@ -59,6 +64,10 @@ REFUSED = {
     ),
     "gap with one wall": (lambda: gs.Gap(1e-4), r"Gap: .*j_2.*gs\.Gap\("),
     "oscillator by position": (lambda: gs.Oscillator(0.02, 20), r"zeta, omega_n, .*mass=3"),
+    "free motion without a frequency": (
+        lambda: gs.simulate(gs.Oscillator(**MACHINE | {"forcing": 0.0}), LAW, x_0=1e-3, t_end=1.0),
+        r"omega: missing; .*gs\.System",
+    ),
     "number left out": (
         lambda: gs.Oscillator(mass=1.0, omega_n=2.0, zeta=0.1),
         r"'forcing'.*write gs.Oscillator\(mass=3.0, omega_n=5.0, zeta=0.03, forcing=4.0\)",
@@ -133,6 +142,7 @@ def test_one_line_names_the_value_and_the_remedy(name):
     ids=["light", "damped", "slow"],
 )
 @pytest.mark.parametrize("label", ["piecewise", "tanh-1e50", "logarctan-1e50"])
+@pytest.mark.filterwarnings("ignore:(zeta|omega) = :UserWarning")  # no machine is there
 def test_what_is_accepted_overflows_nowhere(label, oscillator):
     # Warnings are errors here. The motion may fail: that is a status.
     law = gs.contact_law(label, 1e50, gs.Gap(1e-50, 1.0))
@@ -147,3 +157,146 @@ def test_reference_engine_that_cannot_take_a_step_says_so(K_c):
     assert run.status is gs.Status.STEP_UNDERFLOW
     assert 0.0 < run.t_end < 0.1
     assert len(run.t_contacts) == run.n_contacts
+
+
+CALLED = {
+    "workers": [-1, 0, "2", 1.5, True, None, 10**6],
+    "batch": [0, -5, "a"],
+    "timeout": [0, -1.0, float("nan"), "a", None],
+    "out": ["n" * 400, "a\0b", 3],
+    "cache": ["n" * 400, "a\0b", 3],
+}
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [(name, value) for name, values in CALLED.items() for value in values],
+    ids=lambda value: f"{value!r:.10}",
+)
+def test_arguments_of_a_run_are_refused_before_anything_starts(tmp_path, monkeypatch, name, value):
+    monkeypatch.chdir(tmp_path)
+    calls = [gs.run, *([gs.query] * (name in ("workers", "cache")))]
+    calls += [gs.plan] * (name in ("timeout", "cache"))
+    for call in calls:
+        with pytest.raises(gs.GapsweepError, match=f"^{name} = .*: must be ") as refused:
+            call(gs.Study.from_dict(TABLES), **{name: value})
+        assert "\n" not in str(refused.value)
+        assert len(str(refused.value)) < 300
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_refusal_of_many_blocks_is_short():
+    many = {**TABLES, "sweep": [{"representation": "piecewise"}] * 2000}
+    with pytest.raises(gs.StudyError, match=r"and 5900 more problems$") as refused:
+        gs.Study.from_dict(many)  # K_c, gap and omega are missing
+    assert len(refused.value.problems) == 101
+
+
+def test_lists_without_an_end_are_refused_at_once():
+    block = TABLES["sweep"][0]
+    many = np.broadcast_to(9.0, 10**7 + 1)
+    with pytest.raises(gs.StudyError, match="10000001 values: must have <= 10000000"):
+        gs.Study.from_dict({**TABLES, "sweep": [{**block, "omega": many}]})
+    itself = []
+    itself.append(itself)
+    with pytest.raises(gs.StudyError, match="must not contain itself"):
+        gs.Study.from_dict({**TABLES, "sweep": [{**block, "omega": itself}]})
+
+
+MACHINE = {"mass": 3.0, "omega_n": 5.0, "zeta": 0.03, "forcing": 4.0}
+BLOCK = {"representation": "piecewise", "K_c": 1.4e4, "gap": [4e-4, 4e-4], "omega": 9.0}
+NAN, INF = float("nan"), float("inf")
+
+
+def machine(**changes):
+    return lambda: gs.Oscillator(**_with(MACHINE, changes)), {"oscillator": changes}
+
+
+def contact(label="piecewise", K_c=1.4e4, gap=(4e-4, 4e-4), **more):
+    def law():
+        return gs.contact_law(label, K_c, gs.Gap(*gap), **more)
+
+    block = {"representation": label, "K_c": K_c, "gap": list(gap), **more}
+    return law, {"sweep": block}
+
+
+def frequency(omega):
+    return lambda: answered(omega=omega), {"sweep": {"omega": omega}}
+
+
+def start(x, v=0.0):
+    return lambda: answered(x_0=x, v_0=v), {"sweep": {"initial_condition": [[x, v]]}}
+
+
+def settings(**changes):
+    return lambda: answered(**changes), {"solver": changes}
+
+
+def steady(**changes):
+    return lambda: gs.Steady(**changes), {"steady": changes}
+
+
+# From a call and the tables of a study with one mistake to the words that both must have.
+BOTH = {
+    "negative zeta": (*machine(zeta=-1.0), "must be >= 0"),
+    "zeta in words": (*machine(zeta="3 %"), "zeta = '3 %': must be a number"),
+    "zeta nan": (*machine(zeta=NAN), "zeta = nan: must be finite"),
+    "no zeta": (*machine(zeta=None), "missing"),
+    "zero mass": (*machine(mass=0.0), "must be > 0"),
+    "mass in words": (*machine(mass="3 kg"), "mass = '3 kg': must be a number"),
+    "truth for a mass": (*machine(mass=True), "mass = True: must be a number"),
+    "no mass": (*machine(mass=None), "missing"),
+    "huge mass": (*machine(mass=1e80), "mass = 1e+80: must be within -1e+50..1e+50"),
+    "negative omega_n": (*machine(omega_n=-5.0), "must be >= 0"),
+    "no omega_n": (*machine(omega_n=None), "missing"),
+    "infinite forcing": (*machine(forcing=INF), "forcing = inf: must be finite"),
+    "no forcing": (*machine(forcing=None), "missing"),
+    "misspelt omega_n": (*machine(omegan=5.0), "omega_n"),
+    "huge alpha": (*machine(alpha=1e80), "alpha = 1e+80: must be within -1e+50..1e+50"),
+    "negative c": (*machine(c=-1.0), "must be >= 0"),
+    "load in words": (*machine(mean_load="2 N"), "mean_load = '2 N': must be a number"),
+    "negative K_c": (*contact(K_c=-1.0), "must be >= 0"),
+    "K_c in words": (*contact(K_c="14 kN/m"), " = '14 kN/m': must be a number"),
+    "infinite K_c": (*contact(K_c=INF), " = inf: must be finite"),
+    "negative ratio": (*contact(K_ratio=-1.0), "must be >= 0"),
+    "negative gap": (*contact(gap=(-4e-4, 4e-4)), " = -0.0004: must be >= 0"),
+    "infinite gap": (*contact(gap=(4e-4, INF)), " = inf: must be finite"),
+    "unknown law": (
+        *contact("tan-1e4"),
+        "unknown representation 'tan-1e4': did you mean tanh-1e4?",
+    ),
+    "law of no sharpness": (*contact("tanh"), "'tanh': must be tanh and its convergence parameter"),
+    "sharpness 0": (*contact("tanh-0"), "'tanh-0': the convergence parameter must be > 0"),
+    "high degree": (*contact("poly-99"), "degree '99' must be a whole number in 1..60"),
+    "frequency 0": (*frequency(0.0), "must be > 0"),
+    "negative frequency": (*frequency(-9.0), "must be > 0"),
+    "frequency in words": (*frequency("9 Hz"), " = '9 Hz': must be a number"),
+    "frequency nan": (*frequency(NAN), " = nan: must be finite"),
+    "no frequency": (*frequency(None), "omega: missing; write omega = "),
+    "infinite start": (*start(INF), " = inf: must be finite"),
+    "start in words": (*start("1 mm"), " = '1 mm': must be a number"),
+    "loose rtol": (*settings(rtol=1.0), "must be <= 0.1"),
+    "rtol 0": (*settings(rtol=0.0), "must be >= 1e-13"),
+    "negative atol": (*settings(atol=-1.0), "must be > 0"),
+    "settle_tol": (*steady(settle_tol=2.0), "must be <= 0.1"),
+}
+
+
+def _with(table, changes):
+    return {k: v for k, v in (table | changes).items() if v is not None}
+
+
+@pytest.mark.parametrize("name", BOTH)
+def test_a_call_and_a_study_refuse_in_the_same_words(name):
+    call, changes, words = BOTH[name]
+    ((table, changed),) = changes.items()
+    tables = {"study": {"name": "s"}, "oscillator": MACHINE, "sweep": BLOCK}
+    tables |= {table: _with(tables.get(table, {}), changed)}
+    tables["sweep"] = [tables["sweep"]]
+    with pytest.raises(gs.ModelError) as called:
+        call()
+    with pytest.raises(gs.StudyError) as studied:
+        gs.Study.from_dict(tables)
+    (line,) = str(studied.value).splitlines()
+    assert words in str(called.value)
+    assert words in line

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 import xarray as xr
 from matplotlib.figure import Figure
+from tests.machine import PAPER
 from tests.made import branches, chaotic, datasets, datasets_by_place, failed, periodic, tables
 from tests.unit.test_system_tables import TWO_MASSES
 
@@ -138,8 +139,21 @@ def test_several_attractors_are_told(tmp_path):
 
     responses, attractors = datasets(tmp_path, tables(LABELS, OMEGA, starts=2, **HALF), answer)
     said = findings(Inputs(responses, None, attractors=attractors), [])
-    assert len(said) == 2
-    assert re.findall("[0-9]+", said[1]) == ["2", "4", "2"]
+    assert len(said) == 3
+    assert re.findall("[0-9]+", said[2]) == ["2", "4", "2"]
+
+
+@pytest.mark.parametrize(
+    ("starts", "sweeps", "n"),
+    [(1, (), "1"), (3, ("sweep_up",), "4"), (0, ("sweep_up", "sweep_down"), "2")],
+)
+def test_initial_conditions_that_were_tried_are_counted(tmp_path, starts, sweeps, n):
+    study = tables(LABELS, OMEGA, starts=max(starts, 1), sweeps=sweeps, **HALF)
+    study["sweep"] = study["sweep"][1:] if starts == 0 else study["sweep"]
+    responses, _ = datasets(tmp_path, study, lambda label, w, start: periodic([(1e-3, 0.0)], w))
+    tried = findings(Inputs(responses, None), [])[1]
+    assert re.findall("[0-9]+", tried.split(";")[0]) == [n]
+    assert ("coexisting" in tried) == (starts == 0)
 
 
 @pytest.mark.parametrize(("starts", "some"), [(1, ""), (2, " from some initial conditions")])
@@ -155,7 +169,7 @@ def test_where_a_curve_is_chaotic_is_told(tmp_path, starts, some):
         responses, _ = datasets(
             tmp_path / str(len(omega)), tables(LABELS, omega, starts=starts, **HALF), answer
         )
-        return findings(Inputs(responses, None), [])[1:]
+        return findings(Inputs(responses, None), [])[2:]
 
     assert said(omega) == [
         f"piecewise is chaotic{some} at omega [Hz] 0.5, 1.5 to 2, 4 to 5 and 2 more."
@@ -177,7 +191,7 @@ def test_agreement_of_systems_is_of_what_is_compared(tmp_path):
 def test_what_approximations_keep_of_systems_is_told(tmp_path):
     responses, compared = made(tmp_path, {**EQUAL, "poly-13": 1.3})
     # These are of an oscillator, whose approximations are judged instead.
-    assert len(findings(Inputs(responses, None, compared), [])) == 1
+    assert len(findings(Inputs(responses, None, compared), [])) == 2
     *_, tanh, poly = findings(Inputs(in_own_units(responses), None, compared), [])
     kept = "keeps 95 % of the amplitudes within"
     assert tanh == f"tanh-1e4 {kept} 2 % of the exact law's and finds 100 % of its attractors."
@@ -496,7 +510,7 @@ def test_a_contact_of_its_own_numbers_is_told():
 
 def test_the_model_is_told_with_the_numbers_that_a_run_used(tmp_path):
     study = tables(("piecewise", "piecewise@half", "tanh-1e4", "tanh-1e6"), OMEGA, **HALF)
-    study["oscillator"] = {"zeta": 0.07}
+    study["oscillator"] = PAPER | {"zeta": 0.07}
     study["sweep"][0] |= {"forcing": [1.5, 2.5], "K_ratio": [0.5], "K_c": [2e4]}
     responses, _ = datasets(tmp_path, study, lambda *_: periodic([(1e-3, 0.0)], 1.0))
     told = dict(model(responses))

@@ -1,7 +1,9 @@
 """Steady responses: closed forms, energy balance, period multiples, outcomes."""
 
 import math
+import time
 from dataclasses import fields, replace
+from functools import partial
 from types import SimpleNamespace
 
 import numpy as np
@@ -24,6 +26,44 @@ from gapsweep.status import Status
 
 SYMMETRIC, ASYMMETRIC = gs.Gap(0.4e-3, 0.4e-3), gs.Gap(0.0, 0.8e-3)
 TIGHT = {"engine": "scipy", "rtol": 1e-8, "atol": 1e-12}
+
+
+def test_a_time_limit_ends_motions_and_says_so():
+    o = gs.Oscillator(zeta=1e-7, omega_n=1.0, mass=1.0, alpha=0.3, forcing=0.1)
+    law, begin = gs.Piecewise(10.0, gs.Gap(0.1, 0.1)), time.monotonic()
+    found = gs.respond(o, law, [0.1, 1.0, 3.7], 0.5, time_limit=0.3)
+    assert time.monotonic() - begin < 60.0
+    assert Status.TIMED_OUT in {*found.status}
+    assert all("timed_out" in text for text in found.message[found.status == Status.TIMED_OUT])
+    n_periods = [3, 10**8, 10**8]
+    runs = gs.simulate(o, law, 1.0, 0.5, n_periods=n_periods, time_limit=0.3)
+    assert [*runs.status] == [Status.OK, Status.TIMED_OUT, Status.TIMED_OUT]
+    whole = gs.simulate(o, law, 1.0, 0.5, n_periods=3)
+    assert (runs.x_end[0], runs.v_end[0]) == (whole.x_end, whole.v_end)
+    assert gs.respond(gs.systems.paper_oscillator(), law, 9.0).status is Status.OK, (
+        "the limit is of one call"
+    )
+
+
+def test_autonomous_motions_that_are_not_begun_in_time_have_timed_out():
+    springs = [gs.Cubic(along=[1.0], alpha=1.0)]
+    matrices = {"mass": [[1.0]], "stiffness": [[1.0]], "damping": [[-1e-5]]}
+    system = gs.System(**matrices, contacts={"a": [1.0]}, cubic=springs)
+    starts = np.linspace(0.1, 1.0, 200)[:, None]
+    found = gs.respond(system, gs.Piecewise(1.0, gs.Gap(0.1, 0.1)), q_0=starts, time_limit=1e-3)
+    assert {*found.status} == {Status.TIMED_OUT}
+
+
+@pytest.mark.parametrize("time_limit", [0.0, -1.0, math.nan, "1"])
+def test_a_time_limit_is_a_time(time_limit):
+    for call in (gs.respond, partial(gs.simulate, t_end=1.0, dense_output=True)):
+        with pytest.raises(gs.ModelError, match="time_limit = "):
+            call(
+                gs.systems.paper_oscillator(),
+                gs.Piecewise(1.0, SYMMETRIC),
+                9.0,
+                time_limit=time_limit,
+            )
 
 
 def test_linear_oscillator_reaches_its_closed_form_amplitude():

@@ -143,3 +143,30 @@ def test_inputs_of_several_dimensions_are_points():
     assert dataset.sizes["point"] == 4
     assert dataset["x_max"].values.tolist() == found.x_max.ravel().tolist()
     assert gs.Response(status=gs.Status.OK)._repr_html_() is None
+
+
+def test_coordinates_align_with_those_of_a_study():
+    """Both are rounded to 12 digits, though a grid in a file has other last bits than linspace."""
+    starts = np.linspace(0.0, 1e-3, 5)
+    block = {"representation": "piecewise", "K_c": 1e4, "gap": [4e-4, 4e-4]}
+    block["omega"] = {"start": 5.0, "stop": 15.0, "num": 300}
+    block["initial_condition"] = [[x, 0.0] for x in starts.tolist()]
+    machine = {"mass": 3.0, "omega_n": 5.0, "zeta": 0.03, "forcing": 4.0}
+    tables = {"study": {"name": "grid"}, "oscillator": machine, "sweep": [block]}
+    study = gs.Study.from_dict(tables).grid.coordinates()
+    omega = 5.0 + np.arange(300) / 299 * 10.0
+    motions = gs.simulate(OSCILLATOR, LAW, omega[:, None], starts, t_end=1e-4).to_dataset()
+    assert motions["omega"].values.tolist() == study["omega"].tolist()
+    assert motions["x_0"].values.tolist() == study["x_0"].tolist()
+
+
+def test_an_array_says_how_many_motions_touch_a_wall():
+    """A linear oscillator whose amplitude p/k |H| passes the wall at resonance only."""
+    linear, omega = paper_oscillator(alpha=0.0, forcing=1.0), [0.5, 5.0, 20.0]
+    found = gs.respond(linear, gs.Piecewise(1.4e4, gs.Gap(2e-3, 2e-3)), omega)
+    spring, r = linear.mass * linear.omega_n_rad**2, np.array(omega) / linear.omega_n
+    free = 1.0 / spring / np.hypot(1.0 - r**2, 2.0 * linear.zeta * r)
+    n = np.count_nonzero(free > 2e-3)
+    assert n == 1
+    assert f"{n} touched a wall" in repr(found)
+    assert found.to_dataset().attrs["touched_a_wall"] == f"{n} of 3 motions"

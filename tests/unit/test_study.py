@@ -311,7 +311,7 @@ def test_all_problems_are_reported_at_once(tables):
         "solver.rtol = 1e-20: must be >= 1e-13",
         "sweep[0].representation[0] = 'tan-1e4': unknown representation",
         "sweep[0].K_c[0] = -1.0: must be >= 0",
-        "sweep[0].K_c[1] = nan: must be a finite number",
+        "sweep[0].K_c[1] = nan: must be finite",
         "sweep[0].gap[0][1] = -0.0004",
         "sweep[0].gap[1]",
         "sweep[0].omega[0] = 0.0: must be > 0",

@@ -1,5 +1,6 @@
 """A study's own code as a snapshot: what it holds, what its key tells apart, how it is executed."""
 
+import json
 import os
 import pickle
 import shutil
@@ -8,6 +9,7 @@ import sys
 import traceback
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import gapsweep as gs
@@ -243,6 +245,74 @@ def test_a_study_reads_a_law_once_and_a_new_run_reads_it_again(tables, tmp_path)
     assert not {*plan(again).keys.tolist()} & {*first}
     assert again.law("near:spring", 0.0, gs.Gap(0.0, 0.0)).force(1.0) == 3.0
     assert load(study.own_law("near:spring").source).CALLS[:1] == [0.0]
+
+
+HERTZ = """
+import math
+def depth(x):
+    return abs(x) - 0.4e-3
+def wall(x, n):
+    d = depth(x)
+    return 0.0 if d <= 0.0 else math.copysign(1e6 * d**n, x)
+def spring(x):
+    return 1e3 * x
+"""
+
+
+@pytest.fixture
+def hertz(tables, tmp_path):
+    """Tables of a study with a law whose exponent is swept, and where they are."""
+    (tmp_path / "hertz.py").write_text(HERTZ)
+    tables["sweep"][0] |= {"representation": ["hertz:wall", "piecewise", "hertz:spring"]}
+    tables["sweep"][0] |= {"n": [1.6, 1.4], "omega": [8.0, 12.0]}
+    return tables | {"parameters": {"n": 1.5}}, str(tmp_path / "study.toml")
+
+
+def keys_on_grid(study):
+    planned = plan(study)
+    keys = np.empty(study.grid.shape, planned.keys.dtype)
+    keys.flat[planned.cells] = planned.keys
+    return keys
+
+
+def test_parameters_of_a_law_are_an_axis_and_part_of_keys(hertz):
+    tables, source = hertz
+    study = gs.Study.from_dict(tables, source)
+    assert study.grid.axes["n"] == (1.4, 1.6)
+    assert gs.Study.from_dict(json.loads(study.json), source).json == study.json
+    keys = keys_on_grid(study)  # the last axes: omega, n, start
+    wall, exact, spring = (keys[i, 0, 0, :, :, 0] for i in range(3))
+    assert len({*wall.ravel().tolist()}) == 4
+    for other in (exact, spring):  # which do not depend on it
+        assert (other[:, 0] == other[:, 1]).all()
+    tables["sweep"][0]["n"] = [1.6, 1.5]
+    again = keys_on_grid(gs.Study.from_dict(tables, source))
+    assert (again[0, 0, 0, :, 1, 0] == wall[:, 1]).all()
+    assert not {*again[0, 0, 0, :, 0, 0].tolist()} & {*wall.ravel().tolist()}
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"parameters": {"n": 1.5, "m": 2.0}}, "parameters: m: must be arguments of hertz:wall"),
+        ({"parameters": {"n": 1.5, "mass": 2.0}}, "'mass' is a reserved name"),
+        ({"parameters": {"n": 1.5, "c": 2.0}}, "'c' is a reserved name"),
+        ({"parameters": {"n": 1.5, "a b": 2.0}}, "'a b': must be a name of letters"),
+        ({"parameters": {"n": "1.5"}}, r"parameters.n = '1.5': must be a number"),
+        ({"parameters": {}}, r"sweep\[0\].n = .*unknown key"),
+    ],
+)
+def test_parameters_that_no_law_takes_are_refused(hertz, change, message):
+    tables, source = hertz
+    with pytest.raises(gs.StudyError, match=message):
+        plan(gs.Study.from_dict(tables | change, source))
+
+
+def test_a_law_without_the_value_of_a_parameter_says_where_to_write_it(hertz):
+    tables, source = hertz
+    del tables["sweep"][0]["n"], tables["parameters"]
+    with pytest.raises(gs.ModelError, match=r"hertz:wall\(x, n\).*\[parameters\]"):
+        plan(gs.Study.from_dict(tables, source))
 
 
 def test_a_table_travels_as_its_numbers(tables, tmp_path):

@@ -1,23 +1,23 @@
 """Which cases of a study (stiffness, gap and further parameters) touch no wall."""
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
+from itertools import product
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from gapsweep.errors import ModelError
-from gapsweep.model.labels import EXACT
-from gapsweep.model.table import ForceTable
-from gapsweep.study.grid import START
+from gapsweep.model.contact import ContactLaw
+from gapsweep.model.doubts import doubts
+from gapsweep.model.labels import AUTO, EXACT, is_fitted, law_of
+from gapsweep.model.oscillator import Gap
+from gapsweep.study.grid import START, starts_of
 
 if TYPE_CHECKING:
     from gapsweep.study.study import Study
 
 _IN_CASE = ("representation", "omega", START)  # all other dimensions are of cases
-_FAST, _SOFT = 30.0, 1e-3  # times the natural frequency, and the stiffness of the spring
-_FAR = 10.0  # times the amplitude of the linear resonance
-_NAMES = ("zeta", "omega_n", "mass", "forcing", "mean_load", "omega", "K_c", "wall")
 _SAMPLED = 16  # every so many points of a study show for most cases that a wall may be reached
 
 
@@ -68,67 +68,39 @@ def bounded(study: "Study") -> str:
     return never_reached(values.__getitem__, grid.dims, [EXACT])
 
 
-def doubtful_numbers(values: Mapping[str, Any]) -> Iterator[str]:
-    """Warnings of numbers of a study that are probably in another unit.
+def doubts_of(study: "Study", far: str = "", own: bool = True) -> list[str]:
+    """Warnings of numbers of a study that are probably in another unit: the rules of calls.
 
-    Parameters
-    ----------
-    values : mapping of str to number or array
-        Parameters of the oscillator, and `omega`, `K_c` and `wall` (distances of the nearer walls
-        [m]), where a study has them.
+    A sentence `far` on walls out of reach replaces that on the gap. Without `own` no code of the
+    user is run: systems of functions have no warnings, force tables count as exact laws.
     """
-    numbers = {name: np.asarray(values[name], float) for name in _NAMES if name in values}
-    largest = {name: float(each.max()) for name, each in numbers.items() if each.size}
-    least = {name: float(each.min()) for name, each in numbers.items() if each.size}
-    if largest["zeta"] >= 1.0:
-        yield (
-            f"zeta = {largest['zeta']:g}: the oscillator is overdamped; zeta is a ratio, and 0.02 "
-            "is 2 %"
-        )
-    natural = largest["omega_n"]
-    if natural and largest.get("omega", 0.0) > _FAST * natural:
-        yield (
-            f"omega = {largest['omega']:g} Hz: more than {_FAST:g} times the natural frequency "
-            f"omega_n = {natural:g} Hz; frequencies are in hertz, not in rad/s"
-        )
-    spring = least["mass"] * (2.0 * np.pi * least["omega_n"]) ** 2
-    if 0.0 < largest.get("K_c", 0.0) < _SOFT * spring:
-        yield (
-            f"K_c = {largest['K_c']:g} N/m: less than {_SOFT:g} of the spring's stiffness "
-            f"m (2π omega_n)² = {spring:.3g} N/m; K_c is in N/m"
-        )
-    if spring and least["zeta"] and "wall" in least:
-        load = largest["forcing"] / (2.0 * least["zeta"]) + abs(largest["mean_load"])
-        if 0.0 < _FAR * load / spring < least["wall"]:
-            yield (
-                f"gap = {least['wall']:g} m: more than {_FAR:g} times the amplitude of the linear "
-                f"resonance, {load / spring:.2g} m; gaps are in metres"
-            )
-
-
-def wrong_tables(study: "Study") -> Iterator[str]:
-    """Warnings of force tables in another unit than the walls, and of noise around zero."""
-    walls = [wall for gap in study.grid.gaps for wall in (gap.j_1, gap.j_2) if wall]
-    for label in study.own_laws:
+    grid, model = study.grid, study.model
+    axes = {name: grid.axes[name] for name in study.spec.model if name in grid.axes}
+    if not (model.is_oscillator or own):
+        return []
+    ends = product(*({min(axis), max(axis)} for axis in axes.values()))
+    points = [dict(zip(axes, end, strict=True)) for end in ends]  # bound the rules of oscillators
+    if not model.is_oscillator:
+        points = [*model.swept(grid.axes, grid.requested)] or [{}]
+    ratio, K_c = max(grid.axes.get("K_ratio", (1.0,))), max(grid.axes.get("K_c", (0.0,)))
+    gaps = grid.gaps if {"gap", "j_1"} & grid.axes.keys() else (Gap(0.0, 0.0),)
+    laws = []
+    for label, gap in product(grid.representations, gaps):
         with suppress(ModelError):  # of a law that cannot be used: reported where it is used
-            own = study.own_law(label)
-            table = own and own.load()
-            if isinstance(table, ForceTable):
-                yield from (f"{label}: {doubt}" for doubt in _doubts_of_table(table, walls))
+            laws.append(tuple(_laws(study, label, K_c, gap, ratio, own)))
+    omega, starts = grid.axes.get("omega", 0.0), starts_of(grid.axes).states
+    found = doubts([model.at(some) for some in points], laws, omega, starts) if laws else ()
+    return [*(each for each in found if not (far and each.startswith("gap"))), *[far] * bool(far)]
 
 
-def _doubts_of_table(table: ForceTable, walls: Sequence[float]) -> Iterator[str]:
-    ends = [abs(end) for end in table.valid_range if end]
-    if walls and (max(ends) < min(walls) or min(ends) > 1e3 * max(walls)):
-        yield (
-            f"the force table reaches x = {max(ends):g}, the walls of the study are at "
-            f"{min(walls):g} to {max(walls):g}: give both in metres"
-        )
-    force = np.array(table.F)
-    (changes,) = np.nonzero(force[1:] * force[:-1] < 0.0)
-    if changes.size > 2:  # a restoring force changes its sign at most once
-        noise = 1.05 * np.abs(force[changes[0] + 1 : changes[-1] + 1]).max()
-        yield (
-            f"the force changes its sign {changes.size} times near x = 0: measurement noise acts "
-            f"as stiffness there; write gs.ForceTable(x, F, noise={noise:.2g}) to set it to zero"
-        )
+def _laws(
+    study: "Study", label: str, K_c: float, gap: Gap, ratio: float, own: bool
+) -> Iterator[ContactLaw]:
+    """The laws of all contacts; in place of fits the exact law, which has their numbers."""
+    for name, one in zip(study.model.contacts, study.model.labels(law_of(label)), strict=True):
+        given: dict[str, Any] = {"K_c": K_c, "gap": (gap.j_1, gap.j_2), "K_ratio": ratio}
+        if name in study.spec.contact:
+            given |= study.spec.contact[name].model_dump(exclude_none=True)
+        is_exact = one == AUTO or is_fitted(one) or (":" in one and not own)
+        walls = Gap(*given["gap"])
+        yield study.law(EXACT if is_exact else one, given["K_c"], walls, given["K_ratio"])

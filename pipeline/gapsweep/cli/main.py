@@ -14,7 +14,7 @@ import click
 from gapsweep.cli import runs, studies
 from gapsweep.cli.cache_commands import cache_commands
 from gapsweep.cli.init import init
-from gapsweep.cli.options import FAULT, FINISHED, INTERRUPTED
+from gapsweep.cli.options import FAULT, FINISHED, INTERRUPTED, echo
 from gapsweep.errors import STOPPING, GapsweepError
 
 
@@ -90,17 +90,17 @@ def exit_code(arguments: list[str] | None = None) -> int:
             sys.stdout.flush()  # a device may be full
         except GapsweepError as error:
             for line in str(error).splitlines():
-                click.echo(f"error: {line}", err=True)
+                echo(f"error: {line}", err=True)
             return FAULT
         except OSError as error:  # of files, wherever one was met that is none of the usual
             where = f"{error.filename}: " if error.filename else ""
-            click.echo(f"error: {where}{error.strerror or error}", err=True)
+            echo(f"error: {where}{error.strerror or error}", err=True)
             return FAULT
         except click.ClickException as error:
             error.show()
             return error.exit_code
         except (click.Abort, KeyboardInterrupt):
-            click.echo("interrupted; run again to resume", err=True)
+            echo("interrupted; run again to resume", err=True)
             return INTERRUPTED
     return int(result or FINISHED)
 
@@ -113,6 +113,6 @@ def _one_line_once() -> Callable[..., None]:
         # Those of the libraries are not for the user.
         if category is UserWarning and str(message) not in shown:
             shown.add(str(message))
-            click.echo(f"warning: {message}", err=True)
+            echo(f"warning: {message}", err=True)
 
     return show

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from gapsweep.errors import printable
 from gapsweep.execution.progress import DEFAULT_TIMEOUT
 
 if TYPE_CHECKING:
@@ -66,6 +67,11 @@ selection = click.option(
 _LABELLED = ("representation", "gap")
 
 
+def echo(message: str = "", *, err: bool = False, nl: bool = True) -> None:
+    """Print a text without control characters, which a terminal would carry out."""
+    click.echo(printable(message), err=err, nl=nl)
+
+
 def first(names: Sequence[str]) -> str:
     """The first `FEW` names and the number of the others."""
     more = [f"{len(names) - FEW} more"] if len(names) > FEW else []
@@ -86,7 +92,7 @@ def loaded(path: Path, engine: str | None) -> "Study":
         found = Study.load(path)
     if found.grid.starts.kind.any() and len(found.grid.omega) == 1:
         reason = "sweeps need several values of omega; this sweep starts from rest"
-        click.echo(f"warning: {path}: initial_condition: {reason}", err=True)
+        echo(f"warning: {path}: initial_condition: {reason}", err=True)
     return found.with_engine(engine) if engine else found
 
 

@@ -11,6 +11,7 @@ from typing import Any
 import click
 import xarray as xr
 
+from gapsweep.cli import options
 from gapsweep.console import print_table, print_text
 from gapsweep.errors import StoreError
 from gapsweep.execution.layout import Layout
@@ -104,7 +105,7 @@ def written(responses: xr.Dataset, form: Form, output: Path | None) -> None:
     if form.kind == "table":
         _print(responses, form)
     elif output is None:
-        click.echo(_text(responses, form), nl=False)
+        options.echo(_text(responses, form), nl=False)
     else:
         with replacing(output) as temporary:
             if form.kind == "nc":

@@ -1,6 +1,7 @@
 """Commands on the folder of a run, and the explorer."""
 
 import json
+import tempfile
 from contextlib import suppress
 from dataclasses import asdict
 from pathlib import Path
@@ -30,19 +31,19 @@ def status(folder: Path, as_json: bool) -> int:
     # An active run replaces files, damaged ones too.
     damaged, unread = (None, None) if state.state == RUNNING else checked(folder)
     if as_json:
-        click.echo(json.dumps(asdict(state) | {"damaged": damaged, "not_checked": unread}))
+        options.echo(json.dumps(asdict(state) | {"damaged": damaged, "not_checked": unread}))
         return FINISHED
-    click.echo(f"{state.study}: {state.state}{f' ({state.message})' if state.message else ''}")
-    click.echo(
+    options.echo(f"{state.study}: {state.state}{f' ({state.message})' if state.message else ''}")
+    options.echo(
         f"{state.hits + state.computed} of {state.points} points: {state.hits} from the cache, "
         f"{state.computed} computed, {state.failed} failed"
     )
-    click.echo(f"started {state.started} on {state.host}")
-    click.echo(f"updated {state.updated}")
+    options.echo(f"started {state.started} on {state.host}")
+    options.echo(f"updated {state.updated}")
     if damaged:
-        click.echo(f"damaged or missing: {options.first(damaged)}; 'gapsweep run' repairs them")
+        options.echo(f"damaged or missing: {options.first(damaged)}; 'gapsweep run' repairs them")
     if unread:
-        click.echo(
+        options.echo(
             f"not checked (large): {options.first(unread)}; check with sha256sum --check {SUMS}"
         )
     return FINISHED
@@ -67,7 +68,7 @@ def report(folder: Path, study: Path | None) -> int:
 
     with busy("writing the report"):
         shown = pipeline.report(folder, options.loaded(study, None) if study else None)
-    click.echo(f"report: {shown}")
+    options.echo(f"report: {shown}")
     return FINISHED
 
 
@@ -89,21 +90,23 @@ def claims(folder: Path, study: Path | None, as_json: bool) -> int:
     from gapsweep import pipeline
     from gapsweep.console import busy, print_table
     from gapsweep.run_folder import CLAIMS
+    from gapsweep.store.artefact import reading
 
-    with busy("evaluating the claims"):
+    with reading(folder), busy("evaluating the claims"):
         decided = pipeline.claims(folder, options.loaded(study, None) if study else None)
     if as_json:
-        click.echo(json.dumps(decided, ensure_ascii=False))
+        options.echo(json.dumps(decided, ensure_ascii=False))
         return FINISHED
-    rows = [
-        (str(one["id"]), one["verdict"], f"{one['place']}: {one['claim']}\n{one['sentence']}")
-        for one in decided["claims"]
-    ]
-    print_table(("id", "verdict", "claim and result"), rows)
-    counts = ", ".join(f"{n} {verdict}" for verdict, n in decided["counts"].items())
-    click.echo(f"{len(decided['claims'])} claims: {counts}")
+    with reading(folder):
+        rows = [
+            (str(one["id"]), one["verdict"], f"{one['place']}: {one['claim']}\n{one['sentence']}")
+            for one in decided["claims"]
+        ]
+        counts = ", ".join(f"{n} {verdict}" for verdict, n in decided["counts"].items())
+        print_table(("id", "verdict", "claim and result"), rows)
+    options.echo(f"{len(decided['claims'])} claims: {counts}")
     if study:
-        click.echo(f"written: {folder / CLAIMS}")
+        options.echo(f"written: {folder / CLAIMS}")
     return FINISHED
 
 
@@ -133,9 +136,12 @@ def explore(path: Path | None, port: int, no_browser: bool) -> int:
     from gapsweep.explorer.widget import explore_path
 
     page = explore_path(path, port)
-    click.echo(f"{page.url} (Ctrl-C closes it)")
-    if not no_browser:
-        click.launch(page.url)
-    with suppress(KeyboardInterrupt):
+    options.echo(f"{page.url} (Ctrl-C closes it)")
+    with tempfile.TemporaryDirectory() as private, suppress(KeyboardInterrupt):
+        if not no_browser:
+            # All users of the machine can read the browser's command line, none but ours the file.
+            link = Path(private) / "explore.html"
+            link.write_text(f'<meta http-equiv="refresh" content="0; url={page.url}">')
+            click.launch(link.as_uri())
         page.wait()
     return FINISHED

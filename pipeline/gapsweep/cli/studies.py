@@ -29,6 +29,11 @@ from gapsweep.cli.options import FINISHED, SOME_FAILED
 )
 @options.timeout
 @options.retry_failed
+@click.option(
+    "--dashboard",
+    is_flag=True,
+    help="Serve Dask's dashboard of the local processes at http://127.0.0.1:8787/status.",
+)
 def run(study: Path, engine: str | None, **how: Any) -> int:
     """Compute a study with its datasets and report, or resume it.
 
@@ -39,29 +44,29 @@ def run(study: Path, engine: str | None, **how: Any) -> int:
       gapsweep run quick.toml --scheduler tcp://host:8786
     """
     from gapsweep import pipeline
-    from gapsweep.run_folder import REPORT, RESPONSES
+    from gapsweep.run_folder import REPORT
 
     loaded = options.loaded(study, engine)
     with options.at_work() as observer:
         outcome = pipeline.carry_out(loaded, on_progress=observer, **how)
     done = outcome.progress
     shared = f", {done.n_shared} by another run" if done.n_shared else ""
-    click.echo(
+    options.echo(
         f"{done.n_points} points: {done.n_hits} from the cache, {done.n_computed} computed{shared}"
     )
-    click.echo(f"report: {outcome.folder / REPORT}")
+    options.echo(f"report: {outcome.folder / REPORT}")
     if outcome.failures:
-        _say_failed("points", outcome.failures, RESPONSES)
+        _say_failed("points", outcome.failures, f"'gapsweep status {outcome.folder}'")
     for file, counts in outcome.failed_motions.items():
-        _say_failed("motions", counts, file)
+        _say_failed("motions", counts, f"'status' in {file}")
     for doubt in outcome.doubts:  # last, as they may say that the results are not about contact
-        click.echo(doubt)
+        options.echo(doubt)
     return SOME_FAILED if outcome.failures or outcome.failed_motions else FINISHED
 
 
-def _say_failed(what: str, counts: Mapping[str, int], file: str) -> None:
+def _say_failed(what: str, counts: Mapping[str, int], where: str) -> None:
     listed = ", ".join(f"{n} {label}" for label, n in sorted(counts.items()))
-    click.echo(f"failed {what}: {listed}; see 'status' in {file}", err=True)
+    options.echo(f"failed {what}: {listed}; see {where}", err=True)
 
 
 @click.command()
@@ -89,7 +94,7 @@ def plan(
       gapsweep plan quick.toml --json
     """
     from gapsweep import pipeline
-    from gapsweep.analysis.unit_check import bounded, doubtful_numbers
+    from gapsweep.analysis.unit_check import bounded, doubts_of
     from gapsweep.console import print_table
 
     loaded = options.loaded(study, engine)
@@ -97,12 +102,7 @@ def plan(
         planned = pipeline.plan(loaded, cache, retry_failed=retry_failed, on_progress=observer)
         expected = pipeline.expected_seconds(planned, cache, workers)
         stages = pipeline.stage_reasons(loaded, planned, out, cache)
-    doubts = []
-    if loaded.spec.system is None:
-        far = bounded(loaded)
-        walls = {} if far else {"wall": [min(gap.j_1, gap.j_2) for gap in loaded.grid.gaps]}
-        doubts = [*doubtful_numbers({**loaded.spec.model, **loaded.grid.axes, **walls})]
-        doubts += filter(None, [far])
+    doubts = doubts_of(loaded, bounded(loaded) if loaded.spec.oscillator else "")
     numbers = {
         "points": planned.n_points,
         "hits": planned.n_hits,
@@ -111,22 +111,22 @@ def plan(
     }
     if as_json:
         rounded = None if expected is None else round(expected, 3)
-        click.echo(
+        options.echo(
             json.dumps(numbers | {"expected_s": rounded, "stages": stages, "doubts": doubts})
         )
         return FINISHED
     for name, value in numbers.items():
-        click.echo(f"{name:>8}  {value}")
+        options.echo(f"{name:>8}  {value}")
     unknown = "unknown (no comparable points cached)"
     time = unknown if expected is None else f"{timedelta(seconds=round(expected))} (h:mm:ss)"
-    click.echo(f"expected  {time}")
+    options.echo(f"expected  {time}")
     states = {
         file: f"to be written: {why}" if why else "up to date" for file, why in stages.items()
     }
-    click.echo()
+    options.echo()
     print_table(("file", "state"), states.items())
     for doubt in doubts:
-        click.echo(f"\n{doubt}")
+        options.echo(f"\n{doubt}")
     return FINISHED
 
 
@@ -187,12 +187,12 @@ def query(
     shown.check(loaded)
     with options.at_work() as observer:
         found = pipeline.query(loaded, on_progress=observer, **how, **options.selected(wanted))
-    click.echo(
+    options.echo(
         f"{found.attrs['n_points']} points, {found.attrs['n_hits']} from the cache", err=True
     )
     written(found, shown, output)
     if shown.hint:
-        click.echo(shown.hint, err=True)
+        options.echo(shown.hint, err=True)
     return FINISHED
 
 
@@ -226,15 +226,15 @@ def explain(
         points = pipeline.explain(loaded, cache, limit + 1, observer, **options.selected(wanted))
     for n, point in enumerate(points):
         if n == limit:
-            click.echo(f"more points: --limit {10 * limit}")
+            options.echo(f"more points: --limit {10 * limit}")
             break
-        click.echo(f"{point.label}: {point.status}{f' on {point.host}' if point.host else ''}")
+        options.echo(f"{point.label}: {point.status}{f' on {point.host}' if point.host else ''}")
         if point.message:
-            click.echo(f"  {point.message}")
+            options.echo(f"  {point.message}")
         if point.differences is None and point.status == "missing":
-            click.echo("  no comparable points cached")
+            options.echo("  no comparable points cached")
         for name, (asked, stored) in (point.differences or {}).items():
-            click.echo(f"  {name}: {_short(asked)}; nearest cached point: {_short(stored)}")
+            options.echo(f"  {name}: {_short(asked)}; nearest cached point: {_short(stored)}")
     return FINISHED
 
 
@@ -265,13 +265,13 @@ def advise(study: Path, error: float | None, as_json: bool) -> int:
     found = advice(loaded, error)
     scenes, error, own = sentences(found), found.attrs["error"], loaded.own_laws
     if as_json:
-        click.echo(json.dumps({"error": error, "not_assessed": own, "scenes": scenes}))
+        options.echo(json.dumps({"error": error, "not_assessed": own, "scenes": scenes}))
         return FINISHED
     print_text(f"allowed relative error of the steady amplitude: {error:g}")
     for scene in scenes:
         print_text(_case(scene))
         for one in scene["starts"]:
-            click.echo(f"\nfrom {one['start']}:")
+            options.echo(f"\nfrom {one['start']}:")
             print_table(
                 ("from [Hz]", "to [Hz]", "simplest model", "rtol", "reason"),
                 [
@@ -280,7 +280,7 @@ def advise(study: Path, error: float | None, as_json: bool) -> int:
                     for part in one["advice"]
                 ],
             )  # fmt: skip
-        click.echo()
+        options.echo()
         print_text(scene["approximations"])
     for label in own:
         print_text(
@@ -319,22 +319,22 @@ def bench(study: Path, out: Path | None, timeout: float, as_json: bool) -> int:
     from gapsweep.store import netcdf
 
     loaded = options.loaded(study, None)
-    made = pipeline.bench(loaded, out, lambda text: click.echo(text, err=True), timeout=timeout)
+    made = pipeline.bench(loaded, out, lambda text: options.echo(text, err=True), timeout=timeout)
     files, found, code = list(made), {}, FINISHED
     for file, counts in made.items():
         if counts:
-            _say_failed("motions", counts, file.name)
+            _say_failed("motions", counts, f"'status' in {file.name}")
             code = SOME_FAILED
         with netcdf.read(file) as dataset:
             found[file.name] = conclusions(dataset)
     if as_json:
         numbers = {name: lines.numbers for name, lines in found.items()}
-        click.echo(json.dumps({"files": [str(file) for file in files]} | numbers))
+        options.echo(json.dumps({"files": [str(file) for file in files]} | numbers))
         return code
     for file in files:
         for sentence in found[file.name].sentences:
-            click.echo(sentence)
-        click.echo(f"written: {file}")
+            options.echo(sentence)
+        options.echo(f"written: {file}")
     shown = files[0].parent / REPORT
-    click.echo(f"report: {shown}" if shown.exists() else "'gapsweep run' writes the report")
+    options.echo(f"report: {shown}" if shown.exists() else "'gapsweep run' writes the report")
     return code

@@ -2,8 +2,9 @@
 
 From an orbit u with unit tangent t the next one is sought by Newton's method on the hyperplane at
 a distance h: ``t . (v - u) = h``. So folds are no different from other points [1]_. A step is
-repeated with half of h where Newton's method fails or goes far, or where the tangent or the
-multipliers change much.
+repeated with half of h where Newton's method fails or goes far, where the tangent or the
+multipliers change much, or where the determinant of the equations changes its sign and no other
+branch is found to cross: then the orbit lies on another branch, near the one that is followed.
 
 .. [1] H. B. Keller, in: Applications of Bifurcation Theory, Academic Press 1977, 359-384.
 """
@@ -11,34 +12,41 @@ multipliers change much.
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from itertools import combinations_with_replacement, pairwise
+from itertools import combinations_with_replacement
 
 import numpy as np
 from numpy.typing import NDArray
 
+from gapsweep.continuation.crossing import crossing
+from gapsweep.continuation.hopf import hopf_point
 from gapsweep.continuation.locate import Step
 from gapsweep.continuation.newton import Corrector
 from gapsweep.continuation.orbits import Orbit, OrbitEquations, Reference
-from gapsweep.continuation.special import crossing_test
+from gapsweep.continuation.special import Special, crossing_kind
+from gapsweep.continuation.thresholds import (
+    ASIDE,
+    ASTRAY,
+    BEHIND,
+    CHANGE,
+    EDGE,
+    FAST,
+    FEW_STEPS,
+    FIRST,
+    GROWS,
+    INNER,
+    LARGEST,
+    NEAR_EDGE,
+    ON_CHORD,
+    SHORTEST_LOOP,
+    SLIGHT_TURN,
+    SMALL_CYCLE,
+    SMALLEST,
+    TURN,
+    UNLIKE,
+)
 
 Array = NDArray[np.float64]
 Numbers = NDArray[np.intp]
-
-# Lengths in scaled unknowns: sizes of states and windows of parameters are 1.
-_FIRST, SMALLEST, _LARGEST = 1e-3, 1e-9, 0.03
-_GROWS, _FEW_STEPS = 2.0, 4
-_TURN, _SLIGHT_TURN = 0.3, 0.1  # of the tangent in a step [rad]
-_MET = 1e-5, 1e-7  # of the size: halves of orbits that differ, and that do not
-_NEAR_ONE = 0.02  # a multiplier of an orbit near which branches may cross
-_STATIONARY = 0.2  # of the way: a parameter that changes less over two steps is at a fold
-_ASIDE = 0.5  # correction over step
-# Of a window: an orbit so near its end, on the way out, is at the end; also if steps are too small.
-_EDGE, _NEAR_EDGE = 1e-12, 1e-6
-# Change of multipliers in a step, but not where they jump, as near a graze.
-_CHANGE, _INNER, _FAST = 0.4, 0.7, 1e-4
-# Distances at which a branch is sought again behind a kink, and where it is no longer there.
-_BEHIND, _ASTRAY = (1e-7, 1e-6, 1e-5, 1e-4, 1e-3), 3.0
-_ON_CHORD = 0.1  # of a step: an orbit so near the line between two others lies between them
 
 
 @dataclass(slots=True)
@@ -50,13 +58,19 @@ class Half:
     orbits : list of Orbit
     references : list of Reference
         With which each but the first was found.
+    crossings : dict of int to Orbit
+        The crossing of the step from the orbit of that number.
     end : str
         Why it ends.
+    has_kink : bool
+        Whether it was searched behind a kink.
     """
 
     orbits: list[Orbit]
     references: list[Reference] = field(default_factory=list)
+    crossings: dict[int, Orbit] = field(default_factory=dict)
     end: str = ""
+    has_kink: bool = False
 
     def step(self, i: int) -> Step:
         """From the i-th orbit to the next one."""
@@ -81,7 +95,7 @@ class Continuation:
         """The halves that begin at orbits, in the direction of their tangents."""
         halves = [Half([start]) for start in starts]
         n = len(halves)
-        size, reference = np.full(n, _FIRST), reference.take(np.arange(n))
+        size, reference = np.full(n, FIRST), reference.take(np.arange(n))
         for half in halves:
             half.end = "window" if self._leaves(half.orbits[0]) else ""
         left = np.array([i for i, half in enumerate(halves) if not half.end], int)
@@ -94,39 +108,36 @@ class Continuation:
                 reference.rate[left] = self.equations.rates(states, u)
             here = reference.take(left)
             bend = size[left, None] * np.array([_bend(halves[i].orbits) for i in left.tolist()])
-            bend[np.abs(bend).max(axis=1) > _SLIGHT_TURN] = 0.0  # at a kink
+            bend[np.abs(bend).max(axis=1) > SLIGHT_TURN] = 0.0  # at a kink
             guess = u + size[left, None] * (t + 0.5 * bend)
             guess, normal = self._within(u, guess, t)
-            found, n_steps = self.corrector.orbits(guess, normal, here, _ASIDE * size[left])
-            goes_on = np.ones(len(left), bool)
+            found, n_steps = self.corrector.orbits(guess, normal, here, ASIDE * size[left])
             for k, (i, orbit) in enumerate(zip(left.tolist(), found, strict=True)):
-                half, step = halves[i], float(size[i])
-                turn, is_good = self._judged(half.orbits, orbit, step)
-                if not is_good:
+                half, step, of = halves[i], float(size[i]), here.take([k])
+                turn = self._turn(half, orbit, step, of)
+                if turn is None:
                     size[i] = 0.5 * step
                     if size[i] >= SMALLEST:
                         continue
-                    orbit = self._behind_kink(half.orbits, here.take([k]))
+                    orbit = self._ahead(half, orbit, of)
                     if orbit is None:
-                        is_out = self._leaves(half.orbits[-1], _NEAR_EDGE)
-                        half.end, goes_on[k] = "window" if is_out else "step_too_small", False
                         continue
                     turn = math.inf
-                    size[i] = 0.1 * float(np.abs(orbit.unknowns - half.orbits[-1].unknowns).max())
+                    apart = np.abs(orbit.unknowns - half.orbits[-1].unknowns).max()
+                    size[i] = max(0.1 * float(apart), 2.0 * SMALLEST)
                 assert orbit is not None
                 half.orbits.append(orbit)
-                half.references.append(here.take([k]))
+                half.references.append(of)
                 half.end = self._end(half)
-                goes_on[k] = not half.end
-                if 2.0 * _SLIGHT_TURN < turn < math.inf:
+                if 2.0 * SLIGHT_TURN < turn < math.inf:
                     size[i] = 0.7 * step
-                elif n_steps[k] <= _FEW_STEPS and turn < _SLIGHT_TURN:
-                    largest = _LARGEST * max(1.0, float(np.abs(orbit.unknowns).max()))
-                    size[i] = min(_GROWS * step, largest)
-            left = left[goes_on]
+                elif n_steps[k] <= FEW_STEPS and turn < SLIGHT_TURN:
+                    largest = LARGEST * max(1.0, float(np.abs(orbit.unknowns).max()))
+                    size[i] = min(GROWS * step, largest)
+            left = np.array([i for i in left.tolist() if not halves[i].end], int)
         return halves
 
-    def _leaves(self, orbit: Orbit, edge: float = _EDGE) -> bool:
+    def _leaves(self, orbit: Orbit, edge: float = EDGE) -> bool:
         """Whether an orbit at the end of a window is on the way out."""
         first = len(orbit.unknowns) - self.equations.n_parameters
         u, t = orbit.unknowns[first:], orbit.tangent[first:]
@@ -144,25 +155,53 @@ class Continuation:
             normal[out, k] = np.where(end[out] > 0.5, 1.0, -1.0)
         return guess, normal
 
-    def _judged(self, orbits: list[Orbit], orbit: Orbit | None, step: float) -> tuple[float, bool]:
-        """Turn of the tangent [rad], and whether the step is accepted."""
+    def _turn(
+        self, half: Half, orbit: Orbit | None, step: float, reference: Reference
+    ) -> float | None:
+        """Turn of the tangent [rad] in a step; None if the step is refused."""
+        before = half.orbits[-1]
         if orbit is None:
-            return math.inf, False
-        before = orbits[-1]
-        if len(orbits) == 1 and before.special:  # where branches cross, tangents mean nothing
-            return 0.0, True
-        met = zip(before.unlike, orbit.unlike, strict=True)
-        if any(one > _MET[0] and other < _MET[1] for one, other in met):  # on the other branch
-            return math.inf, False
-        # Behind a graze at which the branch turns back the way is another one.
-        if before.branching * orbit.branching < 0.0 and not _may_cross((before, orbit)):
-            return math.inf, False
+            return None
+        if len(half.orbits) == 1 and before.across is not None:
+            return 0.0 if _leaves_crossing(before, orbit) else None
+        if not orbit.identity.is_prime or not before.identity.is_kept(orbit.identity):
+            return None
         turn = math.acos(min(1.0, max(-1.0, float(before.tangent @ orbit.tangent))))
-        if turn > _TURN:
-            return turn, False
-        if step > _FAST and _change(before.multipliers, orbit.multipliers) > _CHANGE:
-            return turn, False
-        return turn, True
+        if turn > TURN:
+            return None
+        if step > FAST and _change(before.multipliers, orbit.multipliers) > CHANGE:
+            return None
+        # Curves of special points have more equations, whose determinant tells nothing of orbits.
+        if before.branching * orbit.branching < 0.0 and len(self.equations.windows) == 1:
+            found = crossing(self.equations, Step(before, orbit, reference))
+            if found is None:
+                return None
+            kind = crossing_kind(self.equations, found)
+            half.crossings[len(half.orbits) - 1] = replace(found, special=int(kind))
+        return turn
+
+    def _ahead(self, half: Half, orbit: Orbit | None, reference: Reference) -> Orbit | None:
+        """The next orbit where steps are at their smallest; a half without one ends."""
+        last = half.orbits[-1]
+        behind = self._behind_kink(half.orbits, reference)
+        if behind is not None:
+            half.has_kink = True
+            return behind
+        if orbit is not None and self._is_near_another(last, orbit):
+            # Two branches are nearer than the smallest step, or cross: it may lie on either.
+            return replace(orbit, special=int(Special.UNRESOLVED))
+        half.end = "window" if self._leaves(last, NEAR_EDGE) else "step_too_small"
+        return None
+
+    def _is_near_another(self, last: Orbit, orbit: Orbit) -> bool:
+        """Whether nothing but a crossing that is not located refuses a step."""
+        return (
+            last.branching * orbit.branching < 0.0
+            and last.special != Special.UNRESOLVED
+            and orbit.identity.is_prime
+            and last.identity.is_kept(orbit.identity)
+            and float(last.tangent @ orbit.tangent) > math.cos(TURN)
+        )
 
     def _behind_kink(self, orbits: list[Orbit], reference: Reference) -> Orbit | None:
         """The branch's next orbit where it turns at a graze more sharply than steps can follow.
@@ -176,17 +215,24 @@ class Continuation:
         ways = np.concatenate([np.eye(d), -np.eye(d)])
         axes = np.array([a + b for a, b in combinations_with_replacement(ways, 2) if (a + b).any()])
         axes /= np.sqrt((axes**2).sum(axis=1))[:, None]
-        normals = np.tile(axes, (len(_BEHIND), 1))
-        distances = np.repeat(_BEHIND, len(axes))
+        normals = np.tile(axes, (len(BEHIND), 1))
+        distances = np.repeat(BEHIND, len(axes))
         found, _ = self.corrector.orbits(
             u + distances[:, None] * normals,
             normals,
             reference.take(np.zeros(len(normals), int)),
-            _ASTRAY * distances,
+            ASTRAY * distances,
         )
         # Those that pass as many contacts lie on this side.
-        behind = [each for each in found if each and each.n_contacts != last.n_contacts]
-        behind = [each for each in behind if not _is_passed(orbits, each)]
+        behind = [
+            each
+            for each in found
+            if each is not None
+            and each.n_contacts != last.n_contacts
+            and each.identity.is_prime
+            and last.identity.is_kept(each.identity)
+            and not _is_passed(orbits, each)
+        ]
         if not behind:
             return None
         nearest = min(behind, key=lambda each: float(((each.unknowns - u) ** 2).sum()))
@@ -202,73 +248,135 @@ class Continuation:
         passed = (
             is_free and not 0.0 <= places[1] <= 1.0 and abs(places[1] - 0.5) > abs(places[0] - 0.5)
         )
+        found = half.crossings.get(len(half.orbits) - 2)
+        if found is not None and _ends_on(found):
+            # Behind it lie the same orbits half a period later, or their mirror images.
+            half.orbits[-1] = found
+            return "branch_point"
         if passed or self._leaves(last):
             return "window"
-        if self._is_pitchfork(half.orbits[-3:]):
-            return "branch_point"
-        n = len(last.state)
-        if self.equations.has_period and before.unknowns[:n] @ last.unknowns[:n] < 0.0:
-            return "equilibrium"  # it passed through: behind it lie the same orbits
-        if len(half.orbits) > 5 and self._is_closed(first, before, last):
+        if self.equations.has_period and self._ends_at_equilibrium(half):
+            return "equilibrium"
+        if half.has_kink and _is_passed(half.orbits[:-1], last):  # it has turned round at a kink
+            del half.orbits[-1], half.references[-1]
+            return "step_too_small"
+        closing = self._closing(first, half) if len(half.orbits) >= SHORTEST_LOOP else None
+        if closing is not None:
+            half.orbits[-1] = closing
             return "closed"
         return "max_steps" if len(half.orbits) > self.max_steps else ""
 
-    def _is_pitchfork(self, orbits: list[Orbit]) -> bool:
-        """Whether a branch folds where it crosses another one: it was followed to its end.
-
-        Behind it lie the same orbits half a period later, or their mirror images.
-        """
-        if len(self.equations.windows) > 1:
+    def _ends_at_equilibrium(self, half: Half) -> bool:
+        """Whether cycles shrink to an equilibrium; their Hopf point becomes the last orbit."""
+        before, last, reference = half.orbits[-2], half.orbits[-1], half.references[-1]
+        swing = [self._swing(orbit, reference) for orbit in (before, last)]
+        if not min(swing) < 3.0 * LARGEST:
             return False
-        steps = [pair for pair in pairwise(orbits) if not pair[0].special]
-        folds = any(a.tangent[-1] * b.tangent[-1] < 0.0 for a, b in steps)
-        crosses = any(a.branching * b.branching < 0.0 for a, b in steps)
-        places = [self.equations.window_places(orbit)[0] for orbit in orbits]
-        way = float(np.sqrt(((orbits[-1].unknowns - orbits[0].unknowns) ** 2).sum()))
-        is_still = max(places) - min(places) <= _STATIONARY * way
-        return folds and crosses and is_still and _may_cross(orbits)
+        n, size = self.equations.n, reference.size[0, : 2 * self.equations.n]
+        centre = np.concatenate([0.5 * (before.x_max + before.x_min), np.zeros(n)])
+        sides = [(orbit.state[: 2 * n] - centre) / size for orbit in (before, last)]
+        # Through the equilibrium the branch goes on with the same orbits, half a period later.
+        has_passed = float(sides[0] @ sides[1]) < 0.0
+        if not has_passed and not swing[1] < min(swing[0], SMALL_CYCLE):
+            return False
+        if has_passed:
+            del half.orbits[-1], half.references[-1]
+        point = hopf_point(self.equations, half.orbits[-1], reference)
+        if point is not None:
+            half.orbits.append(point)
+            half.references.append(reference)
+        return has_passed or point is not None
 
-    def _is_closed(self, first: Orbit, before: Orbit, last: Orbit) -> bool:
-        """Whether the first orbit lies between the last two."""
-        if self.equations.has_period:  # orbits start anywhere along their motion
-            a, b, c = (
-                np.array([*o.parameters, o.period, *o.x_max, *o.x_min])
-                for o in (before, last, first)
+    def _swing(self, orbit: Orbit, reference: Reference) -> float:
+        return float(((orbit.x_max - orbit.x_min) / reference.size[0, : self.equations.n]).max())
+
+    def _closing(self, first: Orbit, half: Half) -> Orbit | None:
+        """The first orbit, in any phase, if it lies between the last two."""
+        step, n = half.step(len(half.orbits) - 2), self.equations.n_states
+        if self.equations.has_period:
+            parts = [_between(step.before, first, step.after)]
+            normal = np.eye(len(first.unknowns))[-1]
+        else:  # a branch may come back to its first orbit some forcing periods later
+            states = first.identity.section
+            points = [np.concatenate([state, first.unknowns[n:]]) for state in states]
+            parts = [_share(step.before.unknowns, step.after.unknowns, point) for point in points]
+            normal = step.chord / step.size
+        for part in parts:
+            if part is None:
+                continue
+            guess = step.before.unknowns + part * step.chord
+            if self.equations.has_period:
+                guess[-1] = first.unknowns[-1]
+            (found,), _ = self.corrector.orbits(
+                guess[None, :], normal[None, :], step.reference, np.array([step.size])
             )
-            scale = np.maximum(np.abs(a), np.abs(b)) + 1e-300
-            a, b, c = a / scale, b / scale, c / scale
-        else:
-            a, b, c = before.unknowns, last.unknowns, first.unknowns
-        along = b - a
-        length = float(along @ along)
-        if not length or not 0.0 <= float((c - a) @ along) <= length:
-            return False
-        aside = (c - a) - along * float((c - a) @ along) / length
-        return float(np.sqrt(aside @ aside)) <= 0.1 * math.sqrt(length)
+            if found is not None and found.identity.is_same(first.identity):
+                return found
+        return None
+
+
+def _ends_on(crossing: Orbit) -> bool:
+    """Whether a branch ends where it crosses one of half its period, or of symmetric orbits."""
+    if crossing.special == Special.PERIOD_DOUBLING:
+        return True
+    assert crossing.across is not None
+    is_stationary = abs(crossing.tangent[-1]) < abs(crossing.across[-1])
+    return crossing.special == Special.SYMMETRY_BREAKING and is_stationary
+
+
+def _leaves_crossing(first: Orbit, orbit: Orbit) -> bool:
+    """Whether the second orbit of a branch lies on it, not on the one that crosses it."""
+    assert first.across is not None
+    way = orbit.unknowns - first.unknowns
+    own, other = (way - (way @ t) * t for t in (first.tangent, first.across))
+    if not own @ own < other @ other:
+        return False
+    # The branch whose parameter is stationary has orbits of twice the period, or less symmetry.
+    is_double = first.identity.halves <= UNLIKE
+    is_symmetric = first.special == Special.SYMMETRY_BREAKING
+    if abs(first.tangent[-1]) < abs(first.across[-1]) and (is_double or is_symmetric):
+        unlike = orbit.identity.halves if is_double else orbit.identity.asymmetry
+        return unlike > UNLIKE
+    return True
+
+
+def _share(before: Array, last: Array, point: Array) -> float | None:
+    """Part of the chord of a step at a point; None of a point farther away than it is long."""
+    along = last - before
+    square = float(along @ along)
+    if not square or not 0.0 <= float((point - before) @ along) <= square:
+        return None
+    share = float((point - before) @ along) / square
+    aside = point - before - share * along
+    return share if float(aside @ aside) <= square else None
+
+
+def _between(before: Orbit, orbit: Orbit, last: Orbit) -> float | None:
+    """Part of a step at an unforced orbit that may start anywhere along its motion."""
+    ends = [np.array([*o.parameters, o.period, *o.x_max, *o.x_min]) for o in (before, last, orbit)]
+    scale = np.maximum(np.abs(ends[0]), np.abs(ends[1])) + np.finfo(float).tiny
+    return _share(*(each / scale for each in ends))
 
 
 def _is_passed(orbits: Sequence[Orbit], orbit: Orbit) -> bool:
-    """Whether an orbit lies between two successive ones of a half, with as many contacts."""
+    """Whether an orbit lies on earlier ones of a half with as many contacts, or between them."""
     alike = np.array([each.n_contacts == orbit.n_contacts for each in orbits])
-    (rows,) = np.nonzero(alike[:-1] & alike[1:])
     places = np.array([each.unknowns for each in orbits])
+    way = float(((orbit.unknowns - places[-1]) ** 2).sum())
+    apart = ((orbit.unknowns - places[alike]) ** 2).sum(axis=1)
+    if apart.min(initial=np.inf) <= ON_CHORD**2 * way:
+        return True
+    (rows,) = np.nonzero(alike[:-1] & alike[1:])
     chords, to = places[rows + 1] - places[rows], orbit.unknowns - places[rows]
     squares = np.maximum((chords**2).sum(axis=1), np.finfo(float).tiny)
     share = (chords * to).sum(axis=1) / squares
     aside = ((to - share[:, None] * chords) ** 2).sum(axis=1)
-    return bool(((share >= 0.0) & (share <= 1.0) & (aside <= _ON_CHORD**2 * squares)).any())
-
-
-def _may_cross(orbits: Sequence[Orbit]) -> bool:
-    """Whether branches may cross between orbits: a multiplier passes 1 there, or comes near it."""
-    sides = [crossing_test(orbit) for orbit in orbits]
-    nearest = min(np.abs(orbit.multipliers - 1.0).min(initial=np.inf) for orbit in orbits)
-    return min(sides) < 0.0 < max(sides) or bool(nearest < _NEAR_ONE)
+    return bool(((share >= 0.0) & (share <= 1.0) & (aside <= ON_CHORD**2 * squares)).any())
 
 
 def _bend(orbits: list[Orbit]) -> Array:
     """Change of the tangent along a branch at its last orbit, as over the step to it."""
-    if len(orbits) < 2 or orbits[-2].special:
+    if len(orbits) < 2 or orbits[-2].across is not None:
         return np.zeros_like(orbits[-1].tangent)
     before, last = orbits[-2:]
     apart = last.unknowns - before.unknowns
@@ -286,7 +394,7 @@ def _change(before: NDArray[np.complex128], after: NDArray[np.complex128]) -> fl
     Zero far inside the unit circle: there multipliers may turn quickly, as of a fast oscillation
     within a long period, and nothing happens.
     """
-    if max(np.abs(before).max(initial=0.0), np.abs(after).max(initial=0.0)) < _INNER:
+    if max(np.abs(before).max(initial=0.0), np.abs(after).max(initial=0.0)) < INNER:
         return 0.0
     apart = np.abs(after[:, None] - before[None, :]).min(axis=1)
     return float((apart / (1.0 + np.abs(after))).max())

@@ -12,25 +12,30 @@ Derivatives of g are central differences.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
 from gapsweep.continuation.arclength import Continuation, reversed_orbit
-from gapsweep.continuation.branches import Branch, Branches
-from gapsweep.continuation.dataset import dataset
-from gapsweep.continuation.family import Family, Window
+from gapsweep.continuation.branches import Branches
+from gapsweep.continuation.dataset import dataset, special_points
+from gapsweep.continuation.family import AMPLITUDE, Family, Window
 from gapsweep.continuation.orbits import Evaluation, Orbit, OrbitEquations, Reference
+from gapsweep.continuation.recognise import Branch
 from gapsweep.continuation.special import Graze, Special, nearest_graze
+from gapsweep.continuation.thresholds import DIFFERENCE
 from gapsweep.errors import ModelError
-from gapsweep.integrate.problem import Solver
+from gapsweep.integrate.problem import Model, Solver
+from gapsweep.integrate.simulate import AnyLaw
 from gapsweep.model.oscillator import whole
+from gapsweep.variables import POINT
 
 Array = NDArray[np.float64]
 
 _DIFFERENCE = 1e-7  # of the scaled unknowns, for derivatives of g
+_STILL = 1e-4  # component of a cusp's tangent along the parameters
+_CLOSES = 1e-6  # residual of an orbit of the model, over its size
 _TARGETS = {Special.FOLD: 1.0, Special.PERIOD_DOUBLING: -1.0}
 
 
@@ -55,7 +60,9 @@ class CurveEquations(OrbitEquations):
         super().__init__(family, windows, solver)
         self._condition = condition
 
-    def evaluate(self, unknowns: Array, reference: Reference) -> Evaluation:
+    def evaluate(
+        self, unknowns: Array, reference: Reference, difference: float = DIFFERENCE
+    ) -> Evaluation:
         m, d = unknowns.shape
         shifts = _DIFFERENCE * np.concatenate([np.zeros((1, d)), np.eye(d), -np.eye(d)])
         moved = unknowns[None, :, :] + shifts[:, None, :]
@@ -64,7 +71,7 @@ class CurveEquations(OrbitEquations):
         apart = np.einsum("imi->im", moved[1 : d + 1] - moved[d + 1 :])
         every = moved.reshape(-1, d)
         lanes = np.tile(np.arange(m), len(shifts))
-        whole = super().evaluate(every, reference.take(lanes))
+        whole = super().evaluate(every, reference.take(lanes), difference)
         # Those of the motions with the parameters as they are; an unknown tangent does no harm.
         orbits = super().orbits(
             every, np.zeros_like(every), reference.take(lanes), whole, np.arange(len(every))
@@ -87,6 +94,8 @@ def special_curve(
     second: str,
     between: tuple[float, float],
     *,
+    oscillator: Model | Callable[..., Model] | None = None,
+    law: AnyLaw | None = None,
     max_steps: int = 500,
 ) -> xr.Dataset:
     """Return the curve of a special point of a branch over two parameters.
@@ -94,21 +103,25 @@ def special_curve(
     Parameters
     ----------
     branches : Dataset
-        Result of `gapsweep.branches` in the same process.
+        Result of `gapsweep.branches`, or a file with branches, as ``branches.nc`` of a study.
     point : int
-        Number of the special point from 0, counted along each branch, branch after branch. Folds,
-        period doublings, torus bifurcations and grazes have curves.
+        Number of the special point, as of `ds.gapsweep.special_points()`. Folds, period doublings,
+        torus bifurcations and grazes have curves.
     second : str
         Second parameter, named as `along` of `gapsweep.branches`.
     between : tuple of float
         Range of the second parameter, ascending. The first parameter keeps its range.
+    oscillator, law
+        Those of the branches, as in `gapsweep.branches`; required for branches from a file.
     max_steps : int
         Largest number of points on either side, 2 to 100000.
 
     Returns
     -------
     Dataset
-        Both parameters and the variables of `branches` over `step`.
+        Both parameters and the variables of `branches` over `step`, a closed curve once.
+        ``special`` marks the cusps of a curve of folds; ``stable`` is 1 where all multipliers are
+        within the unit circle but those that the bifurcation has on it.
 
     Raises
     ------
@@ -125,15 +138,22 @@ def special_curve(
     >>> curve["omega"].dims
     ('step',)
     """
-    family = branches.encoding.get("family")
-    if not isinstance(family, Family):
-        raise ModelError("branches: must come from gapsweep.branches in this process")
-    if family.is_conservative:
-        raise ModelError("branches: free motions along 'amplitude' have no curves")
     row, kind = _row(branches, point)
-    first = Window.of(family.names[0], branches.attrs["between"])
+    family, name = branches.encoding.get("family"), str(branches.attrs["along"])
+    if name == AMPLITUDE:
+        raise ModelError("branches: free motions along 'amplitude' have no curves")
+    value = float(row[name])
+    if oscillator is not None and law is not None:
+        omega = branches.attrs.get("forcing_frequency", row.coords.get("omega"))
+        omega = None if name == "omega" or omega is None else float(omega)
+        family = Family(oscillator, law, omega, (name,), {name: value})
+    if not isinstance(family, Family):
+        raise ModelError(
+            "oscillator, law: missing; a file does not hold them: "
+            f"gs.special_curve(branches, {point}, {second!r}, {between!r}, oscillator=..., law=...)"
+        )
+    first = Window.of(name, branches.attrs["between"])
     windows = first, Window.of(second, between)
-    value = float(row[first.name])
     fixed = family.value_of(second, {first.name: value})
     if not windows[1].low <= fixed <= windows[1].high:
         raise ModelError(
@@ -160,22 +180,25 @@ def special_curve(
     )
     found_all = Branches(equations=equations, max_steps=max_steps)
     forward, backward = found_all.with_special_points(halves)
-    orbits = [replace(o, special=int(kind)) for o in [*backward[:0:-1], *forward]]
+    orbits = [*map(reversed_orbit, backward[:0:-1]), *forward]
+    if halves[0].end == "closed":
+        orbits = [*forward[:-1], forward[0]]
+    # Where the curve has a corner, as at a graze, the parameters do not stand still.
+    orbits = [o for o in orbits if not o.special or np.abs(o.tangent[-2:]).max() <= _STILL]
     ends = halves[1].end, halves[0].end
     found_all.found = [Branch(orbits=orbits, ends=ends, reference=reference)]
-    return dataset(found_all).isel(branch=0, drop=True)
+    made = dataset(found_all).isel(branch=0, drop=True)
+    return made.assign_attrs(curve=kind.name.lower(), second=second)
 
 
 def _row(branches: xr.Dataset, point: int) -> tuple[xr.Dataset, Special]:
     """The orbit of a special point, and its kind."""
-    places = np.argwhere(branches["special"].values > 0)
-    number = whole("point", point, 0, max(len(places) - 1, 0))
-    if not len(places):
+    points = special_points(branches)
+    if not points.sizes[POINT]:
         raise ModelError("branches: have no special points")
-    branch, step = places[number].tolist()
-    row = branches.isel(branch=branch, step=step)
+    row = points.isel({POINT: whole("point", point, 0, points.sizes[POINT] - 1)})
     kind = Special(int(row["special"]))
-    if kind in (Special.BRANCH_POINT, Special.SYMMETRY_BREAKING):
+    if kind not in (*_TARGETS, Special.TORUS, Special.GRAZING):
         raise ModelError(
             f"point = {point}: is a {kind.name.lower()}; must be a fold, a period doubling, "
             "a torus bifurcation or a graze"
@@ -198,6 +221,8 @@ def _start(equations: OrbitEquations, row: xr.Dataset, values: Array) -> tuple[O
     if equations.has_period:
         reference.rate = equations.rates(state, unknowns)
     found = equations.evaluate(unknowns, reference)
+    if not found.is_ok[0] or np.abs(found.residual).max() > _CLOSES:
+        raise ModelError("oscillator, law: must be those of the branches; the orbit does not close")
     tangent = np.zeros_like(unknowns)
     (orbit,) = equations.orbits(unknowns, tangent, reference, found, np.zeros(1, np.intp))
     return orbit, reference

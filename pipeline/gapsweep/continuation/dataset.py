@@ -4,12 +4,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from gapsweep.continuation.branches import Branch, Branches
+from gapsweep.continuation.branches import Branches
 from gapsweep.continuation.family import AMPLITUDE
 from gapsweep.continuation.orbits import Orbit
+from gapsweep.continuation.recognise import Branch
 from gapsweep.continuation.special import Special
 from gapsweep.model.oscillator import Oscillator
-from gapsweep.variables import COORDINATE, PARTS, Variable
+from gapsweep.variables import COORDINATE, PARTS, POINT, Variable
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -21,7 +22,7 @@ END_FLAGS = tuple((name, i) for i, name in enumerate(_ENDS))
 SPECIAL_FLAGS = tuple((kind.name.lower(), int(kind)) for kind in Special)
 _STATUS = (("ok", 0), ("not_requested", 1))
 _STABLE = (("none", -1), ("unstable", 0), ("stable", 1))
-_NEUTRAL = 1e-6  # by which multipliers of free motions are off the unit circle
+_NEUTRAL = 1e-6  # by which multipliers of free motions and on curves are off the unit circle
 
 VARIABLES = {
     "period": Variable("f8", "s", "period of the orbit"),
@@ -71,23 +72,27 @@ def dataset(found: Branches) -> "xr.Dataset":
         name: Variable("f8", _UNITS.get(name, ""), f"{name} along the branch") for name in names
     }
     table = swept | VARIABLES
+    is_neutral = family.is_conservative or len(equations.windows) > 1  # as on curves
     is_system = not isinstance(family.model, Oscillator) and equations.first_gap > 0
     data: dict[str, Any] = {}
     for name, variable in table.items():
         dims = tuple(d for d in variable.dims if d != COORDINATE or model.n > 1)
         values = np.full([sizes[d] for d in (*_POINT, *dims)], variable.missing, variable.dtype)
         for i, branch in enumerate(branches):
-            rows = [
-                _value(name, orbit, names, is_free=family.is_conservative)
-                for orbit in branch.orbits
-            ]
+            rows = [_value(name, orbit, names, is_neutral=is_neutral) for orbit in branch.orbits]
             values[i, : len(rows)] = np.reshape(rows, (len(rows), *values.shape[2:]))
         form = variable.of_systems if is_system else variable
         data[name] = ((*_POINT, *dims), values, form.attributes)
     for name, variable in OF_BRANCH.items():
         rows = [_of_branch(name, branch) for branch in branches]
         data[name] = ((BRANCH,), np.array(rows, variable.dtype), variable.attributes)
-    data |= _attractors(found)
+    for name, of, words in (
+        ("attractor_on_branch", "branch", "branch of the attractor, -1: none"),
+        (f"attractor_{window.name}", "value", f"{window.name} of the attractor"),
+    ):
+        values = np.array([getattr(each, of) for each in found.attractors])
+        values = values.astype("i4" if of == "branch" else float)
+        data[name] = ((ATTRACTOR,), values, {"long_name": words})
     coordinates: dict[str, Any] = {BRANCH: np.arange(len(branches)), STEP: np.arange(longest)}
     if model.n > 1:
         labels = list(model.coordinates)
@@ -108,7 +113,16 @@ def dataset(found: Branches) -> "xr.Dataset":
     return made
 
 
-def _value(name: str, orbit: Orbit, swept: list[str], *, is_free: bool) -> Any:
+def special_points(found: "xr.Dataset") -> "xr.Dataset":
+    """Special points over `point`: those of each branch in its order, branch after branch."""
+    import xarray as xr
+
+    found = found if BRANCH in found.dims else found.expand_dims(BRANCH)
+    places = np.argwhere(found["special"].transpose(BRANCH, STEP).values > 0).T
+    return found.isel({n: xr.DataArray(i, dims=POINT) for n, i in zip(_POINT, places, strict=True)})
+
+
+def _value(name: str, orbit: Orbit, swept: list[str], *, is_neutral: bool) -> Any:
     """One value of an orbit."""
     if name in swept:
         return orbit.parameters[swept.index(name)]
@@ -118,7 +132,7 @@ def _value(name: str, orbit: Orbit, swept: list[str], *, is_free: bool) -> Any:
         return 0
     if name == "stable":
         largest = np.abs(orbit.multipliers).max(initial=0.0)
-        return int(largest <= 1.0 + _NEUTRAL if is_free else largest < 1.0)
+        return int(largest <= 1.0 + _NEUTRAL if is_neutral else largest < 1.0)
     if name == "multiplier_real":
         return orbit.multipliers.real
     if name == "multiplier_imag":
@@ -132,21 +146,3 @@ def _of_branch(name: str, branch: Branch) -> int:
     if name == "parent":
         return branch.parent
     return _ENDS.index(branch.ends[0 if name == "begins" else 1])
-
-
-def _attractors(found: Branches) -> dict[str, Any]:
-    """Which attractors lie on which branch."""
-    name = found.equations.windows[0].name
-    dims, some = (ATTRACTOR,), found.attractors
-    return {
-        "attractor_on_branch": (
-            dims,
-            np.array([each.branch for each in some], "i4"),
-            {"long_name": "branch of the attractor, -1: none"},
-        ),
-        f"attractor_{name}": (
-            dims,
-            np.array([each.value for each in some], float),
-            {"long_name": f"{name} of the attractor"},
-        ),
-    }

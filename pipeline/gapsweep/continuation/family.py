@@ -17,6 +17,7 @@ from gapsweep.model.contact import ContactLaw, checked_law
 from gapsweep.model.oscillator import Gap, Oscillator, checked, is_number
 from gapsweep.model.structure import general_form
 from gapsweep.model.system import System
+from gapsweep.model.user_law import UserLaw
 
 Array = NDArray[np.float64]
 
@@ -69,14 +70,15 @@ class Window:
     def value(self, place: Any) -> Any:
         """Parameter values at places from 0 to 1; beyond, those at the ends."""
         place = np.clip(place, 0.0, 1.0)
+        found = self.low + place * (self.high - self.low)
         if self._is_logarithmic:
-            return self.low * np.exp(place * math.log(self.high / self.low))
-        return self.low + place * (self.high - self.low)
+            found = self.low * np.exp(place * math.log(self.high / self.low))
+        return np.where(place == 1.0, self.high, found)[()]  # rounding must not miss the end
 
     def place(self, value: Any) -> Any:
         """Places from 0 to 1 of parameter values."""
         if self._is_logarithmic:
-            return np.log(np.asarray(value) / self.low) / math.log(self.high / self.low)
+            return np.log(np.asarray(value) / self.low) / np.log(self.high / self.low)
         return (np.asarray(value) - self.low) / (self.high - self.low)
 
 
@@ -120,14 +122,14 @@ class Family:
             raise ModelError(f"omega: {said}")
 
     def _check(self, name: str) -> None:
-        if name in ("omega", AMPLITUDE) and self._laws:
+        if name in ("omega", AMPLITUDE):
             return
         if callable(self.model) and name in inspect.signature(self.model).parameters:
             return
         if isinstance(self.model, Oscillator) and name in _names(self.model):
             return
         if any(name in _GAP or name in _names(law) for law in self._laws):
-            if not all(law.is_numbers for law in self._laws):
+            if not all(law.is_numbers or name in _names(law) for law in self._laws):
                 raise ModelError(
                     f"along = {name!r}: parameters of fitted laws and user laws cannot be "
                     "continued; use 'omega' or a parameter of the model"
@@ -213,23 +215,21 @@ class Family:
         if name == "omega" and self.omega is not None:
             return self.omega
         given = {**self.values, **values}
-        model, default = self.model_at(given), inspect.Parameter.empty
-        if callable(self.model):
-            known = inspect.signature(self.model).parameters
-            default = known[name].default if name in known else default
-        laws = self.laws_at(given)
-        found = [getattr(law, name) for law in laws if name in _names(law) and name != "gap"]
+        model, laws = self.model_at(given), self.laws_at(given)
         if name == "gap" and any(law.gap.j_1 != law.gap.j_2 for law in laws):
             raise ModelError("second = 'gap': the walls differ; use 'j_1' or 'j_2'")
-        if name in _GAP:
-            found = [getattr(law.gap, "j_1" if name == "gap" else name) for law in laws]
-        if isinstance(model, Oscillator) and name in _names(model):
-            found = [getattr(model, name)]
-        if default is not inspect.Parameter.empty:
-            found = [default]
-        if not found:
+        known: dict[str, Any] = {}
+        for law in laws[::-1]:
+            own = law.parameters if isinstance(law, UserLaw) else vars(law)
+            known |= {each: own[each] for each in _names(law)}
+            known |= {"gap": law.gap.j_1, "j_1": law.gap.j_1, "j_2": law.gap.j_2}
+        known |= {each: getattr(model, each) for each in _names(model)}
+        if callable(self.model):
+            parameters = inspect.signature(self.model).parameters.values()
+            known |= {p.name: p.default for p in parameters if p.default is not p.empty}
+        if name not in known:
             raise ModelError(f"second = {name!r}: not a parameter of the model, or without a value")
-        return float(found[0])
+        return float(known[name])
 
     def models(self, windows: tuple[Window, ...], places: Array) -> Models:
         """Models at places in windows of the parameters.
@@ -261,9 +261,11 @@ class Family:
 
 
 def _names(of: Any) -> list[str]:
-    """Numbers and the gap of an oscillator or a law; none of a system."""
+    """Numbers and the gap of an oscillator or a law, parameters of a user law; none of a system."""
     if isinstance(of, System):
         return []
+    if isinstance(of, UserLaw):
+        return [*of.parameters]
     names = [field.name for field in fields(of)]
     return [name for name in names if is_number(getattr(of, name)) or name == "gap"]
 
@@ -272,6 +274,8 @@ def _law_at(law: ContactLaw, values: Mapping[str, float]) -> ContactLaw:
     known: dict[str, Any] = {
         name: value for name, value in values.items() if name in _names(law) and name != "gap"
     }
+    if isinstance(law, UserLaw):
+        return replace(law, parameters={**law.parameters, **known}) if known else law
     gap: dict[str, Any] = {name: values[name] for name in ("j_1", "j_2") if name in values}
     if "gap" in values:
         known["gap"] = Gap(values["gap"], values["gap"])

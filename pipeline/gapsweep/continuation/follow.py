@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -10,13 +11,15 @@ import numpy as np
 import xarray as xr
 from numpy.typing import ArrayLike, NDArray
 
-from gapsweep.continuation.branches import Attractor, Branches, motions
+from gapsweep.continuation.branches import Branches
 from gapsweep.continuation.dataset import dataset
 from gapsweep.continuation.family import Family, Window
-from gapsweep.continuation.orbits import OrbitEquations
+from gapsweep.continuation.orbits import OrbitEquations, motions
+from gapsweep.continuation.seed import Attractor
 from gapsweep.errors import ModelError
 from gapsweep.integrate.problem import Model, Models, Solver
 from gapsweep.integrate.simulate import AnyLaw, simulate
+from gapsweep.model.doubts import doubts, warn_of
 from gapsweep.model.oscillator import checked, whole
 from gapsweep.response.respond import respond_models
 from gapsweep.response.result import Response, ResponseClass, Steady
@@ -26,7 +29,9 @@ Array = NDArray[np.float64]
 DEFAULT_RTOL = 1e-11
 _VALUES = 8  # of the parameter, at which attractors are sought
 _CLOSE = 1e-3  # a motion that comes back so near, as a share of its size, closes
-_AWAY = 2.0  # starts beyond the walls, as parts of their distance
+_AWAY = 2.0  # initial displacements beyond the walls, in distances of the walls
+# The same of unforced systems, whose equilibrium leads nowhere; without walls in metres.
+_DISPLACED = 1e-3, 0.03, 1.0, 30.0
 
 
 def branches(
@@ -63,12 +68,13 @@ def branches(
         `Response`, or eight values.
     start : Response or array_like, optional
         First orbit: a periodic response, or an initial state (displacements, velocities,
-        first-order states) near an orbit. By default the attractors of motions from `starts`.
+        first-order states) near an orbit. By default the attractors of motions from `starts`; free
+        motions are released from rest, with the first coordinate at each value of `at`.
     omega : float, optional
         Forcing frequency [Hz], if it is not the parameter.
     starts : array_like, shape (n, n_states), optional
         Initial states of motions that lead to attractors; by default rest, and the first coordinate
-        displaced beyond either wall.
+        displaced beyond either wall, of unforced systems by several amplitudes too.
     follow : int
         Generations of branches that bifurcate at period doublings and symmetry breaking, 0 to 10.
     max_steps : int
@@ -85,7 +91,7 @@ def branches(
     Raises
     ------
     ModelError
-        If an argument is out of range, or no periodic orbit is found near `start`.
+        If an argument is out of range, or no periodic orbit is found.
 
     Examples
     --------
@@ -104,22 +110,31 @@ def branches(
         omega = checked("omega", omega, low=0.0, strict=True)
     family = Family(oscillator, law, omega, (along,), values)
     solver = solver_of(family, rtol, atol)
+    ends = [{along: x} for x in (window.low, window.high)]
+    models, laws = zip(*((family.model_at(end), family.laws_at(end)) for end in ends), strict=True)
+    frequencies = (window.low, window.high) if along == "omega" else omega or 0.0
+    warn_of(doubts(models, laws, frequencies, np.zeros((1, family.example.n_states))))
     equations = OrbitEquations(family, (window,), solver)
     found = Branches(equations=equations, max_steps=whole("max_steps", max_steps, 2, 100_000))
-    found.add(_attractors(equations, places, start, starts))
-    if not found.attractors:
+    if start is None and not family.is_conservative:
+        at_values = np.asarray(places or window.value((np.arange(_VALUES) + 0.5) / _VALUES))
+        states = _states(equations, starts)
+        every = np.repeat(at_values, len(states)), np.tile(states, (len(at_values), 1))
+        found.add(settled(equations, *every))
+        tried = f"states {states.tolist()} at {along} = {at_values.tolist()}"
+    else:
+        found.add(_attractors(equations, places, start, starts))
+        tried = "free motions" if start is None else "the orbit given as start"
+    if not found.found:
+        name = "starts" if start is None else "start"
         raise ModelError(
-            "starts: no motion settles on a periodic orbit; change starts, the values of "
-            f"{along} as at, or an initial state near an orbit as start"
-        )
-    if start is not None and not found.found:
-        raise ModelError(
-            f"start: Newton's method finds no periodic orbit near it at {along} = "
+            f"{name}: Newton's method finds no periodic orbit near it at {along} = "
             f"{found.attractors[0].value:g}; use a steady response, as start=gs.respond(...)"
         )
     for _ in range(follow):
         found.follow()
-    return dataset(found)
+    tried += "; other initial conditions may lead to further branches"
+    return dataset(found).assign_attrs(initial_conditions=tried)
 
 
 def solver_of(family: Family, rtol: float | None, atol: float | None) -> Solver:
@@ -139,14 +154,14 @@ def _attractors(
     start: Response | ArrayLike | None,
     starts: ArrayLike | None,
 ) -> list[Attractor]:
-    """Orbits that branches start from."""
+    """Orbits that are known, or those of free motions."""
     window, n_states = equations.windows[0], equations.n_states
     if start is not None and starts is not None:
         raise ModelError("start and starts: give one of them only")
-    if start is not None and at is not None and len(at) > 1:
-        raise ModelError(
-            f"at = {at!r}: must be one value of {window.name}, since start is one orbit"
-        )
+    is_free = equations.family.is_conservative
+    if start is not None and at is not None and (is_free or len(at) > 1):
+        allowed = "left out" if is_free else f"one value of {window.name}"
+        raise ModelError(f"at = {at!r}: must be {allowed}, since start is one orbit")
     if isinstance(start, Response):
         if np.ndim(start.period_multiple):
             raise ModelError("start: must be one response, as from gs.respond at one omega")
@@ -159,6 +174,7 @@ def _attractors(
                 name = "at" if is_parameter else "omega"
                 raise ModelError(f"{name} = {called:g}: must be omega = {own:g} of the response")
             at = _inside(window, own) if is_parameter else at
+        at = _inside(window, np.ravel(start.amplitude)[0].item(), "amplitude") if is_free else at
         if at is None:
             raise ModelError(f"at: missing; give the value of {window.name} of the response")
         return [_attractor(start, at[0], n_states)]
@@ -166,7 +182,7 @@ def _attractors(
         state = _numbers("start", start)
         if len(state) != n_states:
             raise ModelError(f"start = {start!r}: must be a state of {n_states} numbers")
-        if equations.family.is_conservative:
+        if is_free:
             return [_free(equations, state)]
         if equations.has_period:
             raise ModelError("start: an unforced system needs a gapsweep.Response")
@@ -174,27 +190,39 @@ def _attractors(
             raise ModelError(f"at: missing; give the value of {window.name} of the orbit start")
         multiple = _periods(equations, at[0], state)
         return [Attractor(value=at[0], section=state[None, :], period=np.nan, multiple=multiple)]
-    if equations.family.is_conservative:
-        state = np.zeros(n_states)
-        state[0] = at[0] if at else window.low
-        return [_free(equations, state)]
-    values = np.asarray(at or window.value((np.arange(_VALUES) + 0.5) / _VALUES))
-    states = _states(equations, starts)
-    return settled(equations, np.repeat(values, len(states)), np.tile(states, (len(values), 1)))
+    values = at or [float(window.value(0.5))]
+    return [_free(equations, value * np.eye(n_states)[0]) for value in values]
 
 
 def settled(equations: OrbitEquations, values: Array, states: Array) -> list[Attractor]:
-    """Periodic attractors that motions settle on, each once."""
+    """Periodic attractors that motions settle on, each once.
+
+    Raises
+    ------
+    ModelError
+        If there are none.
+    """
     window, n = equations.windows[0], equations.n_states
     models = equations.family.models((window,), np.asarray(window.place(values))[:, None])
     answers = respond_models(models, Solver.of(), states, Steady()).rows()
     found: list[Attractor] = []
+    kinds: Counter[str] = Counter()
     for value, answer in zip(values.tolist(), answers, strict=True):
-        if answer.response_class != ResponseClass.PERIODIC:
+        kind = answer.response_class
+        if kind == ResponseClass.PERIODIC and np.max(answer.amplitude) <= answer.noise:
+            kind = ResponseClass.EQUILIBRIUM  # as where the forcing is 0
+        kinds[kind.name.lower()] += 1
+        if kind != ResponseClass.PERIODIC:
             continue
         attractor = _attractor(answer, value, n)
         if not any(_are_same(attractor, other) for other in found):
             found.append(attractor)
+    if not found:
+        n_of = ", ".join(f"{n} {name}" for name, n in kinds.items())
+        raise ModelError(
+            f"starts: no motion settles on a periodic orbit ({n_of}); change starts, the values of "
+            f"{window.name} as at, or give an initial state near an orbit as start"
+        )
     return found
 
 
@@ -233,25 +261,22 @@ def _free(equations: OrbitEquations, state: Array) -> Attractor:
     if not slowest:
         raise ModelError("start: this System has no natural frequency; give a Response")
     run = simulate(
-        model,
-        law,
-        q_0=state[:n],
-        v_0=state[n : 2 * n],
-        t_end=20.0 / slowest,
+        model, law, q_0=state[:n], v_0=state[n : 2 * n], t_end=20.0 / slowest,
         rtol=DEFAULT_RTOL,
-    )
+    )  # fmt: skip
     if not len(run.t_section):
         raise ModelError("start: the motion does not return; give another amplitude")
-    amplitude = abs(float(state[0]))
+    turns = [state[0], *run.extrema[model.coordinates[0]]]
+    (amplitude,) = _inside(equations.windows[0], 0.5 * float(np.ptp(turns)), "amplitude")
     period = float(run.t_section[0])
     return Attractor(value=amplitude, section=state[None, :], period=period, multiple=1)
 
 
-def _inside(window: Window, at: ArrayLike) -> list[float]:
-    values: list[float] = _numbers("at", at).tolist()
+def _inside(window: Window, at: ArrayLike, name: str = "at") -> list[float]:
+    values: list[float] = _numbers(name, at).tolist()
     if not values or not all(window.low <= value <= window.high for value in values):
         raise ModelError(
-            f"at = {at!r}: must lie within between = ({window.low:g}, {window.high:g})"
+            f"{name} = {at!r}: must lie within between = ({window.low:g}, {window.high:g})"
         )
     return values
 
@@ -274,9 +299,9 @@ def _states(equations: OrbitEquations, starts: ArrayLike | None) -> Array:
         if not len(states) or len(states) % n:
             raise ModelError(f"starts: must be states of {n} numbers")
         return states.reshape(-1, n)
-    found = [np.zeros(n)]
-    for law in equations.family.laws_at(equations.family.values):
-        for wall in law.walls:
-            found.append(np.zeros(n))
-            found[-1][0] = _AWAY * (wall or law.gap.width)
-    return np.unique(np.array(found), axis=0)
+    laws = equations.family.laws_at(equations.family.values)
+    walls = [wall for law in laws for wall in (-law.gap.j_1, law.gap.j_2) if wall]
+    displaced = [0.0, *(_AWAY * wall for wall in walls)]
+    if equations.has_period:
+        displaced += [max(map(abs, walls), default=1.0) * part for part in _DISPLACED]
+    return np.unique(np.outer(displaced, np.eye(n)[0]) + 0.0, axis=0)  # no -0.0

@@ -1,8 +1,7 @@
 """Where a function of orbits changes its sign along a step of a branch.
 
 Orbits of a step are sought on hyperplanes across its chord, from cubic polynomials through its
-ends and along their tangents. Roots are those of Chandrupatla's method. Where branches cross,
-Newton's method finds either of them: the crossing is interpolated between orbits at both sides.
+ends and along their tangents. Roots are those of Chandrupatla's method.
 """
 
 from collections.abc import Callable, Sequence
@@ -15,15 +14,10 @@ from scipy.optimize import elementwise
 
 from gapsweep.continuation.newton import Corrector
 from gapsweep.continuation.orbits import Orbit, Reference
+from gapsweep.continuation.thresholds import LOCATED
 
 Array = NDArray[np.float64]
 Value = Callable[[Orbit], float]
-
-_LOCATED = 1e-13  # of a step, to which roots are
-# Distances of the orbits about a crossing, in unknowns, and when two of them give the same.
-_AROUND, _AGREES = (1e-3, 3e-4, 1e-4, 3e-5, 1e-5), 1e-9
-_NEAREST = 0.125  # the same as a part of a step
-_ON = 1e-13
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,9 +48,7 @@ class Step:
     def point(self, s: float) -> Array:
         """Unknowns near those of the branch, for s from 0 to 1."""
         a, b, size = self.before, self.after, self.size
-        bent = (
-            a.special or float(a.tangent @ b.tangent) < 0.5
-        )  # a kink, or another branch's tangent
+        bent = float(a.tangent @ b.tangent) < 0.5  # at a kink
         if bent:
             return a.unknowns + s * self.chord
         slope = s * (1.0 - s) ** 2 * a.tangent - s**2 * (1.0 - s) * b.tangent
@@ -98,56 +90,11 @@ def roots(
                 nearest[k], found[k] = abs(f[i]), (s, orbit)
         return np.asarray(f.reshape(np.shape(parts)))
 
-    inside = np.flatnonzero(np.abs(at_ends[:, 0]) > _ON) if len(steps) else np.empty(0, int)
+    inside = np.flatnonzero(np.abs(at_ends[:, 0]) > LOCATED) if len(steps) else np.empty(0, int)
     for k in set(range(len(steps))) - set(inside.tolist()):
         found[k] = 0.0, steps[k].before
     if len(inside):
-        tolerances = {"xatol": _LOCATED, "xrtol": 0.0, "fatol": 0.0, "frtol": 0.0}
+        tolerances = {"xatol": LOCATED, "xrtol": 0.0, "fatol": 0.0, "frtol": 0.0}
         ends = np.zeros(len(inside)), np.ones(len(inside))
         elementwise.find_root(value, ends, args=(inside.astype(float),), tolerances=tolerances)
     return found
-
-
-def crossing(corrector: Corrector, step: Step, value: Value) -> Orbit | None:
-    """The orbit of a step at which another branch crosses."""
-    ends, f = [0.0, 1.0], [value(step.before), value(step.after)]
-    if f[0] * f[1] >= 0.0:
-        return None
-    found, before = None, np.inf
-    for distance in _AROUND:
-        apart = min(distance / step.size, _NEAREST)
-        while ends[1] - ends[0] > 8.0 * apart:
-            middle = 0.5 * (ends[0] + ends[1])
-            (orbit,) = orbits_at(corrector, [step], [middle])
-            if orbit is None:
-                return found
-            side = 0 if value(orbit) * f[0] > 0.0 else 1
-            ends[side], f[side] = middle, value(orbit)
-        guess = (ends[0] * f[1] - ends[1] * f[0]) / (f[1] - f[0])
-        s = guess + apart * np.array([-3, -1, 1, 3])
-        orbits = [orbit for orbit in orbits_at(corrector, [step] * 4, s) if orbit is not None]
-        values = np.array([value(orbit) for orbit in orbits])
-        if len(orbits) < len(s) or not (np.diff(values) * (f[1] - f[0]) > 0.0).all():
-            return found
-        at = float(_lagrange(values, s, 0.0))
-        if abs(at - guess) > 3.0 * apart:
-            return found
-        u, t = (
-            _lagrange(s, np.array([getattr(orbit, name) for orbit in orbits]), at)[None, :]
-            for name in ("unknowns", "tangent")
-        )
-        equations = corrector.equations.evaluate(u, step.reference)
-        if equations.is_ok[0]:
-            (found,) = corrector.equations.orbits(
-                u, t, step.reference, equations, np.zeros(1, np.intp)
-            )
-        if abs(at - before) * step.size <= _AGREES:
-            break
-        before = at
-    return found
-
-
-def _lagrange(x: Array, values: Array, at: float) -> Any:
-    """Polynomial through values at some x, at another one."""
-    weights = [np.prod([(at - other) / (one - other) for other in x if other != one]) for one in x]
-    return np.tensordot(weights, values, axes=1)

@@ -6,13 +6,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gapsweep.continuation.orbits import Evaluation, Orbit, Reference
+from gapsweep.continuation.thresholds import (
+    CLOSED,
+    NEAR,
+    NEARLY,
+    NEWTON_STEPS,
+    ROUNDING,
+    SHRINKS,
+    WIDER,
+)
 
 Array = NDArray[np.float64]
-
-# Lengths in scaled unknowns: sizes of states and windows of parameters are 1.
-_CLOSED, _NEARLY = 1e-10, 1e-7  # Newton steps: of an orbit; where they do not shrink any more
-_NEAR, _LEAST = 0.01, 1e-13  # the same over the length of a step, and at least
-_NEWTON_STEPS, _WIDER = 10, 2.0
 
 
 class Corrector:
@@ -45,7 +49,7 @@ class Corrector:
         found: list[Orbit | None] = [None] * m
         n_steps, last = np.zeros(m, np.int64), np.full(m, np.inf)
         left = np.arange(m)
-        for _ in range(_NEWTON_STEPS):
+        for _ in range(NEWTON_STEPS):
             if not left.size:
                 break
             here = reference.take(left)
@@ -54,8 +58,8 @@ class Corrector:
             step, tangent = self._solved(equations, off, direction[left])
             length = np.sqrt((step**2).sum(axis=1))
             is_ok = equations.is_ok & np.isfinite(length)
-            near = np.clip(_NEAR * furthest[left], _LEAST, _CLOSED)
-            is_best = (length <= _NEARLY * furthest[left]) & (length > 0.3 * last[left])
+            near = np.clip(NEAR * furthest[left], ROUNDING, CLOSED)
+            is_best = (length <= NEARLY * furthest[left]) & (length > SHRINKS * last[left])
             closed = np.flatnonzero(is_ok & ((length <= near) | is_best))
             if closed.size:
                 rows = left[closed]
@@ -67,7 +71,7 @@ class Corrector:
             moved = u[left] + step - guess[left]
             goes_on = is_ok & (np.sqrt((moved**2).sum(axis=1)) <= furthest[left])
             goes_on[closed] = False
-            goes_on &= ~(length > _WIDER * last[left])
+            goes_on &= ~(length > WIDER * last[left])
             last[left], n_steps[left] = length, n_steps[left] + 1
             u[left[goes_on]] += step[goes_on]
             left = left[goes_on]

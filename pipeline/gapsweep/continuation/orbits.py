@@ -13,13 +13,15 @@ central differences of two motions. All orbits of a call are integrated together
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from gapsweep.continuation.family import Family, Window
+from gapsweep.continuation.identity import Identity
+from gapsweep.continuation.thresholds import DIFFERENCE, ONE_TURN
 from gapsweep.integrate.motions import Motions, merged
 from gapsweep.integrate.problem import Problems, Solver
 from gapsweep.integrate.simulate import prepared
@@ -30,9 +32,6 @@ from gapsweep.status import Status
 
 Array = NDArray[np.float64]
 Numbers = NDArray[np.intp]
-
-_DIFFERENCE = 1e-9  # of a window, for derivatives by a parameter
-_LINEAR = 1e-6  # a rate whose components are smaller is none
 
 
 @dataclass(slots=True, kw_only=True)
@@ -92,12 +91,12 @@ class Orbit:
     branching : float
         Determinant of the equations and the tangent: zero where branches cross.
     period_multiple : int
+    identity : Identity
+    monodromy : ndarray, shape (n_states, n_states)
     special : int
         Kind of a special point, as of `gapsweep.continuation.special.Special`; 0: none.
-    unlike : tuple of float
-        How far its two halves are from being alike, and from being mirror images, as shares of its
-        size: 0 where the branch has met another one.
-    monodromy : ndarray, shape (n_states, n_states)
+    across : ndarray, shape (d,), or None
+        Direction of the branch that crosses there, where it is known.
     """
 
     unknowns: Array
@@ -112,9 +111,10 @@ class Orbit:
     n_contacts: int
     branching: float
     period_multiple: int
+    identity: Identity
+    monodromy: Array
     special: int = 0
-    unlike: tuple[float, float] = (1.0, 1.0)
-    monodromy: Array = field(default_factory=lambda: np.empty((0, 0)))
+    across: Array | None = None
 
     @property
     def amplitude(self) -> float:
@@ -193,8 +193,10 @@ class OrbitEquations:
         values = [orbit.amplitude] if self.family.is_conservative else orbit.parameters
         return np.array([w.place(x) for w, x in zip(self.windows, values, strict=True)])
 
-    def evaluate(self, unknowns: Array, reference: Reference) -> Evaluation:
-        """Residuals and their derivatives."""
+    def evaluate(
+        self, unknowns: Array, reference: Reference, difference: float = DIFFERENCE
+    ) -> Evaluation:
+        """Residuals and their derivatives; by parameters from differences, a share of a range."""
         m, n = len(unknowns), self.n_states
         y = unknowns[:, :n] * reference.size
         places, period = self.places(unknowns), None
@@ -205,7 +207,7 @@ class OrbitEquations:
         for k in range(self.n_parameters):
             for sign in (1.0, -1.0):
                 other = places.copy()
-                other[:, k] = np.clip(other[:, k] + sign * _DIFFERENCE, 0.0, 1.0)
+                other[:, k] = np.clip(other[:, k] + sign * difference, 0.0, 1.0)
                 shifted.append(other)
         found, models = self._motions(
             np.tile(y, (len(shifted), 1)),
@@ -289,12 +291,16 @@ class OrbitEquations:
             sign, log = np.linalg.slogdet(equations)
             branching = sign * np.exp(np.clip(log, -600.0, 600.0))
         events = motions.events()
-        ends = np.cumsum(events.n_extrema)
+        ends, strobes = np.cumsum(events.n_extrema), np.cumsum(events.n_section)
         orbits = []
         for k, row in enumerate(rows.tolist()):
             span = slice(ends[row] - events.n_extrema[row], ends[row])
             values, of = events.extrema[span], events.extrema_of[span]
             state = unknowns[k, :n] * size[k]
+            points = slice(strobes[row] - events.n_section[row], strobes[row])
+            section = self._section(
+                state, events.section[points], events.t_section[points] / motions.t[row]
+            )
             q = [np.append(values[of == i], state[i]) for i in range(self.n)]
             gaps = [values[of == self.first_gap + j] for j in range(self.n_contacts)]
             orbits.append(
@@ -311,11 +317,41 @@ class OrbitEquations:
                     n_contacts=int(motions.n_contacts[row]),
                     branching=float(branching[k]),
                     period_multiple=int(reference.multiple[k]),
-                    unlike=_unlike(q),
+                    identity=Identity(section / size[k], _asymmetry(q, size[k])),
                     monodromy=monodromy[k].copy(),
                 )
             )
         return orbits
+
+    def _section(self, state: Array, section: Array, phase: Array) -> Array:
+        """Section points of an orbit, each once; at least its initial state.
+
+        A maximum at the start of an unforced orbit may be found at its end too.
+        """
+        if self.family.is_conservative or not len(section):
+            return state[None, :]
+        is_twice = self.has_period and len(section) > 1 and phase[-1] - phase[0] > ONE_TURN
+        return section[:-1] if is_twice else section
+
+    def models_at(self, orbit: Orbit) -> Any:
+        """The model of one orbit."""
+        return self.family.models(self.windows, self.places(orbit.unknowns[None, :]))
+
+    def reference_at(self, reference: Reference, orbit: Orbit) -> Reference:
+        """Sizes of one branch, and the phase of one of its orbits."""
+        found = reference.take(np.zeros(1, int))
+        if self.has_period:
+            found.y = orbit.state[None, :]
+            found.rate = self.rates(found.y, orbit.unknowns[None, :])
+        return found
+
+    def orbit(self, unknowns: Array, tangent: Array, reference: Reference) -> Orbit | None:
+        """The orbit of unknowns as they are; None if its motion fails."""
+        found = self.evaluate(unknowns[None, :], reference)
+        if not found.is_ok[0]:
+            return None
+        rows = np.zeros(1, np.intp)
+        return self.orbits(unknowns[None, :], tangent[None, :], reference, found, rows)[0]
 
     def rates(self, states: Array, unknowns: Array) -> Array:
         """Derivatives of states by time, shape (m, n_states)."""
@@ -344,14 +380,20 @@ def integrated(
     return merged(parts, [rows for rows, _ in groups])
 
 
-def _unlike(q: list[Array]) -> tuple[float, float]:
-    """How far the halves of an orbit are from being alike, and from being mirror images."""
-    turning = np.sort(q[0][:-1])
-    size = float(np.abs(turning).max(initial=math.ulp(0.0)))
-    halves = 1.0
-    if len(turning) > 2 and len(turning) % 2 == 0:
-        halves = float(np.abs(turning[1::2] - turning[::2]).max()) / size
-    return halves, max(abs(float(each.max() + each.min())) / float(np.ptp(each)) for each in q)
+def motions(
+    models: Any, solver: Solver, states: Array, t_end: ArrayLike, record_from: float
+) -> Motions:
+    """Motions from states over some time [s], recorded from a time on."""
+    n = len(states)
+    ends, begin = np.broadcast_to(np.asarray(t_end, float), n), np.full(n, record_from)
+    return integrated(models, solver, states, ends, begin, tangent=False)
+
+
+def _asymmetry(q: list[Array], size: Array) -> float:
+    """Largest sum of the extreme values of a coordinate, as a share of its size."""
+    return max(
+        abs(float(each.max() + each.min())) / float(of) for each, of in zip(q, size, strict=False)
+    )
 
 
 def _turning(values: Array) -> tuple[Array, Array]:

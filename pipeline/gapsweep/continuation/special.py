@@ -6,8 +6,8 @@ g of a contact's gap, a branch has
 - a fold (LP) where the parameter's component of t is zero,
 - a period doubling (PD) where the product of all ``1 + μ`` is zero,
 - a torus bifurcation (NS) where that of all ``1 - μ_i μ_j``, i < j, is, and two are not real,
-- a crossing of branches (BP) where the determinant of J and t is zero; of symmetric orbits it
-  breaks their symmetry (SB),
+- a crossing of branches (BP) where J has one rank less (`gapsweep.continuation.crossing`); of
+  symmetric orbits it breaks their symmetry (SB),
 - a graze (GR) where one more, or one fewer, of the g lies beyond a wall.
 """
 
@@ -18,17 +18,15 @@ from enum import IntEnum
 import numpy as np
 from numpy.typing import NDArray
 
-from gapsweep.continuation.orbits import Orbit, OrbitEquations
+from gapsweep.continuation.orbits import Orbit, OrbitEquations, motions
+from gapsweep.continuation.thresholds import AT_VALUE, ON_WALL, REAL, UNLIKE, VERTICAL
 
 Array = NDArray[np.float64]
 
 
-_VERTICAL = 1e-7
-
-
 @dataclass(frozen=True, slots=True)
-class Crossing:
-    """A function of orbits that changes its sign over a step.
+class SignChange:
+    """A test function that changes its sign over a step.
 
     Attributes
     ----------
@@ -39,6 +37,18 @@ class Crossing:
 
     kind: int
     value: Callable[[Orbit], float]
+
+    def is_at(self, orbit: Orbit) -> bool:
+        """Whether a located orbit is the special point, not one where the function jumps."""
+        if self.kind == Special.PERIOD_DOUBLING:
+            return bool(np.abs(orbit.multipliers + 1.0).min() <= AT_VALUE)
+        if self.kind == Special.TORUS:
+            pairs = orbit.multipliers[np.abs(orbit.multipliers.imag) > REAL]
+            return bool(np.abs(np.abs(pairs) - 1.0).min(initial=np.inf) <= AT_VALUE)
+        if isinstance(self.value, Graze):
+            size = max(np.abs(x).max(initial=0.0) for x in orbit.turning[self.value.contact])
+            return abs(self.value(orbit)) <= ON_WALL * float(size)
+        return True
 
 
 class Special(IntEnum):
@@ -51,37 +61,33 @@ class Special(IntEnum):
     BRANCH_POINT = 4
     GRAZING = 5
     SYMMETRY_BREAKING = 6
+    HOPF = 7
+    UNRESOLVED = 8
+    CUSP = 9
 
     @property
     def symbol(self) -> str:
         """The field's abbreviation."""
-        return ("", "LP", "PD", "NS", "BP", "GR", "SB")[self]
+        return ("", "LP", "PD", "NS", "BP", "GR", "SB", "H", "?", "CP")[self]
 
 
-def crossings(
-    before: Orbit, after: Orbit, equations: OrbitEquations, *, is_first: bool
-) -> Iterator[Crossing]:
-    """What changes its sign from one orbit of a branch to the next.
-
-    Parameters
-    ----------
-    is_first : bool
-        Whether the branch begins at the first one, where another branch crosses it.
-    """
+def sign_changes(before: Orbit, after: Orbit, equations: OrbitEquations) -> Iterator[SignChange]:
+    """Test functions that change their sign from one orbit of a branch to the next."""
     if len(equations.windows) > 1:  # all are special points
+        a, b = before.tangent[-2:], after.tangent[-2:]
+        if a @ b < 0.0:  # the curve turns back in the plane of its parameters
+            yield SignChange(Special.CUSP, lambda orbit: float(orbit.tangent[-2:] @ (b - a)))
         return
     if not equations.family.is_conservative:
-        tests = {Special.PERIOD_DOUBLING: doubling, Special.TORUS: torus}
-        if not is_first:
-            tests |= {Special.FOLD: fold, Special.BRANCH_POINT: branching}
+        tests = {Special.FOLD: fold, Special.PERIOD_DOUBLING: doubling, Special.TORUS: torus}
         for kind, test in tests.items():
-            if is_first and before.special == kind:
+            if before.across is not None and before.special == kind:  # it starts there
                 continue
             values = test(before), test(after)
             # Along a family at one parameter value its component of the tangent is rounding.
-            is_rounding = kind == Special.FOLD and max(map(abs, values)) < _VERTICAL
+            is_rounding = kind == Special.FOLD and max(map(abs, values)) < VERTICAL
             if values[0] * values[1] < 0.0 and not is_rounding:
-                yield Crossing(kind, test)
+                yield SignChange(kind, test)
     for contact in range(len(before.turning)):
         for side in (1, -1):
             yield from _grazes(before, after, equations, contact, side)
@@ -90,19 +96,6 @@ def crossings(
 def fold(orbit: Orbit) -> float:
     """Component of the tangent along the parameter [-]."""
     return float(orbit.tangent[-1])
-
-
-def branching(orbit: Orbit) -> float:
-    """Determinant of the equations and the tangent [-]."""
-    return orbit.branching
-
-
-def crossing_test(orbit: Orbit) -> float:
-    """Product of all ``1 - μ`` [-]: zero where a branch that goes through is crossed, and at folds.
-
-    Unlike `branching` it has no part in the rounding of derivatives by parameters.
-    """
-    return float(np.prod(1.0 - orbit.multipliers).real)
 
 
 def doubling(orbit: Orbit) -> float:
@@ -116,11 +109,16 @@ def torus(orbit: Orbit) -> float:
     return float(np.prod(1.0 - orbit.multipliers[i] * orbit.multipliers[j]).real)
 
 
-def is_torus(orbit: Orbit) -> bool:
-    """Whether of the pair of multipliers whose product is nearest to 1 neither is real."""
-    i, j = np.triu_indices(len(orbit.multipliers), 1)
-    nearest = int(np.argmin(np.abs(1.0 - orbit.multipliers[i] * orbit.multipliers[j])))
-    return abs(float(orbit.multipliers[i[nearest]].imag)) > 1e-9
+def crossing_kind(equations: OrbitEquations, orbit: Orbit) -> Special:
+    """Kind of a crossing: with a branch of half the period, of symmetric orbits, or another one."""
+    if orbit.identity.halves <= UNLIKE:
+        return Special.PERIOD_DOUBLING
+    if orbit.identity.asymmetry > UNLIKE:
+        return Special.BRANCH_POINT
+    models = equations.models_at(orbit)
+    later = motions(models, equations.solver, orbit.state[None, :], 0.5 * orbit.period, np.inf)
+    apart = np.abs(later.state[0] + orbit.state).max() / np.abs(orbit.state).max()
+    return Special.SYMMETRY_BREAKING if apart <= UNLIKE else Special.BRANCH_POINT
 
 
 class Graze:
@@ -186,7 +184,7 @@ def _beyond(orbit: Orbit, contact: int, side: int, wall: float) -> tuple[Array, 
 
 def _grazes(
     before: Orbit, after: Orbit, equations: OrbitEquations, contact: int, side: int
-) -> Iterator[Crossing]:
+) -> Iterator[SignChange]:
     counts = []
     for orbit in (before, after):
         wall = walls(equations, orbit, contact)[side]
@@ -205,4 +203,4 @@ def _grazes(
         for rank in range(min(n, m), max(n, m)):
             value = Graze(equations, contact, side, is_outer, rank)
             if value(before) * value(after) < 0.0:
-                yield Crossing(Special.GRAZING, value)
+                yield SignChange(Special.GRAZING, value)

@@ -15,11 +15,12 @@ import numpy as np
 from distributed import Client, as_completed, get_worker
 from distributed.scheduler import KilledWorker
 
-from gapsweep.continuation.branches import Attractor, Branches
+from gapsweep.continuation.branches import Branches
 from gapsweep.continuation.dataset import dataset
 from gapsweep.continuation.family import Family, Window
 from gapsweep.continuation.follow import solver_of
 from gapsweep.continuation.orbits import OrbitEquations
+from gapsweep.continuation.seed import Attractor
 from gapsweep.execution.cluster import check_workers
 from gapsweep.execution.execute import is_gone
 from gapsweep.execution.isolated import CallError, Isolated, failure

@@ -1,6 +1,7 @@
 """The Dask cluster a run works on: a local one, or any that is already there."""
 
 import logging
+import tempfile
 import time
 import warnings
 from collections.abc import Callable, Iterator, Mapping
@@ -33,9 +34,14 @@ _LOCAL_SETTINGS = {
     "distributed.worker.memory.monitor-interval": "1s",
 }
 
+# Nothing is served to whoever connects.
+_ROUTES = "distributed.scheduler.http.routes", "distributed.worker.http.routes"
+
 
 @contextmanager
-def cluster(workers: int, scheduler: str | None = None) -> Iterator[Client]:
+def cluster(
+    workers: int, scheduler: str | None = None, *, dashboard: bool = False
+) -> Iterator[Client]:
     """A client of a local cluster of worker processes, or of a running scheduler.
 
     Parameters
@@ -45,6 +51,8 @@ def cluster(workers: int, scheduler: str | None = None) -> Iterator[Client]:
     scheduler : str, optional
         Address of a running scheduler, as ``tcp://127.0.0.1:8786``; for ``tls://`` the keys are
         those of Dask's configuration.
+    dashboard : bool
+        Whether a local cluster serves Dask's dashboard.
 
     Raises
     ------
@@ -52,7 +60,8 @@ def cluster(workers: int, scheduler: str | None = None) -> Iterator[Client]:
         If the scheduler cannot be reached, or no local cluster starts.
     """
     if scheduler is None:
-        with dask.config.set(_LOCAL_SETTINGS), _local(workers) as client:
+        settings = _LOCAL_SETTINGS | ({} if dashboard else dict.fromkeys(_ROUTES, ()))
+        with dask.config.set(settings), _local(workers, dashboard) as client:
             yield client
         return
     try:
@@ -67,14 +76,18 @@ def cluster(workers: int, scheduler: str | None = None) -> Iterator[Client]:
 
 
 @contextmanager
-def _local(workers: int) -> Iterator[Client]:
+def _local(workers: int, dashboard: bool) -> Iterator[Client]:
     # Free ports on the loopback, so that no other cluster is disturbed. Temporary TLS keys, so that
     # no other process of the machine can run code in the workers or in this process.
     options: dict[str, Any] = {"host": "127.0.0.1", "security": True, "silence_logs": _SILENT}
+    page = f"127.0.0.1:{8787 if dashboard else 0}"  # Dask warns if it takes another port
+    pages = {"dashboard_address": page, "scheduler_kwargs": {"dashboard": dashboard}}
     with (
+        tempfile.TemporaryDirectory(prefix="gapsweep-", ignore_cleanup_errors=True) as folder,
+        dask.config.set({"temporary-directory": folder}),
         _quiet("distributed.batched"),  # of connections to workers that died
-        worker_process() as process,  # which imports while the scheduler starts
-        LocalCluster(n_workers=0, dashboard_address="127.0.0.1:0", **options) as local,
+        worker_process(folder) as process,  # which imports while the scheduler starts
+        LocalCluster(n_workers=0, **pages, **options) as local,
     ):
         memory = MEMORY_LIMIT // workers
         options |= {"security": local.security, "nthreads": 1, "memory_limit": memory}
@@ -85,7 +98,8 @@ def _local(workers: int) -> Iterator[Client]:
                     if process.poll() is not None:
                         raise ClusterError(
                             f"no local cluster of {workers} workers: a worker process died during "
-                            "startup, perhaps for lack of memory; try fewer --workers"
+                            "startup, perhaps for lack of memory, processes "
+                            "or open files (ulimit -a); try fewer --workers"
                         )
                     time.sleep(_LOOK_SECONDS)
                 yield client

@@ -19,7 +19,7 @@ from distributed.scheduler import KilledWorker
 
 from gapsweep.errors import ClusterError
 from gapsweep.execution.cluster import check_workers
-from gapsweep.execution.isolated import time_limit
+from gapsweep.execution.isolated import LONGEST
 from gapsweep.execution.plan import Plan
 from gapsweep.execution.portions import (
     MAX_BATCH,
@@ -47,6 +47,7 @@ from gapsweep.study.study import Study
 # A task takes at most this part of a thread's share of what is left, so that all end together.
 _PART_OF_SHARE = 0.5
 _MIN_BATCH = 64
+_KNOWN = 0.1  # of the points, from which on the costs of the others are estimated
 _WINDOW = 3  # tasks in flight per worker thread
 _COMMIT_SECONDS = 0.5
 _COMMIT_POINTS = 4096
@@ -107,12 +108,10 @@ def execute(
     Raises
     ------
     ClusterError
-        If all workers run other code, or the cluster is lost; what arrived is stored. Or if the
-        time limit is none.
+        If all workers run other code, or the cluster is lost; what arrived is stored.
     """
-    timeout = time_limit(timeout)
-    before = Progress(plan.n_points, plan.n_hits)
-    check_workers(client, partial(tell, on_progress, before, "waiting for workers"))
+    timeout = min(timeout, LONGEST)
+    check_workers(client, partial(tell, on_progress, plan.progress, "waiting for workers"))
     with WorkLocks(cache.path, plan.keys.data) as claims:
         run = _Execution(study, plan, cache, claims, client, batch, timeout, retry_failed)
         try:
@@ -145,11 +144,15 @@ class _Execution:
         self.largest_hit = Status.OUT_OF_FIT_RANGE if retry_failed else max(Status)
         # What must be computed although it is stored: failures, and what follows them in a sweep.
         self.is_stale = plan.is_missing & (plan.status >= 0)
-        self.progress = Progress(plan.n_points, plan.n_hits)
+        self.progress = plan.progress
         self.is_repeated = repeated(plan)
         missing = once(plan, self.is_repeated)
         self.blocks = shuffled(plan, missing)
         self.n_new = len(missing)
+        is_swept = plan.follows | np.append(plan.follows[1:], False)
+        self.kinds = plan.representation(np.arange(plan.n_points)), is_swept.astype(int)
+        self.n_left = np.zeros((plan.shape[0], 2), int)
+        self._count(missing, 1)
         self.n_once = plan.n_missing - len(missing)  # computed under another label only
         # What comes before new points: the rest of a block, and of long sweeps.
         self.begun: deque[Rows] = deque()
@@ -161,13 +164,16 @@ class _Execution:
         self.arrived: list[Slab] = []
         self.held: list[tuple[int, int]] = []  # claims on the points of those slabs
         self.last_commit = time.monotonic()
-        self.costs = Costs(study.spec.solver.engine or DEFAULT_ENGINE, timeout)
+        self.costs = Costs(study.spec.solver.engine or DEFAULT_ENGINE, timeout, plan.shape[0])
 
     def finish(self, on_progress: OnProgress | None) -> None:
         completed = as_completed(loop=self.client.loop)
         while True:
             self._refill(completed)
             if on_progress is not None:
+                n_known = self.progress.n_done - self.progress.n_hits
+                if n_known >= _KNOWN * self.plan.n_missing:
+                    self.progress.seconds_left = self.costs.seconds_left(self.n_left)
                 on_progress(self.progress)
             if self.in_flight:
                 future = next(completed)
@@ -220,7 +226,7 @@ class _Execution:
     def _drawn(self) -> tuple[Rows, Rows] | None:
         """Points that would fill a task, and what follows in their sweeps; None: none is left."""
         # While it is not known what a law costs, another law: each worker then compiles its own.
-        if not self.begun or not self.costs.knows(self._representation(self.begun[0][0])):
+        if not self.begun or not self.costs.knows(self._kind(self.begun[0][0])):
             block = next(self.blocks, None)
             if block is not None:
                 self.begun.appendleft(block)
@@ -239,10 +245,16 @@ class _Execution:
         if self.batch:
             return self.batch
         share = max(int(_PART_OF_SHARE * self.n_new / self.n_threads), _MIN_BATCH)
-        return min(share, self.costs.room(self._representation(point)), self.largest_batch)
+        return min(share, self.costs.room(self._kind(point)), self.largest_batch)
 
-    def _representation(self, point: np.intp) -> int:
-        return int(self.plan.representation(np.array([point]))[0])
+    def _kind(self, point: np.intp) -> tuple[int, int]:
+        representation, is_swept = self.kinds
+        return int(representation[point]), int(is_swept[point])
+
+    def _count(self, rows: Rows, sign: int) -> None:
+        """Add points to those that are left, or take them off."""
+        representation, is_swept = self.kinds
+        np.add.at(self.n_left, (representation[rows], is_swept[rows]), sign)
 
     def _take_back(self) -> None:
         """What other runs gave up of their claims is drawn again."""
@@ -264,6 +276,7 @@ class _Execution:
         n_ours = int(self.is_repeated[hits].sum())
         self.progress.n_computed += n_ours
         self.progress.n_shared += len(hits) - n_ours
+        self._count(hits, -1)
         return rows[~is_hit]
 
     def _tiles(self, rows: Rows) -> list[Tile]:
@@ -330,14 +343,20 @@ class _Execution:
                 Responses.of([failed] * len(tile), tile.points.kind.structure), ""
             )
         ]
-        self._keep(job, TaskResult(slabs, 0.0, software()))
+        self._keep(job, TaskResult(slabs, 0.0, 0.0, software()))
 
     def _keep(self, job: _Job, result: TaskResult) -> None:
         self.arrived += result.slabs
         self.progress.n_computed += len(job.rows)
         self.progress.n_failed += sum(slab.n_failed for slab in result.slabs)
-        if result.seconds:
-            self.costs.add(self._representation(job.rows[0]), len(job.rows), result.seconds)
+        self._count(job.rows, -1)
+        whole = sum(slab.seconds for slab in result.slabs)
+        for is_swept in (False, True) if result.seconds and whole else ():
+            some = [slab for slab in result.slabs if slab.kind.is_sweep == is_swept]
+            if n := sum(slab.n_points for slab in some):
+                share = sum(slab.seconds for slab in some) / whole
+                kind = self._kind(job.rows[0])[0], int(is_swept)
+                self.costs.add(kind, n, share * result.seconds, share * result.spent)
         self.held.append(job.claimed)
         due = time.monotonic() - self.last_commit > _COMMIT_SECONDS
         n_arrived = sum(slab.n_points for slab in self.arrived)

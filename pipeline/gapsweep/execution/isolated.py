@@ -16,6 +16,7 @@ from contextlib import suppress
 from math import ceil
 from multiprocessing import Pipe
 from multiprocessing.connection import Connection
+from tempfile import TemporaryDirectory
 from typing import Any, TypeVar
 
 import psutil
@@ -25,6 +26,7 @@ from gapsweep.errors import ClusterError, ModelError, described
 from gapsweep.execution.workers import end_group, search_path
 from gapsweep.status import Status
 from gapsweep.study.software import software
+from gapsweep.user_code.load import TEMPORARY
 
 try:
     import resource
@@ -33,7 +35,7 @@ except ImportError:  # not a POSIX system: calls have no limits there but that o
 
 Result = TypeVar("Result")
 
-_LONGEST = 1e8  # s: the operating system takes no infinite limit
+LONGEST = 1e8  # s: the operating system takes no infinite limit
 _START_SECONDS = 120.0
 _LOOK_SECONDS = 0.1
 _LEAVE_SECONDS = 2.0
@@ -68,7 +70,7 @@ class Isolated:
     """
 
     def __init__(self, timeout: float, memory: int | None = None) -> None:
-        self.timeout, self.memory = time_limit(timeout), int(memory or MEMORY_LIMIT)
+        self.timeout, self.memory = min(timeout, LONGEST), int(memory or MEMORY_LIMIT)
         self._process: subprocess.Popen[bytes] | None = None
 
     def __enter__(self) -> "Isolated":
@@ -108,11 +110,14 @@ class Isolated:
 
     def _started(self) -> "subprocess.Popen[bytes]":
         self._pipe, theirs = Pipe()
+        self._folder = TemporaryDirectory(
+            prefix="gapsweep-", dir=os.environ.get(TEMPORARY), ignore_cleanup_errors=True
+        )
         with theirs:
             process = self._process = subprocess.Popen(
                 [sys.executable, "-P", "-c", _CHILD, str(theirs.fileno())],
                 pass_fds=[theirs.fileno()],
-                env=os.environ | {"PYTHONPATH": search_path()},
+                env=os.environ | {"PYTHONPATH": search_path(), TEMPORARY: self._folder.name},
                 stdin=subprocess.DEVNULL,
                 stdout=subprocess.DEVNULL,
                 stderr=subprocess.DEVNULL,
@@ -150,13 +155,7 @@ class Isolated:
                 process.wait(patience)
             end_group(process.pid)
             process.wait()
-
-
-def time_limit(timeout: float) -> float:
-    """A time limit [s], checked to be > 0."""
-    if not timeout > 0.0:
-        raise ClusterError(f"timeout = {timeout:g} s: must be > 0")
-    return min(timeout, _LONGEST)
+            self._folder.cleanup()
 
 
 def failure(error: BaseException) -> tuple[Status, str]:

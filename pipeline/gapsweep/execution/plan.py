@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from gapsweep.execution.progress import Progress
 from gapsweep.execution.sweeps import origins
 from gapsweep.status import Status
 from gapsweep.store.cache import Cache
@@ -65,6 +66,12 @@ class Plan:
     def n_failed(self) -> int:
         """Stored points without a result."""
         return int(np.sum(self.status > Status.OUT_OF_FIT_RANGE))
+
+    @property
+    def progress(self) -> Progress:
+        """Counts before anything is computed; stored failures that are hits count as failed."""
+        n_failed = int(np.sum(~self.is_missing & (self.status > Status.OUT_OF_FIT_RANGE)))
+        return Progress(self.n_points, self.n_hits, n_failed=n_failed)
 
     def representation(self, points: NDArray[np.intp]) -> NDArray[np.int64]:
         """Number of the representation of some points."""

@@ -1,6 +1,8 @@
 """Which missing points make a task: in what order they come, and how many of them fill one."""
 
 import random
+import time
+from collections import deque
 from collections.abc import Iterator
 
 import numpy as np
@@ -14,6 +16,8 @@ _TASK_SECONDS = 4.0
 # A task has the time of one point: it aims at so much of it, for costs differ.
 _PART_OF_TIMEOUT = 0.25
 MAX_BATCH = 16384
+_RECENT_SECONDS = 60.0
+_FEW = np.array([256, 16])  # points of each kind that tell little of the cost of others
 # Before any cost is known: a compiled kernel wants its lanes filled, scipy takes seconds a point.
 _FIRST_BATCH = {"compiled": 16, "scipy": 1}
 # A long sweep comes back in parts, so that a kill costs one of them and not the whole sweep.
@@ -60,29 +64,61 @@ def cut(rows: Rows, follows: NDArray[np.bool_], room: int) -> tuple[Rows, Rows, 
 
 
 class Costs:
-    """Mean cost of the points of each representation, as far as it is known."""
+    """Mean cost of the points of each kind, as far as it is known.
 
-    def __init__(self, engine: str, timeout: float) -> None:
+    A kind is the number of a representation and 1 for points of sweeps, which fill few lanes.
+    """
+
+    def __init__(self, engine: str, timeout: float, n_representations: int) -> None:
         self.unknown = _FIRST_BATCH[engine]
         self.aim = min(_TASK_SECONDS, _PART_OF_TIMEOUT * timeout)  # s for a task
-        self.seconds: dict[int, float] = {}
-        self.n_points: dict[int, int] = {}
+        self.seconds, self.n_points = np.zeros((2, n_representations, 2))
+        # When tasks came back of late, and the processor time [s] of all tasks until then.
+        self.spent: deque[tuple[float, float]] = deque()
 
-    def add(self, representation: int, n_points: int, seconds: float) -> None:
-        """Learn from a task."""
-        self.seconds[representation] = self.seconds.get(representation, 0.0) + seconds
-        self.n_points[representation] = self.n_points.get(representation, 0) + n_points
+    def add(self, kind: tuple[int, int], n_points: int, seconds: float, spent: float) -> None:
+        """Learn from a task that has spent some processor time [s], that of compiling included."""
+        if not self.n_points[kind[0]].any():  # until now workers compiled, or waited for each other
+            self.spent.clear()
+        now, before = time.monotonic(), self.spent[-1][1] if self.spent else 0.0
+        self.spent.append((now, before + spent))
+        while len(self.spent) > 2 and self.spent[1][0] < now - _RECENT_SECONDS:
+            self.spent.popleft()
+        self.seconds[kind] += seconds
+        self.n_points[kind] += n_points
 
-    def knows(self, representation: int) -> bool:
-        """Whether a point of this representation has been computed."""
-        return representation in self.n_points
+    def knows(self, kind: tuple[int, int]) -> bool:
+        """Whether a point of this kind has been computed."""
+        return bool(self.n_points[kind])
 
-    def room(self, representation: int) -> int:
+    def seconds_left(self, n_left: NDArray[np.integer]) -> float | None:
+        """Time [s] that points take; None until every representation is compiled.
+
+        From the processor time that tasks got per second of late: the machine may be busy.
+
+        Parameters
+        ----------
+        n_left : ndarray of int, shape (n_representations, 2)
+            Numbers of points by kind.
+        """
+        n_all = self.n_points.sum(axis=0)
+        is_compiled = self.n_points.any(axis=1) | ~n_left.any(axis=1)
+        if not (self.spent and is_compiled.all() and n_all[n_left.any(axis=0)].all()):
+            return None
+        (begin, before), (now, spent) = self.spent[0], self.spent[-1]
+        if spent == before or now - begin < _TASK_SECONDS:
+            return None
+        # A kind of which few points are known costs about what others do.
+        mean = self.seconds.sum(axis=0) / np.maximum(n_all, 1.0)
+        cost = (self.seconds + _FEW * mean) / (self.n_points + _FEW)
+        return float(np.sum(n_left * cost) * (now - begin) / (spent - before))
+
+    def room(self, kind: tuple[int, int]) -> int:
         """Points that fill a task."""
-        if not self.knows(representation):
+        if not self.knows(kind):
             return self.unknown
-        price = self.seconds[representation] / self.n_points[representation]
-        return int(min(max(self.aim / max(price, 1e-9), 1.0), MAX_BATCH))
+        cost = self.seconds[kind] / self.n_points[kind]
+        return int(min(max(self.aim / max(cost, 1e-9), 1.0), MAX_BATCH))
 
 
 def shuffled(plan: Plan, missing: Rows) -> Iterator[Rows]:
@@ -104,4 +140,12 @@ def shuffled(plan: Plan, missing: Rows) -> Iterator[Rows]:
         plan.representation(np.array([block[0] for block in blocks])), return_index=True
     )
     others = np.setdiff1d(np.arange(len(blocks)), leading)
-    return iter([blocks[i] for i in (*leading, *others)])
+    heads, tails = zip(*(_halves(block, plan.follows) for block in blocks), strict=True)
+    order = [tails[i] for i in leading] + [heads[i] for i in leading]
+    return filter(len, order + [half[i] for i in others for half in (tails, heads)])
+
+
+def _halves(block: Rows, follows: NDArray[np.bool_]) -> tuple[Rows, Rows]:
+    """A block cut before one of its sweeps, drawn at random: runs that share no locks differ."""
+    at = random.choice(np.flatnonzero(is_first_of_sweep(block, follows)))
+    return block[:at], block[at:]

@@ -20,6 +20,7 @@ class Progress:
     n_computed: int = 0
     n_failed: int = 0
     n_shared: int = 0  # computed meanwhile by another run on the same cache
+    seconds_left: float | None = None  # of computing points; None while it cannot be known
     stage: str = ""
 
     @property

@@ -13,7 +13,7 @@ from gapsweep.execution.progress import OnProgress, Progress
 from gapsweep.store.state import FAILED, FINISHED, INTERRUPTED, RUNNING, RunState
 from gapsweep.study.study import Study
 
-_STATE_SECONDS = 1.0
+_STATE_SECONDS = 5.0
 
 
 class Recorder:
@@ -34,6 +34,7 @@ class Recorder:
             cache=str(cache.absolute()),
             points=planned.n_points,
             hits=planned.n_hits,
+            failed=planned.progress.n_failed,
         )
         self.written = -np.inf
 

@@ -1,14 +1,22 @@
 """First calls of a study's own code, in a process that they can harm.
 
 A law is loaded and called at x = 0 before anything is computed. The client does both in its own
-process, after an isolated process has survived them with the same snapshot.
+process, after an isolated process has survived them with the same snapshot. That process also
+compiles it, if its points need that, and searches for jumps between the walls.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Any
+
+import numpy as np
 
 from gapsweep.errors import ModelError, StudyError
 from gapsweep.execution.isolated import CallError, Isolated
+from gapsweep.integrate.problem import Model, Models, Solver
+from gapsweep.integrate.simulate import loaded
+from gapsweep.model.labels import law_of
+from gapsweep.model.oscillator import Gap
 from gapsweep.model.own_law import OwnLaw, checked
 from gapsweep.status import Status
 from gapsweep.study.study import Study
@@ -16,6 +24,7 @@ from gapsweep.study.system_tables import said
 
 _LONGEST = 60.0  # s
 _SHORTEST = 10.0  # s, for imports and compilers, which count in no time limit of points
+_MOST_GAPS = 100  # between whose walls jumps are searched for
 _studies: list[Study] = []  # what an isolated process has loaded, for the calls that follow
 
 
@@ -62,20 +71,26 @@ def try_out(study: Study, timeout: float, say: Callable[[str], None]) -> None:
     Raises
     ------
     StudyError
-        If a law ends the process, hangs or raises an error that is no `ModelError`.
+        If a law ends the process, hangs, raises an error that is no `ModelError`, cannot be
+        compiled although its points need that, or jumps.
     """
     limit = min(max(timeout, _SHORTEST), _LONGEST)
+    swept, axes = study.grid.representations, study.grid.axes
+    compiled = {law_of(label) for label in swept if study.solver(label).engine == "compiled"}
+    gaps = study.grid.gaps[:_MOST_GAPS] if {"gap", "j_1"} & axes.keys() else (Gap(0.0, 0.0),)
     with Isolated(limit) as isolated:
         for label in study.own_laws:
             try:
                 own = study.own_law(label)
             except ModelError:
                 continue
-            for step, function in (("importing {}", _imports), ("calling {} at x = 0", _calls)):
+            for step, function in (("importing {}", _imports), ("calling {}", _calls)):
                 say(f"{step.format(label)} (timeout {limit:g} s)")
                 try:
-                    isolated(function, own)
+                    isolated(function, own, study.model.default, gaps if label in compiled else ())
                 except CallError as lost:
+                    if lost.status is Status.MODEL_INVALID and label in compiled:
+                        raise StudyError([f"{study.source}: {lost.message}"]) from None
                     if lost.status is Status.MODEL_INVALID:
                         break  # the plan refuses it, a history has it as its status
                     why = lost.message
@@ -85,9 +100,14 @@ def try_out(study: Study, timeout: float, say: Callable[[str], None]) -> None:
                     raise StudyError([f"{where}: {why}"]) from None
 
 
-def _imports(own: OwnLaw) -> None:
+def _imports(own: OwnLaw, *_: Any) -> None:
     own.load()
 
 
-def _calls(own: OwnLaw) -> None:
+def _calls(own: OwnLaw, model: Model, gaps: Sequence[Gap]) -> None:
     checked(own)
+    if gaps:
+        laws = (own.law(0.0, Gap(0.0, 0.0)),) * len(model.contacts)
+        loaded("compiled")(Models.of([model], [laws], np.ones(1)), Solver.of())
+    for gap in gaps:  # of what compiles, which neither ends a process nor raises
+        own.law(0.0, gap)

@@ -10,14 +10,18 @@ import asyncio
 import multiprocessing
 import os
 import pickle  # of the process that started this one, over its standard input
+import shutil
 import signal
 import subprocess
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from multiprocessing.util import get_temp_dir
 from typing import Any
 
 import psutil
+
+from gapsweep.user_code.load import TEMPORARY
 
 _CODE = "from gapsweep.execution.workers import serve; serve()"
 _LEAVE_SECONDS = 2.0
@@ -25,8 +29,11 @@ _PRELOADED = ["distributed.worker", "gapsweep.execution.task"]
 
 
 @contextmanager
-def worker_process() -> "Iterator[subprocess.Popen[bytes]]":
-    """A process that waits for `start_workers`, and ends with this one or the block."""
+def worker_process(folder: str) -> "Iterator[subprocess.Popen[bytes]]":
+    """A process that waits for `start_workers`, with its temporary files in a folder.
+
+    It ends with this one or the block.
+    """
     import dask  # the process itself does without as it starts
 
     settings = dask.config.get("distributed.nanny.pre-spawn-environ")
@@ -34,7 +41,7 @@ def worker_process() -> "Iterator[subprocess.Popen[bytes]]":
         [sys.executable, "-P", "-c", _CODE],
         env={name: str(value) for name, value in settings.items()}
         | os.environ
-        | {"PYTHONPATH": search_path()},
+        | {"PYTHONPATH": search_path(), TEMPORARY: folder},
         stdin=subprocess.PIPE,
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,
@@ -99,7 +106,7 @@ def search_path() -> str:
 
 
 def serve() -> None:
-    """Keep workers running while standard input is open."""
+    """Keep workers running while standard input is open, and remove their temporary files."""
     method = "forkserver" if "forkserver" in multiprocessing.get_all_start_methods() else "spawn"
     if method == "forkserver":
         from multiprocessing import forkserver
@@ -119,4 +126,6 @@ def serve() -> None:
         await asyncio.gather(*closing, return_exceptions=True)  # they remove their folders
 
     asyncio.run(run())
+    for folder in (os.environ[TEMPORARY], get_temp_dir()):  # the caller may have been killed
+        shutil.rmtree(folder, ignore_errors=True)
     end_group(os.getpid())  # this process and its remaining workers

@@ -7,8 +7,7 @@ from collections.abc import Callable
 from typing import Any
 
 from gapsweep.errors import GapsweepError
-
-_LARGEST_PORT = 65535
+from gapsweep.model.oscillator import whole
 
 
 class Explorer:
@@ -26,8 +25,7 @@ class Explorer:
         # Fills a visitor's document, and returns what ends the work for it.
         self._fill = fill
         self._ends: list[Callable[[], None]] = []
-        if not 0 <= port <= _LARGEST_PORT:
-            raise GapsweepError(f"port {port}: must be 0 to {_LARGEST_PORT}; 0: any that is free")
+        whole("port", port, 0, 65535)
         self._is_up = threading.Event()
         self._failure = "cannot be opened"
         self._thread = threading.Thread(target=self._serve, args=(port,), daemon=True)
@@ -44,6 +42,7 @@ class Explorer:
         from bokeh.application.handlers.function import FunctionHandler
         from bokeh.server.server import Server
         from tornado.ioloop import IOLoop
+        from tornado.routing import HostMatches, Rule
 
         asyncio.set_event_loop(asyncio.new_event_loop())
         self._loop = IOLoop.current()
@@ -58,6 +57,9 @@ class Explorer:
                 prefix=path,
                 io_loop=self._loop,
             )
+            pages = self._server._tornado
+            ours = Rule(HostMatches(r"localhost|127\.0\.0\.1"), pages.wildcard_router)
+            pages.default_router.rules[:] = [ours]  # also if somebody has seen the path
             self._server.start()
             self.url, self._failure = f"http://localhost:{self._server.port}{path}/", ""
         except OSError as error:

@@ -6,6 +6,8 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from gapsweep.errors import ModelError
 from gapsweep.explorer.question import (
     DEFAULT_APPROXIMATIONS,
@@ -18,6 +20,8 @@ from gapsweep.explorer.question import (
 from gapsweep.explorer.server import Explorer
 from gapsweep.explorer.stored import StoredRun
 from gapsweep.model.contact import ContactLaw
+from gapsweep.model.doubts import doubts
+from gapsweep.model.labels import EXACT
 from gapsweep.model.oscillator import Oscillator
 from gapsweep.store.artefact import reading
 from gapsweep.study.spec import read
@@ -101,7 +105,12 @@ def opened(
             "explore: needs Bokeh, which is not installed: pip install 'gapsweep[explore]'"
         ) from None
 
+    laws, starts = [(question.law(EXACT),)], np.array([question.start])
+    said = ". ".join(
+        [note] * bool(note) + [*doubts([question.oscillator], laws, question.band, starts)]
+    )
+
     def fill(document: Any) -> Callable[[], None]:
-        return Page(document, question, ranges or {}, stored, note).stop
+        return Page(document, question, ranges or {}, stored, said).stop
 
     return Explorer(fill, port)

@@ -5,9 +5,7 @@ from operator import attrgetter
 from typing import Any
 
 import numpy as np
-from numba import float64, njit
 from numba.core.errors import NumbaError
-from numba.core.types import Number
 from numpy.typing import NDArray
 
 from gapsweep.errors import ModelError
@@ -20,7 +18,6 @@ from gapsweep.integrate.stepping.scene_table import SceneTable, scenes
 from gapsweep.integrate.stepping.system_rows import Walls, system_scenes
 from gapsweep.model.contact import (
     Arctan,
-    ContactLaw,
     LogArctan,
     Piecewise,
     Tanh,
@@ -36,6 +33,7 @@ Columns = Sequence[Array]
 # Largest relative tolerance at which a Taylor series of overlapping tanh layers costs no more than
 # Runge-Kutta steps.
 _THICK_LAYERS_UP_TO = 1e-5
+_LONGEST = 200  # characters of what numba says
 
 
 def prepared(models: Models, solver: Solver) -> Integrate:
@@ -54,16 +52,7 @@ def prepared(models: Models, solver: Solver) -> Integrate:
     def integrate(problems: Problems) -> Motions:
         contacts = problems.contacts or (problems.contact_time and not is_taylor)
         given = {"contacts": contacts, "sampled": problems.sampled, **_given(problems)}
-        try:
-            run = batch.run(scenes, start=problems.start, **given)
-        except NumbaError as error:
-            for law in models.laws[0]:
-                if reason := _why_not_compiled(law):
-                    raise ModelError(
-                        f"{law}: numba cannot compile it ({reason}); use arithmetic and math "
-                        "functions only, or engine='scipy'"
-                    ) from error
-            raise  # not the user's fault
+        run = batch.run(scenes, start=problems.start, **given)
 
         def events() -> Events:
             head = record.POINT, record.TIME, record.WHICH
@@ -163,19 +152,6 @@ def _scenes(models: Models, solver: Solver, is_taylor: bool) -> SceneTable:
     return system_scenes(models.systems, models.system, of_contacts, models.omega, **tolerances)
 
 
-def _why_not_compiled(law: ContactLaw) -> str | None:
-    """What numba says of a user's function alone; None if it can compile it, or the law is ours."""
-    if not isinstance(law, UserLaw):
-        return None
-    compiled = njit(getattr(law.function, "py_func", law.function))
-    try:
-        compiled.compile((float64,))
-    except NumbaError as error:
-        return str(error).strip().splitlines()[0]
-    returned = compiled.nopython_signatures[0].return_type
-    return None if isinstance(returned, Number) else f"it returns {returned}, not a number"
-
-
 def _events(n: int, turns: Columns, sections: Columns, contacts: Columns) -> Events:
     """Events of n motions.
 
@@ -228,5 +204,20 @@ def _kernel_law(models: Models, contact: int) -> Any:
         case ForceTable():
             return representations.table(law.x, law.pieces, **walls)
         case UserLaw():
-            return representations.user(law.function, **walls)
+            named = [[*each.values()] for each in column("parameters")]
+            try:
+                return representations.user(law.function, gaps["j_1"], gaps["j_2"], named)
+            except NumbaError as error:
+                raise ModelError(
+                    f"{law}: numba cannot compile it ({_reason(error)}); use arithmetic and "
+                    "functions of math, write @numba.njit before other functions that it calls, "
+                    "or use engine='scipy'"
+                ) from None
     raise TypeError(f"no compiled form of {type(law).__name__}")
+
+
+def _reason(error: NumbaError) -> str:
+    """The line of numba's text that says what is wrong."""
+    lines = [line.strip() for line in str(error).splitlines()]
+    several = [line for line in lines if line and not line.startswith("Failed in nopython mode")]
+    return several[0][:_LONGEST] if several else type(error).__name__

@@ -2,7 +2,9 @@
 
 import math
 import threading
-from collections.abc import Callable, Hashable, Sequence
+import time
+from collections.abc import Callable, Hashable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from operator import attrgetter
 from typing import Any, TypeVar
@@ -16,6 +18,7 @@ from gapsweep.model.contact import ContactLaw, Piecewise, Tanh, checked_law
 from gapsweep.model.oscillator import Oscillator, checked
 from gapsweep.model.structure import general_form
 from gapsweep.model.system import System
+from gapsweep.model.user_law import UserLaw
 
 Array = NDArray[np.float64]
 Numbers = NDArray[np.intp]
@@ -171,13 +174,15 @@ def _distinct(objects: Sequence[T], key: Callable[[T], Hashable]) -> tuple[list[
 def law_kind(law: ContactLaw) -> Hashable:
     """What the laws have in common that an engine can take together.
 
-    It is their family; fits and users' laws are compiled each for itself.
+    It is their family, or the user's function; fits are compiled each for itself.
 
     Raises
     ------
     ModelError
         If it is no law.
     """
+    if isinstance(law, UserLaw):
+        return law.function
     if checked_law(law).is_numbers:
         is_thin = isinstance(law, Tanh) and law.has_thin_layers
         return type(law), is_thin, isinstance(law, Piecewise) and law.located
@@ -248,9 +253,30 @@ class Loading(threading.local):
     """
 
     seconds: float = 0.0
+    end: float = math.inf  # of the time of motions, as `_now` counts it
 
 
 LOADING = Loading()
+TIME_LIMIT = 3600.0  # s of a call in Python
+
+
+def _now() -> float:
+    return time.monotonic() - LOADING.seconds
+
+
+def is_late() -> bool:
+    """Whether motions of this thread have exceeded the time limit of `within`."""
+    return _now() > LOADING.end
+
+
+@contextmanager
+def within(time_limit: float) -> Iterator[None]:
+    """Limit the time [s] of motions in this thread, without that of loading an engine."""
+    LOADING.end = _now() + checked("time_limit", time_limit, low=0.0, strict=True)
+    try:
+        yield
+    finally:
+        LOADING.end = math.inf
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -13,9 +13,18 @@ from numpy.typing import ArrayLike, NDArray
 
 from gapsweep.errors import ModelError
 from gapsweep.integrate.motions import Motions, merged
-from gapsweep.integrate.problem import DEFAULT_ENGINE, Integrate, Models, Problems, Solver
+from gapsweep.integrate.problem import (
+    DEFAULT_ENGINE,
+    TIME_LIMIT,
+    Integrate,
+    Models,
+    Problems,
+    Solver,
+    within,
+)
 from gapsweep.integrate.trajectory import SystemTrajectory, Trajectory
 from gapsweep.model.contact import ContactLaw, checked_law
+from gapsweep.model.doubts import doubts, warn_of
 from gapsweep.model.oscillator import LARGEST, SMALLEST, Oscillator, checked
 from gapsweep.model.system import System, floats
 from gapsweep.variables import objects
@@ -64,6 +73,7 @@ def simulate(
     restart: bool = False,
     dense_output: bool = False,
     tangent: bool = False,
+    time_limit: float = TIME_LIMIT,
 ) -> Trajectory:
     """Integrate the motion of an oscillator or a system; return its trajectory.
 
@@ -100,6 +110,9 @@ def simulate(
         steps of smooth laws. Kinks of the force that are not located (``located=False``, a user law
         with corners) add an error that does not depend on the tolerance, 1e-4 to 1e-2 of the
         matrix in measurements. `respond` computes multipliers with located contacts if possible.
+    time_limit : float
+        Time [s], ``> 0``, after which motions under way have the status ``timed_out``; compiling
+        does not count. The engine ``"scipy"`` ends a motion before it looks at the time.
 
     Returns
     -------
@@ -126,7 +139,7 @@ def simulate(
     (3,)
     """
     solver = Solver.of(engine, rtol, atol, controller, restart)
-    t_0 = checked("t_0", t_0)
+    t_0, time_limit = checked("t_0", t_0), checked("time_limit", time_limit, low=0.0, strict=True)
     span: dict[str, Any] = {"t_end": t_end}
     if n_periods is not None:
         span = {"n_periods": _whole_periods(n_periods)}
@@ -136,6 +149,7 @@ def simulate(
     models, start, shape = cases(
         oscillator, law, omega, x_0, v_0, q_0, z_0, np.shape(span.get("n_periods", 0))
     )
+    warn_of(doubts(objects(oscillator).ravel().tolist(), models.laws, models.omega, start))
     if t_end is not None:
         span["t_end"] = t_end = checked("t_end", t_end)
         if t_end <= t_0:
@@ -150,7 +164,7 @@ def simulate(
     if dense_output:  # nothing runs yet, but what no engine takes is refused now
         for _, some in models.by_kind():
             prepared(some, solver)
-    solve = partial(_solved, models, solver, start, t_0, ends, tangent, dense_output)
+    solve = partial(_solved, models, solver, start, t_0, ends, tangent, dense_output, time_limit)
     inputs = {
         **inputs_of(oscillator, law, models, start, shape),
         **span,
@@ -170,28 +184,30 @@ def _solved(
     t_end: Array,
     tangent: bool,
     sampled: bool,
+    time_limit: float,
     record_from: float,
     dense_output: bool,
 ) -> Motions:
     """One pass over the motions, recorded from a time [s] on."""
     groups = models.by_kind()
-    parts = [
-        prepared(some, solver)(
-            Problems(
-                which=np.arange(len(rows)),
-                start=start[rows],
-                t_0=np.full(len(rows), t_0),
-                t_end=t_end[rows],
-                record_from=np.full(len(rows), record_from),
-                dense_output=dense_output,
-                sampled=sampled,
-                section_only=dense_output,
-                tangent=tangent,
-                contacts=math.isfinite(record_from) and not dense_output,
+    with within(time_limit):
+        parts = [
+            prepared(some, solver)(
+                Problems(
+                    which=np.arange(len(rows)),
+                    start=start[rows],
+                    t_0=np.full(len(rows), t_0),
+                    t_end=t_end[rows],
+                    record_from=np.full(len(rows), record_from),
+                    dense_output=dense_output,
+                    sampled=sampled,
+                    section_only=dense_output,
+                    tangent=tangent,
+                    contacts=math.isfinite(record_from) and not dense_output,
+                )
             )
-        )
-        for rows, some in groups
-    ]
+            for rows, some in groups
+        ]
     return merged(parts, [rows for rows, _ in groups])
 
 
@@ -246,6 +262,10 @@ def cases(
     else:
         for name, value in (("q_0", q_0), ("z_0", z_0)):
             _zero(name, value, "an Oscillator starts from x_0 and v_0")
+        if omega is None:
+            raise ModelError(
+                "omega: missing; write omega = 9.0, in Hz; a machine without forcing is a gs.System"
+            )
         frequency, x_0, v_0 = broadcast(omega=omega, x_0=x_0, v_0=v_0)
         start = np.stack([x_0, v_0], axis=-1)
         laws = [(checked_law(each),) for each in given.flat]

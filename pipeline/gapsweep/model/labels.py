@@ -9,6 +9,7 @@
 ``logarctan-1e4``         log-arctan, gamma = 1e4 /m
 ``my_module:spring``      the function ``spring(x)`` in ``my_module.py``, or a
                           `gapsweep.ForceTable` of that name
+``stop.csv:mm``           measured forces [N] at displacements [mm] in ``stop.csv``
 ``auto``                  in a study: the least model that each sweep point needs
 ========================= ==========================================================
 """
@@ -78,7 +79,7 @@ def canonical_label(label: str) -> str:
     if law is None:
         raise ModelError(
             f"unknown representation {label!r}: {_likely(label)}use one of {EXAMPLES} or "
-            "module:name"
+            "module:name, or stop.csv:mm for a table"
         )
     return f"{name}{dash}{law.canonical(label, parameter)}"
 
@@ -148,14 +149,26 @@ def contact_law(
 
 
 def law(
-    function: Callable[[float], float], K_c: float, gap: Gap, *, K_ratio: float = 1.0
+    function: Callable[..., float],
+    K_c: float,
+    gap: Gap,
+    *,
+    K_ratio: float = 1.0,
+    **parameters: float,
 ) -> UserLaw:
     """Return a user law: a function from displacement [m] to restoring force [N].
+
+    `parameters` are values of its other arguments, 4 at most: the function is compiled once for all
+    values.
 
     Examples
     --------
     >>> import gapsweep as gs
     >>> gs.law(lambda x: 1e9 * x**3, K_c=1.0, gap=gs.Gap(0.0, 0.0)).force(1e-3).round(6).item()
     1.0
+    >>> hertz = lambda x, n: 1e6 * x * abs(x) ** (n - 1.0)
+    >>> laws = [gs.law(hertz, 1.4e4, gs.Gap(0.0, 0.0), n=n) for n in (1.4, 1.5, 1.6)]
+    >>> gs.respond(gs.systems.paper_oscillator(), laws, omega=9.0).amplitude.shape
+    (3,)
     """
-    return UserLaw(K_c, gap, function, K_ratio=K_ratio)
+    return UserLaw(K_c, gap, function, parameters, K_ratio=K_ratio)

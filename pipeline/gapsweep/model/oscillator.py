@@ -28,6 +28,10 @@ OSCILLATOR = (*CLASSIC, "mean_load", "c")
 T = TypeVar("T")
 
 
+_LOSSES = frozenset(("damping", "restitution", "friction"))
+NO_LOSS = "contact that loses energy (damping, restitution, friction) is not covered"
+
+
 def called_as(example: str) -> Callable[[type[T]], type[T]]:
     """Class decorator: a call with wrong arguments is a `ModelError` that shows this example."""
 
@@ -43,9 +47,11 @@ def called_as(example: str) -> Callable[[type[T]], type[T]]:
                     signature(construct).bind_partial(self, *values, **named)
                     signature(construct).bind(self, *values, **named)
                 except TypeError as error:
-                    names = ", ".join(list(signature(construct).parameters)[1:])
+                    known = list(signature(construct).parameters)[1:]
+                    why = f": {NO_LOSS}" if _LOSSES.intersection(named).difference(known) else ""
                     raise ModelError(
-                        f"{kind.__name__}: {error}; its parameters are {names}: write {example}"
+                        f"{kind.__name__}: {error}{why}; its parameters are {', '.join(known)}: "
+                        f"write {example}"
                     ) from None
                 raise
 

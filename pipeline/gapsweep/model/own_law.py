@@ -2,7 +2,7 @@
 
 import hashlib
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 
@@ -12,7 +12,7 @@ from gapsweep.errors import ModelError
 from gapsweep.model.contact import ContactLaw
 from gapsweep.model.oscillator import Gap
 from gapsweep.model.table import ForceTable
-from gapsweep.model.user_law import UserLaw
+from gapsweep.model.user_law import UserLaw, parameters_of
 from gapsweep.user_code.load import load_for_law
 from gapsweep.user_code.snapshot import Snapshot
 
@@ -27,22 +27,33 @@ class OwnLaw:
         ``"module:name"``.
     source : Snapshot or ForceTable
         The code that defines the function, or the table itself.
+    parameters : tuple of (str, float)
+        Values of named numbers, of which a function takes those that are its arguments.
     """
 
     label: str
     source: Snapshot | ForceTable
+    parameters: tuple[tuple[str, float], ...] = ()
 
     @classmethod
     def of(cls, label: str, folders: Iterable[Path]) -> "OwnLaw":
         """Read the code of a label; its module is searched in these folders after Python's path.
+
+        A module that ends in ``.csv`` is a file of measured forces, the name the unit of its
+        displacements; forces are in newtons.
 
         Raises
         ------
         ModelError
             If it cannot be read.
         """
+        module, _, name = label.partition(":")
         try:
-            return cls(label, Snapshot.of_module(label.partition(":")[0], folders))
+            if module.endswith(".csv"):
+                paths = [folder / module for folder in folders]
+                path = next((path for path in paths if path.exists()), paths[0])
+                return cls(label, ForceTable.from_csv(path, name))
+            return cls(label, Snapshot.of_module(module, folders))
         except ModelError as error:
             raise ModelError(f"{label!r}: {error}") from None
 
@@ -50,11 +61,11 @@ class OwnLaw:
     def key(self) -> str:
         """Digest of the code and of the versions that it imports, or of the table's numbers."""
         if isinstance(self.source, Snapshot):
-            return self.source.key
+            return " ".join([self.source.key, *(f"{name}={x!r}" for name, x in self.parameters)])
         numbers = np.array([self.source.x, self.source.F], "<f8").tobytes()
         return f"table {hashlib.sha256(numbers).hexdigest()[:32]}"
 
-    def load(self) -> Callable[[float], float] | ForceTable:
+    def load(self) -> Callable[..., float] | ForceTable:
         """The function or the table that the label names; its module is executed if need be.
 
         Raises
@@ -66,7 +77,7 @@ class OwnLaw:
             return self.source
         module, name = load_for_law(self.source, self.label), self.label.partition(":")[2]
         try:
-            found: Callable[[float], float] | ForceTable = getattr(module, name)
+            found: Callable[..., float] | ForceTable = getattr(module, name)
         except AttributeError:
             raise ModelError(f"{self.label!r}: {self.source.path}: defines no {name!r}") from None
         return found
@@ -76,7 +87,12 @@ class OwnLaw:
         found = self.load()
         if isinstance(found, ForceTable):
             return found.between(gap) if K_c else found
-        return UserLaw(K_c, gap, found, K_ratio=K_ratio)
+        return UserLaw(K_c, gap, found, dict(self._of(found)), K_ratio=K_ratio)
+
+    def _of(self, found: Callable[..., float]) -> tuple[tuple[str, float], ...]:
+        """The parameters that are arguments of a function."""
+        names = parameters_of(found) if callable(found) else ()
+        return tuple(each for each in self.parameters if each[0] in names)
 
     @property
     def is_odd(self) -> bool:
@@ -87,7 +103,7 @@ class OwnLaw:
 
 @lru_cache(maxsize=64)
 def checked(own: OwnLaw) -> OwnLaw:
-    """The same law after a call at x = 0; a table without the code that made it.
+    """The same law after a call at x = 0, with the parameters that it takes; a table without code.
 
     Raises
     ------
@@ -97,7 +113,7 @@ def checked(own: OwnLaw) -> OwnLaw:
     own.law(0.0, Gap(0.0, 0.0))
     found = own.load()
     if not isinstance(found, ForceTable):
-        return own
+        return replace(own, parameters=own._of(found))
     if type(found) is not ForceTable:
         raise ModelError(f"{own.label!r}: a subclass of ForceTable; write a function of x instead")
     return OwnLaw(own.label, found)

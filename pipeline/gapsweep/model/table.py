@@ -1,7 +1,10 @@
 """A contact law that was measured: forces at displacements, and a curve through them."""
 
+import re
 from dataclasses import dataclass
 from functools import cached_property
+from os import PathLike
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -9,15 +12,21 @@ from numpy.typing import ArrayLike, NDArray
 
 from gapsweep.errors import ModelError
 from gapsweep.model.contact import ContactLaw, checked_gap
-from gapsweep.model.oscillator import LARGEST, Gap, checked
+from gapsweep.model.oscillator import LARGEST, Gap, called_as, checked
 from gapsweep.model.system import floats
 
 Array = NDArray[np.float64]
 
 MAX_POINTS = 10_000
+_LENGTHS = {"m": 1.0, "mm": 1e-3, "um": 1e-6}
+_FORCES = {"N": 1.0, "mN": 1e-3, "kN": 1e3}
 _NO_WALL = 1e-12  # of the other chord: the ratio of two needs both
 
 
+@called_as(
+    "gs.ForceTable(x=[-1e-3, 0.0, 1e-3], F=[-8.0, 0.0, 8.0]), or "
+    "gs.ForceTable.from_csv('stop.csv', x='mm') for a file"
+)
 @dataclass(frozen=True, init=False, repr=False)
 class ForceTable(ContactLaw):
     """A measured force curve, interpolated by monotone piecewise cubics.
@@ -75,6 +84,47 @@ class ForceTable(ContactLaw):
         for name, value in given.items():
             object.__setattr__(self, name, value)
         self.__post_init__()
+
+    @classmethod
+    def from_csv(
+        cls,
+        path: str | PathLike[str],
+        x: str = "m",
+        force: str = "N",
+        gap: Gap | None = None,
+        noise: float = 0.0,
+    ) -> "ForceTable":
+        """Return the table of a text file: displacements and forces in its first two columns.
+
+        Columns are separated by commas, semicolons or blanks; lines of words at the top and lines
+        that begin with ``#`` are skipped. Units of `x` are ``"m"``, ``"mm"``, ``"um"``, of `force`
+        ``"N"``, ``"mN"``, ``"kN"``; `gap` and `noise` are as of the class, in SI units.
+
+        Raises
+        ------
+        ModelError
+            If the file cannot be read or is no table.
+        """
+        for name, unit, known in (("x", x, _LENGTHS), ("force", force, _FORCES)):
+            if unit not in known:
+                raise ModelError(f"{name} = {unit!r}: must be a unit: {', '.join(known)}")
+        try:
+            lines = Path(path).read_text(encoding="utf-8-sig").splitlines()
+        except (OSError, UnicodeDecodeError) as error:
+            raise ModelError(f"{path}: cannot be read: {error}") from None
+        rows: list[tuple[float, float]] = []
+        for number, line in enumerate(lines, 1):
+            first, *others = re.split(r"[,;\s]+", line.strip())
+            try:
+                rows.append((float(first) * _LENGTHS[x], float(others[0]) * _FORCES[force]))
+            except (ValueError, IndexError):
+                if rows and first[:1] not in ("", "#"):
+                    said = f"{path}: line {number}: {line:.60}: must be two numbers"
+                    raise ModelError(said) from None
+        if not rows:
+            raise ModelError(f"{path}: no line of two numbers, as -0.4, 12.5")
+        places, forces = np.reshape(rows, (-1, 2)).T
+        return cls(places, forces, gap, noise)
 
     def __repr__(self) -> str:
         low, high = self.valid_range

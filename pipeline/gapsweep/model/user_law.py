@@ -1,8 +1,9 @@
 """A user's own contact law: a Python function of the displacement."""
 
 import math
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from inspect import Parameter, signature
 from typing import Any
 
 import numpy as np
@@ -10,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from gapsweep.errors import ModelError, described
 from gapsweep.model.contact import ContactLaw
+from gapsweep.model.oscillator import NO_LOSS, checked
 from gapsweep.user_code.load import blame, plain
 
 Array = NDArray[np.float64]
@@ -17,6 +19,10 @@ Array = NDArray[np.float64]
 # Slopes are central differences: over the part of x that balances truncation
 # and rounding, and of SLOPE_LENGTH [m] where x is smaller, as nothing moves by less.
 SLOPE_STEP, SLOPE_LENGTH = 6e-6, 1e-9
+MOST_PARAMETERS = 4  # the compiled laws have that many free rows
+# Displacements between which jumps are searched for, the share of the gap beyond its walls, and the
+# smallest jump over the largest force there: neighbouring floats of tanh(1e12 x) differ by less.
+_PROBES, _BEYOND, _JUMP = 65, 0.01, 1e-3
 
 
 @dataclass(frozen=True)
@@ -26,9 +32,16 @@ class UserLaw(ContactLaw):
     Parameters
     ----------
     function : callable
-        Restoring force [N] as a function of the displacement [m], both scalars. `K_c`, `K_ratio`
-        and `gap` do not enter the force; they define the walls at which contacts are counted. A
-        wall of zero stiffness counts no contacts.
+        Restoring force [N] as a function of the displacement [m], both scalars, and of the named
+        numbers. `K_c`, `K_ratio` and `gap` do not enter the force; they define the walls at which
+        contacts are counted. A wall of zero stiffness counts no contacts.
+    parameters : mapping of str to float
+        Values of the function's other arguments, 4 at most.
+
+    Raises
+    ------
+    ModelError
+        If the function raises at 0, needs other arguments, or jumps at or between the walls.
 
     Examples
     --------
@@ -38,7 +51,8 @@ class UserLaw(ContactLaw):
     20.0
     """
 
-    function: Callable[[float], float]
+    function: Callable[..., float]
+    parameters: Mapping[str, float] = field(default_factory=dict, hash=False)
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -48,8 +62,9 @@ class UserLaw(ContactLaw):
                 "a gapsweep.ForceTable is a law already; "
                 "for the law of a label use gapsweep.contact_law(label, K_c, gap)"
             )
+        object.__setattr__(self, "parameters", self._named())
         try:
-            value = _number(self.function(0.0))
+            value = self._at(0.0)
         except KeyboardInterrupt:
             raise
         except BaseException as error:  # the user's code may raise anything, SystemExit too
@@ -57,6 +72,54 @@ class UserLaw(ContactLaw):
             raise ModelError(blame(None, error, message)) from error
         if not math.isfinite(value):
             raise ModelError(f"{self.name}(0.0) = {value}: must be finite")
+        self._refuse_jumps()
+
+    def _named(self) -> dict[str, float]:
+        """The parameters in the function's order; each of its arguments but x must be one."""
+        names = parameters_of(self.function)
+        if {*names} != {*self.parameters} or len(names) > MOST_PARAMETERS:
+            raise ModelError(
+                f"{self.name}({', '.join(['x', *names])}) with {dict(self.parameters)}: must be a "
+                f"function of x and of up to {MOST_PARAMETERS} numbers with values, as "
+                f"gs.law(function, K_c, gap, n=1.5) or n = 1.5 in [parameters]; {NO_LOSS}"
+            )
+        return {name: checked(name, self.parameters[name]) for name in names}
+
+    def _refuse_jumps(self) -> None:
+        """Halve steps of the force until they are small, or between neighbouring floats."""
+        low, high = -self.gap.j_1, self.gap.j_2
+        beyond, tiny = _BEYOND * (high - low), math.ulp(0.0)
+        grid = np.linspace(low - beyond, high + beyond, _PROBES).tolist()
+        x = sorted({*grid, low, high, -tiny, 0.0, tiny})
+        forces = [*map(self._known, x)]
+        ends = map(self._known, (x[0] - SLOPE_LENGTH, x[-1] + SLOPE_LENGTH))
+        scale = max(abs(force) for force in (0.0, *forces, *ends) if force == force)
+        for a, b, before, after in zip(x[:-1], x[1:], forces[:-1], forces[1:], strict=True):
+            while abs(after - before) > _JUMP * scale and (middle := 0.5 * (a + b)) not in (a, b):
+                force = self._known(middle)
+                if abs(force - before) >= abs(after - force):
+                    b, after = middle, force
+                else:
+                    a, before = middle, force
+            # Next to a pole the force grows without bounds: that is no jump.
+            if _JUMP * scale < abs(after - before) <= 3.0 * scale:
+                raise ModelError(
+                    f"{self.name}: the force jumps by {abs(after - before):.3g} N at x = {b:.6g} "
+                    "m, which is not covered; join both sides by a steep line, as "
+                    "5.0 * min(max(x / 1e-6, -1.0), 1.0)"
+                )
+
+    def _at(self, x: float) -> float:
+        return _number(self.function(x, **self.parameters))
+
+    def _known(self, x: float) -> float:
+        """The force [N]; NaN where the function raises."""
+        try:
+            return self._at(x)
+        except KeyboardInterrupt:
+            raise
+        except BaseException:  # the user's code may raise anything, SystemExit too
+            return math.nan
 
     @property
     def name(self) -> str:
@@ -69,12 +132,24 @@ class UserLaw(ContactLaw):
 
     def force(self, x: ArrayLike) -> Array:
         x = np.asarray(x, dtype=float)
-        return np.reshape([_number(self.function(float(v))) for v in x.ravel()], x.shape)
+        return np.reshape([self._at(float(v)) for v in x.ravel()], x.shape)
 
     def derivative(self, x: ArrayLike) -> Array:
         x = np.asarray(x, dtype=float)
         h = SLOPE_STEP * np.maximum(np.abs(x), SLOPE_LENGTH)
         return np.asarray((self.force(x + h) - self.force(x - h)) / (2.0 * h))
+
+
+def parameters_of(function: Callable[..., Any]) -> list[str]:
+    """Names of a law's arguments but the first, the displacement."""
+    try:
+        arguments = (
+            [] if isinstance(function, np.ufunc) else signature(function).parameters.values()
+        )
+    except (TypeError, ValueError):  # of what is written in C
+        return []
+    several = Parameter.VAR_POSITIONAL, Parameter.VAR_KEYWORD
+    return [each.name for each in arguments if each.kind not in several][1:]
 
 
 def _number(force: Any) -> float:

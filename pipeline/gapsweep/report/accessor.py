@@ -120,9 +120,18 @@ class GapsweepAccessor:
     impacts = _figure(contacts.impacts)
     contact_map = _figure(contacts.contact_map)
 
+    def special_points(self) -> Any:
+        """The special points of branches as a `pandas.DataFrame`, a row each.
+
+        The index is the number that `gapsweep.special_curve` takes as `point`. Columns are branch,
+        step, kind, symbol, the parameter, the peak (of systems ``x_max[h]``), period_multiple, the
+        Floquet multiplier nearest to the unit circle, and the coordinates of a study.
+        """
+        return of_branches.special_table(self._dataset)
+
     def branches(
         self,
-        y: str = "x_max",
+        y: str | None = None,
         *,
         along: str | None = None,
         ax: "Axes | None" = None,
@@ -132,13 +141,13 @@ class GapsweepAccessor:
 
         Each branch has its colour, or each representation where there are several. Special points
         are marked: LP fold, PD period doubling, NS Neimark–Sacker, BP branch point, SB
-        symmetry breaking, GR graze; their symbols stand where there is room.
+        symmetry breaking, GR graze, H Hopf, CP cusp; their symbols stand where there is room.
 
         Parameters
         ----------
         y : str
             Variable of the vertical axis, as ``"x_max"``, ``"amplitude"``, ``"period"`` or
-            ``"frequency"``; of special curves the second parameter.
+            ``"frequency"``; None: ``"x_max"``, of special curves the second parameter.
         along : str, optional
             Variable of the horizontal axis; None: the parameter that the branches are continued
             along, and of free motions ``"frequency"`` (a backbone).
@@ -148,6 +157,7 @@ class GapsweepAccessor:
             Selection by coordinate; of systems one `coordinate` must be left.
         """
         along = along or of_branches.default_axis(self._dataset)
+        y = y or str(self._dataset.attrs.get("second", "x_max"))
         shown = of_branches.shown(self._dataset, [along, y], wanted)
         axes = axes_of(ax)
         of_branches.draw(axes, shown, along, [y])

@@ -7,7 +7,14 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from gapsweep.continuation.dataset import BRANCH, STEP, VARIABLES
+from gapsweep.continuation.dataset import (
+    ATTRACTOR,
+    BRANCH,
+    END_FLAGS,
+    STEP,
+    VARIABLES,
+    special_points,
+)
 from gapsweep.continuation.special import Special
 from gapsweep.errors import DatasetError
 from gapsweep.report import scales
@@ -16,6 +23,7 @@ from gapsweep.report.selection import places, scene
 from gapsweep.report.style import colour
 from gapsweep.study.grid import COORDINATE
 from gapsweep.study.schema import COORDINATES
+from gapsweep.variables import MULTIPLIER, POINT, to_dataframe
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -23,7 +31,9 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 FREQUENCY, REPRESENTATION = "frequency", "representation"
+_LOOP = "is_loop"
 _OF_ORBITS = "stable", "special", "period_multiple"
+_TOLD = "period_multiple", MULTIPLIER
 KINDS = {
     Special.FOLD: ("o", "fold"),
     Special.PERIOD_DOUBLING: ("s", "period doubling"),
@@ -31,6 +41,9 @@ KINDS = {
     Special.BRANCH_POINT: ("^", "branch point"),
     Special.SYMMETRY_BREAKING: ("P", "symmetry breaking"),
     Special.GRAZING: ("v", "graze"),
+    Special.HOPF: ("*", "Hopf"),
+    Special.UNRESOLVED: ("x", "unresolved"),
+    Special.CUSP: ("d", "cusp"),
 }
 _COLOURS = "#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00", "#666666"
 _MOST_NAMES = 8  # branches in a legend
@@ -52,7 +65,29 @@ def shown(found: xr.Dataset, names: Sequence[str], wanted: Mapping[str, Any]) ->
     if "period" in found:
         about = {"units": "Hz", "long_name": "frequency of the orbit"}
         found = found.assign({FREQUENCY: (1.0 / found["period"]).assign_attrs(about)})
+    if "ends" in found:
+        closed = dict(END_FLAGS)["closed"]
+        found = found.assign_coords(
+            {_LOOP: (found["ends"] == closed) & (found["begins"] == closed)}
+        )
     return scene(found, dict.fromkeys([*names, *_OF_ORBITS], (BRANCH, STEP)), wanted)
+
+
+def special_table(found: xr.Dataset) -> Any:
+    """Special points as a `pandas.DataFrame`; see `GapsweepAccessor.special_points`."""
+    names = [str(found.attrs.get(name, "")) for name in ("along", "second")]
+    points = special_points(found)
+    parts = points["multiplier_real"] + 1j * points["multiplier_imag"]
+    off = abs(abs(parts.fillna(0.0)) - 1.0)
+    symbols = [Special(kind).symbol for kind in points["special"].values.tolist()]
+    points = points.assign(
+        kind=points["special"],
+        symbol=(POINT, np.array(symbols, object)),
+        nearest=parts.isel({MULTIPLIER: off.argmin(MULTIPLIER)}),
+    )
+    frame = to_dataframe(points).set_index(POINT).rename(columns={"nearest": MULTIPLIER})
+    wanted = *points.coords, BRANCH, STEP, "kind", "symbol", *names, "x_max", *_TOLD
+    return frame[[c for name in dict.fromkeys(wanted) for c in frame if c.split("[")[0] == name]]
 
 
 def default_axis(found: xr.Dataset) -> str:
@@ -92,9 +127,8 @@ def in_scene(found: xr.Dataset, here: xr.Dataset, dim: str, prefix: str = "") ->
 def label(variable: xr.DataArray) -> str:
     """The label of an axis: a parameter is called as in other datasets."""
     words = scales.long_name(variable).removesuffix(" along the branch")
-    return scales.axis_label(
-        variable, COORDINATES[words][1].long_name if words in COORDINATES else words
-    )
+    is_known = words in COORDINATES and words != "gap"  # there of both walls
+    return scales.axis_label(variable, COORDINATES[words][1].long_name if is_known else words)
 
 
 def is_log(variable: xr.DataArray) -> bool:
@@ -118,10 +152,15 @@ def behind(
 def caption(found: xr.Dataset | None, here: xr.Dataset, along: str) -> str:
     """The caption of branches, with a leading blank; empty if none is drawn."""
     branches = of_scene(found, here, along)
-    if branches is None:
+    if found is None or branches is None:
         return ""
     marks = [f"{k.symbol}: {KINDS[k][1]}" for k in KINDS if (branches["special"] == k).any()]
-    return f" Lines: periodic orbits, dashed where unstable. {', '.join(marks)}{'.' * bool(marks)}"
+    words = f" Lines: periodic orbits, dashed where unstable. {', '.join(marks)}{'.' * bool(marks)}"
+    if "attractor_on_branch" in found:
+        inside = in_scene(found, here, ATTRACTOR, "attractor_")
+        n = int((found["attractor_on_branch"].values[inside] < 0).sum())
+        words += f" {n} of {inside.sum()} periodic attractors lie on no branch." * bool(n)
+    return words
 
 
 def draw(
@@ -177,8 +216,11 @@ def of_orbits(branches: xr.Dataset, *names: str) -> list[Array]:
 
 
 def _looks(branches: xr.Dataset) -> list[tuple[str, str]]:
-    """Colour and name of every branch."""
+    """Colour and name of every branch; a curve has the name of its special point."""
     n = branches.sizes[BRANCH]
+    if "curve" in branches.attrs:
+        kind = Special[branches.attrs["curve"].upper()]
+        return [(_COLOURS[kind - 1], f"{kind.symbol} {KINDS[kind][1]}")] * n
     if REPRESENTATION in branches.coords:
         labels = np.broadcast_to(branches[REPRESENTATION].values, n).tolist()
         if len(set(labels)) > 1:
@@ -196,6 +238,8 @@ def _looks(branches: xr.Dataset) -> list[tuple[str, str]]:
 def lines(branches: xr.Dataset, along: str, height: str) -> Iterator[tuple[int, bool, Array]]:
     """Number of every branch and the points of its unstable or stable part, with gaps."""
     columns = of_orbits(branches, along, height, "stable", "special")
+    n = branches.sizes[BRANCH]
+    is_loop = np.broadcast_to(branches.coords.get(_LOOP, False), n)
     for number, (x, y, stable, special) in enumerate(zip(*columns, strict=True)):
         there = np.isfinite(x) & np.isfinite(y)
         # At a bifurcation rounding decides whether a multiplier exceeds 1: its neighbour says more.
@@ -205,6 +249,9 @@ def lines(branches: xr.Dataset, along: str, height: str) -> Iterator[tuple[int, 
             chosen = (of_step == is_stable) & there[:-1] & there[1:]
             ends = np.flatnonzero(np.diff(chosen.astype(int), prepend=0, append=0)).reshape(-1, 2)
             pieces = [np.r_[np.c_[x, y][a : b + 1], [[np.nan, np.nan]]] for a, b in ends]
+            if is_loop[number] and stable[0] == is_stable:  # to its first orbit again
+                last = np.flatnonzero(there)[-1]
+                pieces.append(np.c_[x, y][[last, 0]])
             if pieces:
                 yield number, is_stable, np.concatenate(pieces)
 
@@ -212,7 +259,7 @@ def lines(branches: xr.Dataset, along: str, height: str) -> Iterator[tuple[int, 
 def name_points(axes: "Axes", branches: xr.Dataset, along: str, height: str) -> None:
     """Symbols next to special points where they overlap no other; called when all else is drawn.
 
-    The rarest kind comes first.
+    The rarest kind comes first. Points of a kind that are closer than a symbol have one.
     """
     x, y, special = of_orbits(branches, along, height, "special")
     there = np.isfinite(x) & np.isfinite(y)
@@ -224,7 +271,11 @@ def name_points(axes: "Axes", branches: xr.Dataset, along: str, height: str) -> 
     is_inside = axes.bbox.padded(-0.5 * size[1]).contains
     taken = np.empty((0, 2))
     for kind in sorted(KINDS, key=lambda kind: int((special == kind).sum())):
+        named = np.empty((0, 2))
         for branch, step in np.argwhere(there & (special == kind)):
+            if (np.abs(at[branch, step] - named) < size).all(axis=1).any():
+                continue
+            named = np.vstack([named, at[branch, step]])
             centres = at[branch, step] + 0.5 * _WAYS * size
             is_free = ~(np.abs(centres[:, None] - taken) < size).all(axis=2).any(axis=1)
             is_free &= [is_inside(*centre) for centre in centres]

@@ -10,7 +10,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from gapsweep.analysis.dimensions import REPRESENTATION, in_metres
-from gapsweep.analysis.unit_check import doubtful_numbers, never_reached
+from gapsweep.analysis.unit_check import doubts_of, never_reached
 from gapsweep.model.labels import EXACT
 from gapsweep.report.answer import Contact
 from gapsweep.report.drawing import labels_of
@@ -20,6 +20,8 @@ from gapsweep.report.tables import VERDICTS, condensed, percent
 from gapsweep.response.result import ResponseClass
 from gapsweep.status import Status
 from gapsweep.study.grid import CONTACT, COORDINATE, START
+from gapsweep.study.points import FIXED
+from gapsweep.study.study import Study
 
 
 def findings(inputs: Inputs, found: Sequence[Contact]) -> list[str]:
@@ -36,7 +38,7 @@ def findings(inputs: Inputs, found: Sequence[Contact]) -> list[str]:
     # First, because without contacts all other findings are about the linear system.
     far = unreached_walls(responses)
     sentences = [*_doubtful(responses), *filter(None, [far])]
-    sentences.append(outcomes(responses))
+    sentences += [outcomes(responses), _tried(responses)]
     sentences += _along(responses)
     if inputs.attractors is not None:
         sentences += _coexisting(inputs.attractors)
@@ -51,13 +53,13 @@ def findings(inputs: Inputs, found: Sequence[Contact]) -> list[str]:
 
 
 def _doubtful(responses: xr.Dataset) -> list[str]:
-    """Numbers of an oscillator that are probably in another unit."""
-    oscillator = json.loads(responses.attrs.get("study_json", "{}")).get("oscillator")
-    if oscillator is None:
+    """Numbers of an oscillator that are probably in another unit; no code of the user is run."""
+    tables = json.loads(responses.attrs.get("study_json", "{}"))
+    if "oscillator" not in tables:
         return []
-    swept = {str(name): c for name, c in responses.coords.items() if c.dtype.kind == "f"}
-    found = doubtful_numbers({**oscillator, **swept})
-    return [f"{doubt[0].upper()}{doubt[1:]}." for doubt in found]
+    study = Study.from_dict({k: v for k, v in tables.items() if k not in ("claims", "report")})
+    said = doubts_of(study, own=False)
+    return [f"{each[0].upper()}{each[1:]}." for each in said if not each.startswith("gap")]
 
 
 _CURVE = 10  # values that make a curve
@@ -121,6 +123,15 @@ def outcomes(responses: xr.Dataset) -> str:
         f"{f' ({reasons})' if reasons else ''}"
         f"{beyond}."
     )
+
+
+def _tried(responses: xr.Dataset) -> str:
+    """How many initial conditions were tried, and what these cannot show."""
+    n = int((responses["status"] != Status.NOT_REQUESTED).sum(START).max())
+    several = "1 initial condition was" if n == 1 else f"At most {n} initial conditions were"
+    remedy = " Sweeps do not show coexisting attractors: add states to initial_condition."
+    more = "" if FIXED in responses["start"].values else remedy
+    return f"{several} tried at a point; further attractors may exist.{more}"
 
 
 def _counted(values: NDArray[np.integer]) -> Counter[int]:

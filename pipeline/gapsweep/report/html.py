@@ -54,7 +54,7 @@ from gapsweep.report.tables import (
     special_points,
 )
 from gapsweep.status import Status
-from gapsweep.store.artefact import is_recorded, recording, remove
+from gapsweep.store.artefact import is_recorded, recording, remove, text_of
 
 ANSWER = "own-answer"  # the study's own part that the page begins with
 FIGURES = "figures"  # the folder of figures and sections, next to the page
@@ -285,10 +285,7 @@ def _digest(script: str) -> str:
 
 def _is_ours(path: Path) -> bool:
     """Whether the file is a report, sound or changed, which may be replaced."""
-    return (
-        is_recorded(path)
-        or '<meta name="generator" content="gapsweep">' in path.read_text(errors="replace")[:1000]
-    )
+    return is_recorded(path) or '<meta name="generator" content="gapsweep">' in text_of(path)[:1000]
 
 
 def _scenes(inputs: Inputs) -> Iterator[Part]:

@@ -51,6 +51,11 @@ def _facts(dataset: xr.Dataset) -> Iterator[tuple[str, str]]:
     elif "status" in dataset:
         asked = dataset["status"].values != dict(STATUS_FLAGS)[_NOT_REQUESTED]
         yield "points", str(int(asked.sum()))
+    if "initial_conditions" in attributes:
+        yield "initial conditions", attributes["initial_conditions"]
+    if "attractor_on_branch" in dataset:
+        lost = dataset["attractor_on_branch"].values < 0
+        yield "attractors", f"{lost.size} periodic, {lost.sum()} of them on no branch"
     for name in ("status", "response_class"):
         if name in dataset:
             yield name.replace("_", " "), _counts(dataset[name])

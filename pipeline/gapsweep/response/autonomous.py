@@ -96,7 +96,7 @@ class PoincareMap(Ensemble):
         n = np.full(len(models), _FIRST)
         every, kept = np.arange(len(models)), np.zeros(len(models), bool)
         found, (_, counts) = self._returned(every, start, n, kept, is_shot=False)
-        self._rate = np.where(counts == _FIRST, n / found.t, self._rate)
+        self._rate = np.divide(n, found.t, out=self._rate, where=counts == _FIRST)
         self.set_clock(self._rate.copy())
 
     def call(
@@ -118,8 +118,10 @@ class PoincareMap(Ensemble):
         is_recorded = np.isfinite(record_from)
         found, passings = self._returned(scenes, y, n_periods, is_recorded, is_shot=tangent)
         is_back, t_end = passings[1] >= n_periods, found.t
+        # A motion that starts where it counts as diverged takes no time.
+        rate = np.divide(n_periods, t_end, out=self._rate[scenes], where=t_end > 0.0)
         if not tangent:  # shots may lead anywhere
-            self._rate[scenes[is_back]] = (n_periods / t_end)[is_back]
+            self._rate[scenes[is_back]] = rate[is_back]
         tangents: tuple[Array | None, Array] = None, found.state.T
         if tangent or not section_only:
             beyond = t_end if tangent else t_end * (1.0 + _BEYOND)
@@ -135,7 +137,7 @@ class PoincareMap(Ensemble):
         is_ok, at_rest = found.status == Status.OK, swing <= REST * self.swing[scenes]
         found.status[is_ok & (faint | ~is_back)] = ASTRAY
         found.status[is_ok & at_rest] = AT_REST
-        given = self.unit[:, scenes], n_periods / t_end, t_end, self._shrinks(scenes), *tangents
+        given = self.unit[:, scenes], rate, t_end, self._shrinks(scenes), *tangents
         return Returned(passings, speed, swing, normal, found, *given)
 
     def duration(self, n_periods: Counts, elapsed: Array) -> Array:
@@ -189,6 +191,7 @@ class PoincareMap(Ensemble):
                 last = (first + n[some] - 1)[is_back]
                 run.t[is_back], run.state[is_back] = events.t_section[last], events.section[last]
                 run.status[is_back] = Status.OK
+                run.t[run.t == 0.0] = t_end[some][run.t == 0.0]  # of what was not begun in time
                 for name in ("t", "state", "status", "reach", "n_steps"):
                     values = getattr(run, name)
                     whole = np.zeros((len(scenes), *values.shape[1:]), values.dtype)

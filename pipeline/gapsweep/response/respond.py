@@ -9,13 +9,15 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gapsweep.errors import ModelError
-from gapsweep.integrate.problem import DEFAULT_ENGINE, Models, Numbers, Solver
+from gapsweep.integrate.problem import DEFAULT_ENGINE, TIME_LIMIT, Models, Numbers, Solver, within
 from gapsweep.integrate.simulate import AnyLaw, AnyModel, Several, cases, inputs_of
+from gapsweep.model.doubts import doubts, warn_of
 from gapsweep.response.autonomous import PoincareMap
 from gapsweep.response.ensemble import Ensemble
 from gapsweep.response.result import Response, Responses, Steady
 from gapsweep.response.scene import Scene
 from gapsweep.response.search import Search
+from gapsweep.variables import objects
 
 Array = NDArray[np.float64]
 
@@ -35,6 +37,7 @@ def respond(
     rtol: float | None = None,
     atol: float | None = None,
     steady: Steady | None = None,
+    time_limit: float = TIME_LIMIT,
 ) -> Response:
     """Return the steady response from an initial state, or an array of responses.
 
@@ -54,6 +57,8 @@ def respond(
         As in `gapsweep.simulate`.
     steady : Steady, optional
         Convergence criteria.
+    time_limit : float
+        As in `gapsweep.simulate`.
 
     Returns
     -------
@@ -78,7 +83,9 @@ def respond(
     solver, steady = Solver.of(engine, rtol, atol), _STEADY if steady is None else steady
     check_steady(steady)
     models, start, shape = cases(oscillator, law, omega, x_0, v_0, q_0, z_0)
-    found = respond_models(models, solver, start, steady)
+    warn_of(doubts(objects(oscillator).ravel().tolist(), models.laws, models.omega, start))
+    with within(time_limit):
+        found = respond_models(models, solver, start, steady)
     inputs = inputs_of(oscillator, law, models, start, shape) | {
         "engine": solver.engine, "rtol": solver.rtol, "atol": solver.atol, "steady": steady
     }  # fmt: skip

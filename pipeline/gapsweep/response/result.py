@@ -368,7 +368,8 @@ class Response:
         """Return the responses as an `xarray.Dataset` with the variables of ``responses.nc``.
 
         Dimensions are `omega` and `initial_condition` if every frequency has every initial state,
-        otherwise `point`.
+        otherwise `point`. The attribute ``touched_a_wall`` counts motions with contact, transients
+        included.
         """
         shape, steady = np.shape(self.status), self.inputs["steady"]
         models, n = objects(self.inputs["oscillator"]), math.prod(shape)
@@ -388,7 +389,13 @@ class Response:
         of_contacts = of_contacts.reshape(n, *size)
         arrays = Responses(columns, lists, {}).arrays(sizes_of(structure, steady), of_contacts)
         arrays["message"] = np.ravel(self.message).astype(str)
-        return dataset(self.inputs, shape, RESPONSE | _MESSAGE, arrays)
+        made = dataset(self.inputs, shape, RESPONSE | _MESSAGE, arrays)
+        return made.assign_attrs(touched_a_wall=f"{self._n_touching} of {n} motions")
+
+    @property
+    def _n_touching(self) -> int:
+        """Motions that touch a wall."""
+        return int(np.count_nonzero(self.n_contacts))
 
     def to_dataframe(self) -> Any:
         """Return the responses as a `pandas.DataFrame`, a row each, without extrema and sections.
@@ -406,6 +413,7 @@ class Response:
         said = [kind.name.lower() for kind in kinds]
         if shape := np.shape(self.status):
             listed = [f"{n} {kind}" for n, kind in zip(counts, said, strict=True)]
+            listed.append(f"{self._n_touching} touched a wall")
             return f"<gapsweep.Response of shape {shape}: {', '.join(listed)}>"
         if self.period_multiple:
             said.append(f"period multiple {self.period_multiple}")

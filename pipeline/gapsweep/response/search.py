@@ -21,6 +21,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from gapsweep.integrate.problem import is_late
 from gapsweep.response import thresholds as limit
 from gapsweep.response.answers import answers
 from gapsweep.response.basin_check import basin_check, distances, is_slow
@@ -140,6 +141,10 @@ class Search:
         while True:
             function = _FUNCTION[self.state]
             k = int(function.min())
+            if is_late():
+                late = function < len(_FUNCTIONS)
+                self._windows.status[late], self.state[late] = Status.TIMED_OUT, State.FAILED
+                break
             if k == len(_FUNCTIONS):
                 break
             if k == _WINDOWS:  # most points wait for these or for shots: what more wait for

@@ -5,6 +5,7 @@ renamed into place. Its SHA-256 stands in ``SHA256SUMS`` beside it, in the form 
 ``sha256sum --check`` reads; while a file is replaced, the old and the new one stand there.
 """
 
+import errno
 import hashlib
 import os
 import platform
@@ -12,6 +13,7 @@ import re
 import warnings
 from collections.abc import Callable, Collection, Iterable, Iterator
 from contextlib import contextmanager, suppress
+from io import BufferedReader
 from pathlib import Path
 from uuid import uuid4
 
@@ -21,6 +23,7 @@ from gapsweep.errors import GapsweepError, StoreError, described
 from gapsweep.store.filesystem import fcntl
 
 SUMS = "SHA256SUMS"
+_LONGEST = 2**26  # bytes of a text; those of the largest runs are a tenth of it
 _SOON = 100e6  # bytes, read in a quarter of a second at worst, or a second from a slow disk
 
 
@@ -45,7 +48,6 @@ def replacing(path: Path, is_ours: Callable[[Path], bool] | None = None) -> Iter
         )
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        _remove_leftovers(path)
         name = f".{path.name}.{platform.node()}.{os.getpid()}.{uuid4().hex}"
         temporary = path.with_name(name)
         temporary.touch(exist_ok=False)
@@ -65,10 +67,10 @@ def replacing(path: Path, is_ours: Callable[[Path], bool] | None = None) -> Iter
             temporary.unlink()
 
 
-def _remove_leftovers(path: Path) -> None:
-    """Remove temporary files for a path whose process, on this machine, was killed."""
-    ours = re.escape(f".{path.name}.{platform.node()}.") + r"(\d+)\.\w+"
-    for there in path.parent.iterdir():
+def remove_leftovers(folder: Path) -> None:
+    """Remove temporary files of a folder whose process, on this machine, was killed."""
+    ours = r"\..+" + re.escape(f".{platform.node()}.") + r"(\d+)\.\w+"
+    for there in folder.iterdir():
         owner = re.fullmatch(ours, there.name)
         if owner and not psutil.pid_exists(int(owner[1])):
             there.unlink(missing_ok=True)
@@ -90,6 +92,7 @@ def recording(path: Path, is_ours: Callable[[Path], bool]) -> Iterator[Path]:
     """`replacing`, the SHA-256 of the new file recorded beside it."""
     known = digests(path)
     with replacing(path, is_ours) as temporary:
+        remove_leftovers(path.parent)
         yield temporary
         new = sha256(temporary)
         # At no moment may the file that is there lack its digest: a kill may come between.
@@ -98,13 +101,13 @@ def recording(path: Path, is_ours: Callable[[Path], bool]) -> Iterator[Path]:
 
 
 def is_intact(path: Path) -> bool | None:
-    """Whether a file is as it was written; None if no digest of it is recorded."""
+    """Whether a file is as it was written; None if no digest is recorded and it is no pipe."""
     known = digests(path)
-    if not known:
+    if not known and (path.is_file() or not path.exists()):
         return None
     try:
-        return path.is_file() and sha256(path) in known  # a pipe would be waited for
-    except OSError:  # it cannot be read
+        return sha256(path) in known
+    except OSError:  # it cannot be read, or is a pipe
         return False
 
 
@@ -135,9 +138,25 @@ def is_recorded(path: Path) -> bool:
     return bool(digests(path))
 
 
+def text_of(path: Path) -> str:
+    """Text of a file that anybody may have written; an OSError if it is larger than 64 MB."""
+    with _opened(path) as file:
+        found = file.read(_LONGEST + 1)
+    if len(found) > _LONGEST:
+        raise OSError(errno.EFBIG, os.strerror(errno.EFBIG), str(path))
+    return found.decode(errors="replace")
+
+
+def _opened(path: Path) -> BufferedReader:
+    """A file that is open for reading; for a pipe or a device, which may never end, an OSError."""
+    if path.exists() and not path.is_file():
+        raise OSError(errno.EINVAL, "not a regular file", str(path))
+    return path.open("rb")
+
+
 def sha256(path: Path) -> str:
     """SHA-256 of a file in hex."""
-    with path.open("rb") as file:
+    with _opened(path) as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
@@ -148,7 +167,7 @@ def digests(path: Path) -> list[str]:
 
 def _sums(folder: Path) -> list[tuple[str, str]]:
     try:
-        lines = (folder / SUMS).read_text(encoding="utf-8", errors="replace").splitlines()
+        lines = text_of(folder / SUMS).splitlines()
     except OSError:  # not there, or something else in its place
         return []
     pairs = (line.partition("  ") for line in lines)

@@ -263,7 +263,7 @@ class Cache:
         n_missed = 0
         while n_missed < 3:
             frame = self._frames[number]
-            with _store_errors(frame.path), suppress(FileNotFoundError):
+            with _store_errors(self.path), suppress(FileNotFoundError):
                 slab = read(frame)
                 if slab is None:
                     self._warn(frame.path)
@@ -303,8 +303,8 @@ def _store_errors(path: Path) -> Iterator[None]:
         yield
     except OSError as error:
         raise StoreError(
-            f"{error.filename or path}: {error.strerror or error}; free disk space and run "
-            "again, or choose another folder with --cache; stored points are kept"
+            f"{error.filename or path}: {error.strerror or error}; check the folder and its disk "
+            "space and run again, or choose another folder with --cache; stored points are kept"
         ) from None
 
 

@@ -167,9 +167,8 @@ def _errors(path: Path) -> Iterator[None]:
         raise
     except (OSError, RuntimeError) as error:
         reason = getattr(error, "strerror", None) or error
-        raise StoreError(
-            f"{path}: cannot be written: {reason}; free disk space and run again"
-        ) from None
+        remedy = "check the folder and its disk space and run again"
+        raise StoreError(f"{path}: cannot be written: {reason}; {remedy}") from None
 
 
 def _is_ours(path: Path) -> bool:
@@ -197,7 +196,9 @@ def values(path: Path, name: str) -> NDArray[Any]:
         return np.empty(0)
 
 
-def read(path: str | Path, *, lazy: bool = False) -> "xr.Dataset":
+def read(
+    path: str | Path, *, lazy: bool = False, chunks: Mapping[str, int] | str | None = None
+) -> "xr.Dataset":
     """Return the dataset of a NetCDF file of a run.
 
     The file is first compared with its SHA-256 in ``SHA256SUMS`` of its folder.
@@ -209,6 +210,9 @@ def read(path: str | Path, *, lazy: bool = False) -> "xr.Dataset":
     lazy : bool
         Whether to read values at first use, for files larger than the memory. The dataset must be
         closed before a run writes into its folder.
+    chunks : mapping of str to int, or 'auto', optional
+        Sizes of Dask arrays by dimension, as for `xarray.open_dataset`: ``{}`` takes the chunks of
+        the file. Implies `lazy`.
 
     Raises
     ------
@@ -224,7 +228,8 @@ def read(path: str | Path, *, lazy: bool = False) -> "xr.Dataset":
     --------
     >>> import gapsweep as gs
     >>> block = {"representation": "piecewise", "K_c": 1e4, "gap": [4e-4, 4e-4], "omega": 9.0}
-    >>> study = gs.Study.from_dict({"study": {"name": "small"}, "sweep": [block]})
+    >>> m = {"mass": 3.0, "omega_n": 5.0, "zeta": 0.03, "forcing": 4.0}
+    >>> study = gs.Study.from_dict({"study": {"name": "small"}, "oscillator": m, "sweep": [block]})
     >>> gs.run(study, out="small", cache="points-cache").close()
     >>> gs.open("small/attractors.nc")["n_attractors"].values.ravel().tolist()
     [1]
@@ -232,6 +237,8 @@ def read(path: str | Path, *, lazy: bool = False) -> "xr.Dataset":
     # half a second to import, which a run without anything to do can spare
     import xarray as xr
 
+    if not isinstance(path, str | os.PathLike):
+        raise StoreError(f"path = {path!r:.80}: must be a path, as 'data/runs/quick/responses.nc'")
     path = Path(path)
     if path.is_dir():
         raise StoreError(f"{path}: is a folder; name a file, as {path / 'responses.nc'}")
@@ -242,7 +249,9 @@ def read(path: str | Path, *, lazy: bool = False) -> "xr.Dataset":
                 f"{path}: damaged or changed since it was written (its SHA-256 differs from "
                 "SHA256SUMS); 'gapsweep run' rewrites it from the cache"
             )
-        opened = (xr.open_dataset if lazy else xr.load_dataset)(path, engine="netcdf4")
+        is_lazy = lazy or chunks is not None
+        opening = xr.open_dataset if is_lazy else xr.load_dataset
+        opened = opening(path, engine="netcdf4", chunks=chunks)
         for coordinate in opened.coords.values():
             coordinate.load()  # else whenever datasets are put together
     except StoreError:

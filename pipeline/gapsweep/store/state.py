@@ -6,7 +6,8 @@ is running, but whose process is gone or has been silent for long, is reported a
 
 import json
 import platform
-from dataclasses import asdict, dataclass, field, replace
+from contextlib import suppress
+from dataclasses import asdict, dataclass, field, fields, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -14,7 +15,7 @@ from typing import Any
 import psutil
 
 from gapsweep.errors import StoreError
-from gapsweep.store.artefact import replacing
+from gapsweep.store.artefact import replacing, text_of
 
 STATE = "run.json"
 RUNNING, FINISHED, INTERRUPTED, FAILED, DIED = (
@@ -70,9 +71,15 @@ class RunState:
 
     def write(self, folder: Path) -> None:
         """Store the state as of now."""
-        with replacing(folder / STATE) as temporary:
-            text = json.dumps(asdict(replace(self, updated=_now())), indent=1)
-            temporary.write_text(text + "\n", encoding="utf-8")
+        text = json.dumps(asdict(replace(self, updated=_now())), indent=1) + "\n"
+        try:
+            with replacing(folder / STATE) as temporary:
+                temporary.write_text(text, encoding="utf-8")
+        except StoreError:  # on a full disk the file that is there still has room
+            if not (folder / STATE).is_symlink():
+                with suppress(OSError):
+                    (folder / STATE).write_text(text, encoding="utf-8")
+            raise
 
     @classmethod
     def read(cls, folder: Path) -> "RunState":
@@ -85,8 +92,10 @@ class RunState:
         """
         path = folder / STATE
         try:
-            values: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+            values: dict[str, Any] = json.loads(text_of(path))
             found = cls(**values)
+            if not all(type(getattr(found, one.name)) is one.type for one in fields(cls)):
+                raise TypeError
             is_dead = found.state == RUNNING and not found.is_alive
         except FileNotFoundError:
             raise StoreError(f"{path}: no such file; 'gapsweep run' writes it") from None
@@ -94,7 +103,7 @@ class RunState:
             raise StoreError(f"{folder}: {NO_FOLDER}") from None
         except OSError as error:
             raise StoreError(f"{path}: cannot be read: {error.strerror}") from None
-        except (ValueError, TypeError):
+        except (ValueError, TypeError, RecursionError):
             raise StoreError(f"{path}: not the state of a run; run the study again") from None
         if is_dead:
             return replace(found, state=DIED, message="its process ended; run again to resume")

@@ -29,8 +29,8 @@ class WorkLocks:
 
     def __init__(self, cache: Path, points: bytes | memoryview) -> None:
         file = cache / "claims"
-        if file.is_symlink():
-            raise StoreError(f"{file}: must be a file, is a symbolic link; remove it")
+        if file.is_symlink() or (file.exists() and not file.is_file()):
+            raise StoreError(f"{file}: must be a regular file; remove it")
         self._file = file.open("ab")
         self._place = int.from_bytes(hashlib.sha256(points).digest()[:4], "big") * _ROOM
 

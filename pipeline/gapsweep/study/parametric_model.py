@@ -85,6 +85,8 @@ class ParametricModel:
         if table is None:
             return self._oscillator
         unlike = table.scales ^ set(self.spec.parameters)
+        if any(":" in label for block in self.spec.sweep for label in block.representation):
+            unlike = table.scales - set(self.spec.parameters)  # others are of laws
         if table.function is None and unlike:
             raise StudyError(
                 [
@@ -261,8 +263,10 @@ class ParametricModel:
         for name in ("K_c", "gap"):
             is_given = getattr(block, name) is not None or (name == "gap" and block.j_1 is not None)
             takes = [c for c in self.contacts if self._own(c, name) is None]
-            if takes and not is_given:
-                of_contact = "" if self.is_oscillator else f", which contact {takes[0]!r} needs"
+            has_walls = all(":" in label for label in block.representation)  # laws of the user
+            needs = [c for c in takes if self._own(c, "representation") or not has_walls]
+            if needs and not is_given:
+                of_contact = "" if self.is_oscillator else f", which contact {needs[0]!r} needs"
                 found.append(f"{name}: missing; write {EXAMPLES[name]}{of_contact}")
             if is_given and not takes:
                 found.append(f"{name}: unused, [contact] sets it for all contacts; leave it out")
@@ -293,7 +297,7 @@ class ParametricModel:
 
     def _walls(self, axes: Axes, places: Places, n: int) -> Array:
         """Stiffness, distances and ratio of every contact."""
-        swept: dict[str, Any] = {"K_ratio": 1.0}
+        swept: dict[str, Any] = {"K_ratio": 1.0, "K_c": 0.0, "j_1": 0.0, "j_2": 0.0}
         for name in ("K_c", "j_1", "j_2", "K_ratio"):
             if name in axes:
                 swept[name] = np.asarray(axes[name])[places[name]]
@@ -330,7 +334,7 @@ class ParametricModel:
 def _out_of_range(others: Mapping[str, float], name: str, axis: Any) -> Iterator[str]:
     """What is wrong with an axis of a parameter of the oscillator: its ends, as ranges go."""
     several = values(axis)
-    for value in {min(several), max(several)}:
+    for value in {min(several), max(several)} if name in others else ():  # others are of laws
         try:
             Oscillator(**{**others, name: value})
         except ModelError as error:

@@ -18,6 +18,7 @@ from gapsweep.model.structure import AnyStructure, OscillatorStructure, read_str
 from gapsweep.response.result import Steady
 from gapsweep.study.software import deciding, versions
 from gapsweep.user_code.package_digest import numerics_fingerprint
+from gapsweep.variables import canonical as canonical
 
 # Raised whenever the stored result of a point changes its form or meaning.
 RESULT_SCHEMA = 8
@@ -31,16 +32,6 @@ _OSCILLATOR = OscillatorStructure()
 KEY = np.dtype("V32")  # a content key, as an element of an array
 
 Numbers = NDArray[np.intp]
-
-
-def canonical(value: float) -> float:
-    """The value rounded to 12 significant digits.
-
-    Grids reach the same coordinate by different arithmetic; after rounding they agree to
-    the last bit. Done once, when a study is read: these are the values that are computed
-    with, keyed and stored.
-    """
-    return float(f"{value:.11e}") + 0.0  # -0.0 becomes 0.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -20,6 +20,7 @@ _WORDS = {
     "list_type": "must be a list",
     "string_type": "must be text, in quotes",
     "bool_type": "must be true or false",
+    "finite_number": "must be finite",
     "int_type": "must be a whole number",
     "int_from_float": "must be a whole number",
     "union_tag_invalid": "must be a state [1e-3, 0], { sobol = ... }, 'sweep_up' or 'sweep_down'",

@@ -252,26 +252,30 @@ class StudySpec(TomlTable):
         """Put the parameters in blocks and histories, named by the model, in a table each."""
         if not isinstance(given, dict):
             return given
+        own = given.get("parameters") or {}
+        if not isinstance(own, dict) or not all(isinstance(name, str) for name in own):
+            return given | {"sweep": []}  # what is wrong with them is said instead
+        is_system = given.get("system") is not None
+        taken = TAKEN if is_system else TAKEN.union(OscillatorTable.model_fields)
         names = _parameters(given)
-        if given.get("system") is not None:
-            if not isinstance(names, dict) or not all(isinstance(name, str) for name in names):
-                return given | {"sweep": []}  # what is wrong with them is said instead
-            wrong = [
-                f"{name}: not allowed with [system]" for name in _OF_OSCILLATORS if given.get(name)
-            ]
-            wrong += [
-                f"parameters: {name!r} is a reserved name; choose another name"
-                for name in names
-                if name in TAKEN
-            ]
-            wrong += [
-                f"parameters: {name!r}: must be a name of letters, digits and '_'"
-                for name in names
-                if not name.isidentifier()
-            ]
-            if wrong:
-                raise ValueError("; ".join(wrong))
-        else:
+        wrong = [
+            f"{name}: not allowed with [system]"
+            for name in _OF_OSCILLATORS
+            if is_system and given.get(name)
+        ]
+        wrong += [
+            f"parameters: {name!r} is a reserved name; choose another name"
+            for name in own
+            if name in taken
+        ]
+        wrong += [
+            f"parameters: {name!r}: must be a name of letters, digits and '_'"
+            for name in own
+            if not name.isidentifier()
+        ]
+        if wrong:
+            raise ValueError("; ".join(wrong))
+        if not is_system:
             blocks = given.get("sweep")
             if isinstance(blocks, list):
                 given = given | {"sweep": [_with_walls(block) for block in blocks]}
@@ -290,7 +294,8 @@ class StudySpec(TomlTable):
     @property
     def tables(self) -> dict[str, Any]:
         """The checked study, defaults filled in, as the tables of its file."""
-        left_out = _OF_OSCILLATORS if self.system else ("parameters", "contact")
+        left_out: tuple[str, ...] = _OF_OSCILLATORS if self.system else ("contact",)
+        left_out = left_out if self.parameters else (*left_out, "parameters")
         tables = self.model_dump(exclude_none=True)
         for table in (*tables["sweep"], *tables["history"]):
             table |= table.pop("parameter")
@@ -298,9 +303,11 @@ class StudySpec(TomlTable):
 
     @model_validator(mode="after")
     def _of_one_thing(self) -> "StudySpec":
-        given = [name for name in ("parameters", "contact") if getattr(self, name)]
-        if self.system is None and given:
-            raise ValueError(f"{given[0]}: needs [system]")
+        if self.system is None and self.contact:
+            raise ValueError("contact: needs [system]")
+        labels = [label for block in self.sweep for label in block.representation]
+        if self.system is None and self.parameters and not any(":" in label for label in labels):
+            raise ValueError("parameters: needs [system], or an own contact law, as module:name")
         return self
 
     @model_validator(mode="after")
@@ -341,10 +348,11 @@ class StudySpec(TomlTable):
 
 
 def _parameters(tables: Any) -> Any:
-    """Names of the model's parameters, as far as unchecked tables have them."""
+    """Names of the parameters of model and laws, as far as unchecked tables have them."""
+    given = (isinstance(tables, dict) and tables.get("parameters")) or {}
     if isinstance(tables, dict) and tables.get("system") is not None:
-        return tables.get("parameters") or {}
-    return OscillatorTable.model_fields
+        return given
+    return [*OscillatorTable.model_fields, *given]
 
 
 def _with_swept(table: Any, blocks: Any) -> Any:

@@ -2,7 +2,7 @@
 
 import json
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -59,7 +59,8 @@ class Study:
     --------
     >>> import gapsweep as gs
     >>> block = {"representation": "piecewise", "K_c": 1e4, "gap": [4e-4, 4e-4], "omega": 9.0}
-    >>> study = gs.Study.from_dict({"study": {"name": "small"}, "sweep": [block]})
+    >>> m = {"mass": 3.0, "omega_n": 5.0, "zeta": 0.03, "forcing": 4.0}
+    >>> study = gs.Study.from_dict({"study": {"name": "small"}, "oscillator": m, "sweep": [block]})
     >>> study
     <Study 'small': 1 sweep point, representation 1, K_c 1, gap 1, omega 1, initial_condition 1>
     """
@@ -124,7 +125,11 @@ class Study:
     @classmethod
     def from_dict(cls, tables: dict[str, Any], source: str = "study") -> "Study":
         """Return the study of a dict with the tables of a study file; checked as by `load`."""
-        return cls(check(_lists(tables), source), source)._checked()
+        try:
+            return cls(check(_lists(tables), source), source)._checked()
+        except RecursionError:
+            problem = f"{source}: nested too deeply; a table or list must not contain itself"
+            raise StudyError([problem]) from None
 
     @classmethod
     def of(cls, study: "Study | str | PathLike[str]") -> "Study":
@@ -145,7 +150,8 @@ class Study:
                 raise StudyError([f"{self.source}: {table}: {error}"]) from None
         self._check_modules()
         self.model.check()
-        lines = undecided(self.spec.history, self.spec.model, self._axes)
+        known = {**self.spec.model, **self.spec.parameters}
+        lines = undecided(self.spec.history, known, self._axes)
         if self.spec.branches:
             lines = chain(lines, self.spec.branches.problems(self._axes, self.spec.contact))
         problems = [f"{self.source}: {line}" for line in lines]
@@ -199,8 +205,8 @@ class Study:
         return json.dumps(self.spec.tables, sort_keys=True)
 
     def setting(self, history: HistoryTable) -> dict[str, float]:
-        """Parameters of the model, and the ratio of the walls' stiffnesses, of a time history."""
-        return setting(history, self.spec.model, self._axes)
+        """Parameters of model and laws, and the ratio of the walls' stiffnesses, of a history."""
+        return setting(history, {**self.spec.model, **self.spec.parameters}, self._axes)
 
     @cached_property
     def claims_module(self) -> Path | None:
@@ -255,8 +261,9 @@ class Study:
         """The user's own laws that have been read, by label."""
         return {}
 
-    def own_law(self, label: str) -> OwnLaw | None:
-        """The user law of a label, read once; None for laws of gapsweep.
+    def own_law(self, label: str, **parameters: float) -> OwnLaw | None:
+        """The user law of a label, its code read once, with some values of [parameters] replaced;
+        None for laws of gapsweep.
 
         Raises
         ------
@@ -268,7 +275,8 @@ class Study:
             return None
         if name not in self._known_laws:
             self._known_laws[name] = OwnLaw.of(name, self.folders)
-        return self._known_laws[name]
+        named = {**self.spec.parameters, **parameters}
+        return replace(self._known_laws[name], parameters=tuple(named.items()))
 
     def law(self, label: str, K_c: float, gap: Gap, K_ratio: float = 1.0) -> ContactLaw:
         """The contact law of a label; the label may name a user law.
@@ -317,7 +325,8 @@ class Study:
     @cached_property
     def _blocks(self) -> list[Axes]:
         swept = {name for block in self.spec.sweep for name in block.parameters}
-        default = {n: x for n, x in {**self.spec.model, "K_ratio": 1.0}.items() if n in swept}
+        known = {**self.spec.model, **self.spec.parameters, "K_ratio": 1.0}
+        default = {n: x for n, x in known.items() if n in swept}
         return [
             expanded(block, default) | {START: self._starts(block.initial_condition, i)}
             for i, block in enumerate(self.spec.sweep)
@@ -416,18 +425,39 @@ class Study:
 
     def _asked(self, cells: NDArray[np.int64]) -> Iterator[tuple[NDArray[np.intp], Points, str]]:
         """The points in some cells as they are asked for, with their label."""
-        axes, starts = self.grid.axes, self.grid.starts
+        axes, starts, names = self.grid.axes, self.grid.starts, self._law_parameters
         at = dict(zip(axes, np.unravel_index(cells, self.grid.shape), strict=True))
         kind = at["representation"] * len(Starts.KINDS) + starts.kind[at[START]]
         for one in np.unique(kind).tolist():
             rows = np.flatnonzero(kind == one)
             r, start = divmod(one, len(Starts.KINDS))
-            label, here = axes["representation"][r], {name: of[rows] for name, of in at.items()}
-            numbers = self.model.numbers(axes, here, len(rows))
-            yield rows, Points(self._kind(label, Starts.KINDS[start]), numbers), label
+            label = axes["representation"][r]
+            swept = [name for name in names.get(law_of(label), ()) if name in axes]
+            places = np.column_stack([0 * rows, *(at[name][rows] for name in swept)])
+            for place in np.unique(places, axis=0):
+                some = rows[(places == place).all(axis=1)]
+                here = {name: of[some] for name, of in at.items()}
+                named = {n: axes[n][i] for n, i in zip(swept, place[1:].tolist(), strict=True)}
+                numbers = self.model.numbers(axes, here, len(some))
+                yield some, Points(self._kind(label, Starts.KINDS[start], named), numbers), label
 
-    def _kind(self, label: str, start: str) -> Kind:
-        representation, own = law_of(label), self.own_law(label)
+    @cached_property
+    def _law_parameters(self) -> dict[str, list[str]]:
+        """Names of the parameters that each user law takes; refuses those that nothing takes."""
+        laws = {law_of(label): self.own_law(label) for label in self.grid.representations}
+        found = {n: [name for name, _ in checked(own).parameters] for n, own in laws.items() if own}
+        system = self.spec.system
+        taken = (system.scales if system else set()).union(*found.values())
+        unused = self.spec.parameters.keys() - taken
+        if unused and not (system and system.function):  # which refuses what it does not take
+            said = (
+                f"parameters: {', '.join(sorted(unused))}: must be arguments of {', '.join(found)}"
+            )
+            raise StudyError([f"{self.source}: {said}"])
+        return found
+
+    def _kind(self, label: str, start: str, parameters: Mapping[str, float]) -> Kind:
+        representation, own = law_of(label), self.own_law(label, **parameters)
         own = None if own is None else checked(own)
         return Kind(
             representation=representation,
@@ -490,7 +520,11 @@ def _lists(tables: Any) -> Any:
     """Tables with lists and numbers of Python in place of arrays and numbers of NumPy."""
     if isinstance(tables, dict):
         return {name: _lists(value) for name, value in tables.items()}
-    if isinstance(tables, list | tuple):
+    is_list = isinstance(tables, list | tuple)
+    n = len(tables) if is_list else getattr(tables, "size", 0)
+    if n > MAX_POINTS:  # before each value is checked
+        raise StudyError([f"a list of {n} values: must have <= {MAX_POINTS}; coarsen a grid"])
+    if is_list:
         return [_lists(value) for value in tables]
     return tables.tolist() if hasattr(tables, "tolist") else tables
 

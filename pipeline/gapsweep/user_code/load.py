@@ -9,6 +9,7 @@ and snapshot.
 
 import builtins
 import inspect
+import os
 import re
 import shutil
 import sys
@@ -29,6 +30,8 @@ from gapsweep.errors import ClusterError, ModelError, StudyError, described
 from gapsweep.user_code.snapshot import ABSENT, BESIDE, Module, Snapshot, version_of
 
 _PREFIX = "gapsweep_user_"
+# Environment variable: the folder of temporary files that another process removes.
+TEMPORARY = "GAPSWEEP_TEMPORARY"
 _lock = threading.RLock()
 # Where user code was compiled from, by the file name that its code objects have.
 _paths: dict[str, str] = {}
@@ -176,7 +179,7 @@ class _Loader:
 @cache
 def _folder() -> Path:
     """The private folder of this process, removed at its end; workers are multiprocessing's."""
-    path = Path(tempfile.mkdtemp(prefix="gapsweep-user-code-"))
+    path = Path(tempfile.mkdtemp(prefix="gapsweep-user-code-", dir=os.environ.get(TEMPORARY)))
     Finalize(None, shutil.rmtree, (path, True), exitpriority=0)
     return path
 

@@ -14,6 +14,7 @@ from gapsweep.errors import ModelError
 from gapsweep.execution.cluster import check_workers
 from gapsweep.integrate.problem import DEFAULT_ENGINE, Solver
 from gapsweep.model.contact import ContactLaw
+from gapsweep.model.doubts import doubts, warn_of
 from gapsweep.model.oscillator import Oscillator, checked
 from gapsweep.model.system import floats
 from gapsweep.model.user_law import UserLaw
@@ -115,6 +116,7 @@ def basins(
     )
     v_0, x_0 = (each.ravel() for each in np.meshgrid(starts_v, starts_x, indexing="ij"))
     settings = scene, steady
+    warn_of(doubts([oscillator], [(law,)], scene.omega, np.stack([x_0, v_0], axis=1)))
     parts = [(x_0[i : i + _PART], v_0[i : i + _PART]) for i in range(0, x_0.size, _PART)]
     grouping = Grouping(unit_of(scene.omega))
     for answer in _answers(parts, *settings, client):

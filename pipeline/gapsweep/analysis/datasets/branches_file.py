@@ -16,10 +16,10 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from gapsweep.analysis.agreement.branch_agreement import MATCH, compared
-from gapsweep.continuation.branches import Attractor
 from gapsweep.continuation.dataset import ATTRACTOR, BRANCH, OF_BRANCH, VARIABLES
 from gapsweep.continuation.family import Window
 from gapsweep.continuation.follow import DEFAULT_RTOL
+from gapsweep.continuation.seed import Attractor
 from gapsweep.errors import StoreError
 from gapsweep.execution.branch_tasks import BranchScene, Followed, followed
 from gapsweep.response.result import ResponseClass
@@ -210,6 +210,7 @@ def _assembled(study: Study, parts: list[_SceneBranches]) -> xr.Dataset:
         **study.attributes,
         numerics_fingerprint=numerics_fingerprint(),
         between=[min(axis), max(axis)],
+        initial_conditions="attractors.nc; other initial conditions may lead to further branches",
         **settings,
     )
 

@@ -176,7 +176,8 @@ def _history(study: Study, table: HistoryTable, label: str, process: Isolated) -
     """The variables of one motion; its status alone if it has failed."""
     x_0, v_0 = table.start
     try:
-        numbers, own = study.setting(table), study.own_law(label)
+        numbers = study.setting(table)
+        own = study.own_law(label, **{name: numbers.pop(name) for name in study.spec.parameters})
         walls = table.K_c, _gap(table), numbers.pop("K_ratio")
         law = partial(own.law, *walls) if own else partial(study.law, label, *walls)
         start = x_0 + study.start_jitter(label), v_0

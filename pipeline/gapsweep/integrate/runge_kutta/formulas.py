@@ -18,6 +18,7 @@ from .parameters import (
     DECAY,
     HALF_GAP,
     OFFSET,
+    OWN,
     RANGE,
     RATIO,
     SATURATION,
@@ -250,18 +251,19 @@ def table_slope(law, q, x):
 
 
 @njit
-def _each_lane(function, x):
+def _each_lane(function, q, x):
     result = simd.splat(0.0)
     for lane in range(simd.WIDTH):
-        result = simd.with_lane(result, lane, function(simd.lane_value(x, lane)))
+        named = q[OWN, lane], q[OWN + 1, lane], q[OWN + 2, lane], q[OWN + 3, lane]
+        result = simd.with_lane(result, lane, function(simd.lane_value(x, lane), *named))
     return result
 
 
 @inlined
 def user_force(law, q, x):
-    return load(q, STIFFNESS) * _each_lane(law.force, x)
+    return load(q, STIFFNESS) * _each_lane(law.force, q, x)
 
 
 @inlined
 def user_slope(law, q, x):
-    return load(q, STIFFNESS) * _each_lane(law.slope, x)
+    return load(q, STIFFNESS) * _each_lane(law.slope, q, x)

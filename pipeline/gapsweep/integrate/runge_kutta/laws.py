@@ -64,7 +64,7 @@ class Formula(NamedTuple):
 
 
 class User(NamedTuple):
-    """A compiled scalar function F(x) [N] and its slope [N/m]."""
+    """A compiled function F(x, a, b, c, d) [N] of displacement and numbers, and its slope [N/m]."""
 
     force: Any
     slope: Any

@@ -8,6 +8,7 @@ CENTRE, HALF_GAP, DECAY = 4, 5, 6  # tanh: of the gap [m, m, -]; tables: centre 
 OFFSET = 4  # log-arctan: A_c [m]
 # Located contact: of the present mode.
 ACTIVE_STIFFNESS, ACTIVE_WALL = 3, 4
+OWN = 3  # a user's law: its named numbers, up to the next row
 LAYER = 7  # half-width of the smoothing layer around each wall [m]; 0: none
 RANGE = 8  # fits and tables: half of the range in which they hold [m]; 0: no range
 SATURATION = 9  # tanh: distance from a wall beyond which the law is exactly piecewise [m]

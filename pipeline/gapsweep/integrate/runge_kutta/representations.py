@@ -2,10 +2,13 @@
 
 from collections.abc import Callable, Sequence
 from functools import lru_cache
+from types import CellType, FunctionType
 from typing import Any
 
 import numpy as np
-from numba import njit
+from numba import float64, njit
+from numba.core.errors import TypingError
+from numba.core.types import Number
 from numpy.typing import ArrayLike, NDArray
 
 from gapsweep.model.user_law import SLOPE_LENGTH, SLOPE_STEP
@@ -125,23 +128,60 @@ def table(points: ArrayLike, pieces: ArrayLike, j_1: float, j_2: float) -> Law:
     return Law(Formula(laws.TABLE, points=points, pieces=kept), q)
 
 
-def user(function: Callable[[float], float], j_1: float = np.inf, j_2: float = np.inf) -> Law:
-    """A scalar function F(x) [N] that numba can compile; compiled once in every process.
+def user(
+    function: Callable[..., float],
+    j_1: ArrayLike = np.inf,
+    j_2: ArrayLike = np.inf,
+    named: ArrayLike = (),
+) -> Law:
+    """A function F(x, ...) [N], compiled once in every process, and its numbers, along the last
+    axis of `named`. The tangent equations use central differences.
 
-    The tangent equations use central differences.
+    Raises
+    ------
+    NumbaError
+        If it cannot be compiled.
     """
     q, _ = _rows(1.0, j_1, j_2)
-    return Law(_user_kind(function), q)
+    n = np.shape(named)[-1]
+    q[..., parameters.OWN : parameters.OWN + n] = named
+    return Law(_user_kind(function, n), q)
 
 
-@njit
-def _central(force: Any, x: float, h: float) -> Any:
-    return (force(x + h) - force(x - h)) / (2.0 * h)
-
-
+# The dispatchers are part of the kernel's type: new ones would compile the kernel anew. A function
+# that numba refuses is not kept: the user may have mended it.
 @lru_cache(maxsize=64)
-def _user_kind(function: Any) -> laws.User:
-    # The dispatchers are part of the kernel's type: new ones would compile the kernel anew.
-    force = function if hasattr(function, "py_func") else njit(function)
-    slope = njit(lambda x: _central(force, x, SLOPE_STEP * max(abs(x), SLOPE_LENGTH)))
+def _user_kind(function: Any, n: int) -> laws.User:
+    called = _compiled(function, {})
+
+    @njit
+    def force(x: float, a: float, b: float, c: float, d: float) -> Any:
+        return called(x, *(a, b, c, d)[:n])
+
+    @njit
+    def slope(x: float, *named: float) -> Any:
+        h = SLOPE_STEP * max(abs(x), SLOPE_LENGTH)
+        return (force(x + h, *named) - force(x - h, *named)) / (2.0 * h)
+
+    force.compile((float64,) * 5)
+    returned = force.nopython_signatures[0].return_type
+    if not isinstance(returned, Number):
+        raise TypingError(f"it returns {returned}, not a number")
     return laws.User(force, slope)
+
+
+def _compiled(function: Any, known: dict[Any, Any]) -> Any:
+    """A function with the plain functions that it calls by name, compiled."""
+    if not isinstance(function, FunctionType):
+        return function
+    if function not in known:
+        names, code = dict(function.__globals__), function.__code__
+        cells = [CellType(cell.cell_contents) for cell in function.__closure__ or ()]
+        defaults = function.__defaults__
+        copy = FunctionType(code, names, function.__name__, defaults, tuple(cells))
+        known[function] = njit(copy)  # before what it calls, which may be itself
+        for name in names.keys() & {*code.co_names}:
+            names[name] = _compiled(names[name], known)
+        for cell in cells:
+            cell.cell_contents = _compiled(cell.cell_contents, known)
+    return known[function]

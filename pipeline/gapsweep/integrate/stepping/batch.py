@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from gapsweep.integrate.problem import is_late
 from gapsweep.integrate.runge_kutta.method import with_work_space
 from gapsweep.status import DIVERGED_AT, Status
 
@@ -265,6 +266,11 @@ def _drained(
     outcome, step_on = BUDGET_SPENT, advance_users if method.is_users else advance
     while outcome != FINISHED:
         outcome = step_on(layout, run, limits, _BUDGET)
+        if outcome != FINISHED and is_late():
+            held = run.lane_point >= 0
+            points[run.lane_point[held]] = lanes[:, held].T
+            statuses[statuses == RUNNING] = Status.TIMED_OUT
+            outcome = FINISHED
         if outcome in (BUFFER_FULL, FINISHED):
             for piece, log, n_rows in zip(pieces, run.logs, run.fill.tolist(), strict=True):
                 piece.append(log[:n_rows].copy())

@@ -1,0 +1,138 @@
+"""Which branch an orbit lies on."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gapsweep.continuation.identity import Identity
+from gapsweep.continuation.locate import Step
+from gapsweep.continuation.newton import Corrector
+from gapsweep.continuation.orbits import Orbit, OrbitEquations, Reference
+from gapsweep.continuation.thresholds import ALIKE, ASIDE_KNOWN, COMPARED, EDGE
+
+Array = NDArray[np.float64]
+_PARTS = np.linspace(0.0, 1.0, 65)
+
+
+@dataclass(slots=True, kw_only=True)
+class Branch:
+    """Periodic orbits in the order of a branch.
+
+    Attributes
+    ----------
+    orbits : list of Orbit
+    ends : tuple of str
+        Why it ends before the first and after the last one.
+    reference : Reference
+        Sizes that its unknowns are scaled by.
+    parent : int
+        The branch that it leaves, or that ends on it; -1: none.
+    """
+
+    orbits: list[Orbit]
+    ends: tuple[str, str]
+    reference: Reference
+    parent: int = -1
+
+
+def is_known(equations: OrbitEquations, branch: Branch, others: Sequence[Branch]) -> bool:
+    """Whether one of some branches holds orbits of this one.
+
+    Two branches share no orbit but where they cross, so one shared orbit between is enough.
+    """
+    inner = branch.orbits[1:-1]
+    parts = np.array_split(np.arange(len(inner)), min(COMPARED, len(inner)))
+    # Of each part the orbit that is farthest from a fold.
+    numbers = [max(part.tolist(), key=lambda i: abs(float(inner[i].tangent[-1]))) for part in parts]
+    some = replace(branch, orbits=[inner[i] for i in numbers if not inner[i].special])
+    return any(number >= 0 for number in on_branches(equations, some, others))
+
+
+def on_branches(equations: OrbitEquations, branch: Branch, others: Sequence[Branch]) -> list[int]:
+    """For each orbit of a branch the number of another branch that holds it; -1: none."""
+    return holders(
+        equations,
+        [float(equations.window_places(orbit)[0]) for orbit in branch.orbits],
+        [orbit.identity.section * branch.reference.size[0] for orbit in branch.orbits],
+        [orbit.period_multiple for orbit in branch.orbits],
+        others,
+    )
+
+
+def own_part(
+    equations: OrbitEquations, branch: Branch, start: int, others: Sequence[Branch]
+) -> tuple[int, int]:
+    """First orbit of a branch, and the one after its last, up to which no other branch holds them.
+
+    Parameters
+    ----------
+    start : int
+        Number of the orbit that the branch was followed from, in both directions.
+    others : sequence of Branch
+        Branches that `max_steps` has cut.
+    """
+    held = np.array(on_branches(equations, branch, others)) >= 0
+    before, after = np.flatnonzero(held[:start]), np.flatnonzero(held[start + 1 :])
+    first = int(before[-1]) + 1 if before.size else 0
+    return first, start + 1 + int(after[0]) if after.size else len(held)
+
+
+def holders(
+    equations: OrbitEquations,
+    places: Sequence[float],
+    sections: Sequence[Array],
+    multiples: Sequence[int],
+    branches: Sequence[Branch],
+) -> list[int]:
+    """Numbers of the branches that hold orbits; -1 for an orbit that no branch holds.
+
+    Parameters
+    ----------
+    places : sequence of float
+        Of the parameter of each orbit in its window.
+    sections : sequence of ndarray, shape (k, n_states)
+    multiples : sequence of int
+    branches : sequence of Branch
+    """
+    found, tasks = [-1] * len(places), []
+    along = np.zeros(equations.n_unknowns)
+    along[0 if equations.family.is_conservative else -1] = 1.0
+    for number, branch in enumerate(branches):
+        of = np.array([equations.window_places(orbit)[0] for orbit in branch.orbits])
+        low, high = np.sort([of[:-1], of[1:]], axis=0)
+        for k, place in enumerate(places):
+            if not equations.has_period and branch.orbits[0].period_multiple != multiples[k]:
+                continue
+            there = (low - EDGE <= place) & (place <= high + EDGE)
+            for i in np.flatnonzero(there).tolist():
+                before, after = branch.orbits[i : i + 2]
+                reference = equations.reference_at(branch.reference, before)
+                tasks.append((k, number, Step(before, after, reference)))
+    if not tasks:
+        return found
+    guesses = [_guess(equations, step, places[k]) for k, _, step in tasks]
+    nearby, _ = Corrector(equations).orbits(
+        np.array(guesses),
+        np.tile(along, (len(tasks), 1)),
+        Reference.joined([step.reference for *_, step in tasks]),
+        np.array([max(ASIDE_KNOWN * step.size, ALIKE) for *_, step in tasks]),
+    )
+    for (k, number, step), orbit in zip(tasks, nearby, strict=True):
+        if orbit is not None and found[k] < 0:
+            section = Identity(sections[k] / step.reference.size[0], 0.0)
+            found[k] = number if orbit.identity.is_same(section) else -1
+    return found
+
+
+def _guess(equations: OrbitEquations, step: Step, place: float) -> Array:
+    """Unknowns near a step's orbit at a place of the parameter."""
+    if equations.family.is_conservative:
+        ends = [float(equations.window_places(orbit)[0]) for orbit in (step.before, step.after)]
+        apart = ends[1] - ends[0]
+        return step.before.unknowns + (place - ends[0]) / (apart or 1.0) * step.chord
+    points = np.array([step.point(s) for s in _PARTS])
+    guess: Array = points[np.abs(points[:, -1] - place).argmin()].copy()
+    guess[-1] = place
+    return guess

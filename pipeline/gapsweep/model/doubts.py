@@ -1,0 +1,163 @@
+"""Numbers that are probably in another unit, or of the wrong sign, in words.
+
+The rules are ratios: a machine may be in nanometres, or have no units.
+"""
+
+import math
+import sys
+import warnings
+from collections.abc import Iterable, Iterator, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gapsweep.model.contact import ContactLaw
+from gapsweep.model.oscillator import Oscillator
+from gapsweep.model.system import System, first_order
+from gapsweep.model.table import ForceTable
+from gapsweep.model.user_law import UserLaw
+
+Array = NDArray[np.float64]
+
+_FAST, _SOFT = 30.0, 1e-3  # times the natural frequency, and the stiffness of the spring
+_FAR = 10.0  # times the amplitude of the linear resonance
+_OWN = UserLaw, ForceTable  # their K_c is no force
+
+
+def doubts(
+    models: Sequence[Oscillator | System],
+    laws: Sequence[Sequence[ContactLaw]],
+    omega: Any,
+    starts: Array,
+) -> Iterator[str]:
+    """Warnings of a call or a study, one sentence each; a rule that any case passes is silent.
+
+    Models have the same contacts, each entry of `laws` the laws of all of them; `omega` are
+    frequencies [Hz], `starts` initial states, one a row.
+    """
+    first = models[0]
+    zeta = max((each.zeta for each in models if isinstance(each, Oscillator)), default=0.0)
+    if zeta >= 1.0:
+        yield (f"zeta = {zeta:g}: the oscillator is overdamped; zeta is a ratio, and 0.02 is 2 %")
+    natural = max(each.fastest if each.is_held else math.inf for each in models)
+    highest = np.max(omega, initial=0.0)
+    if 0.0 < _FAST * natural < highest:
+        yield (
+            f"omega = {highest:g} Hz: more than {_FAST:g} times the natural frequency "
+            f"{natural:.3g} Hz; frequencies are in hertz, not in rad/s"
+        )
+    linear = [_linear(each, starts) for each in models]
+    for i, name in enumerate(first.contacts):
+        spring = min(springs[i] for springs, _ in linear)
+        reach = max(reaches[i] for _, reaches in linear)
+        here = [each[i] for each in laws]
+        K_c = max((law.K_c for law in here if not isinstance(law, _OWN)), default=0.0)
+        wall = min(wall for law in here for wall in _walls(law))
+        at, unit = (f" at contact {name!r}", "") if isinstance(first, System) else ("", " m")
+        if 0.0 < K_c < _SOFT * spring:
+            yield (
+                f"K_c = {K_c:g}{at}: less than {_SOFT:g} of the stiffness of the machine there, "
+                f"{spring:.3g}; both are in N/m"
+            )
+        if 0.0 < _FAR * reach < wall < math.inf:
+            yield (
+                f"gap = {wall:g}{unit}{at}: more than {_FAR:g} times the amplitude of the linear "
+                f"resonance, {reach:.2g}{unit}; gaps are in metres, as coordinates are"
+            )
+    for law in {repr(law): law for each in laws for law in each}.values():
+        yield from _of_table(law) if isinstance(law, ForceTable) else _of_layers(law)
+
+
+def warn_of(found: Iterable[str]) -> None:
+    """Issue one `UserWarning` with the doubts of a user's call; none of calls in the package."""
+    level = 2
+    while (caller := sys._getframe(level).f_globals.get("__name__", "")) == "gapsweep.study.study":
+        level += 1  # of study.run()
+    if not str(caller).startswith("gapsweep.") and (said := "; ".join(found)):
+        warnings.warn(said, stacklevel=level + 1)
+
+
+def _walls(law: ContactLaw) -> Iterator[float]:
+    """Distances of the walls of a law; of a table without one, of its first points."""
+    yield math.inf
+    if isinstance(law, ForceTable):
+        x = np.array(law.x)
+        yield max(law.gap.j_2, x[x > 0.0].min(initial=math.inf))
+        yield max(law.gap.j_1, -x[x < 0.0].max(initial=-math.inf))
+    elif law.K_c or isinstance(law, UserLaw):
+        yield law.gap.j_2
+        if law.K_ratio:
+            yield law.gap.j_1
+
+
+def _linear(model: Oscillator | System, starts: Array) -> tuple[Array, Array]:
+    """Stiffness at each contact, and the largest displacement there without contacts [m].
+
+    At resonance, under the mean loads and from the initial states; infinite if nothing is forced or
+    damped, a coordinate is free or a spring softens.
+    """
+    along = np.reshape(model.directions, (-1, model.n))
+    none = np.zeros(len(along)), np.full(len(along), math.inf)
+    if isinstance(model, Oscillator):
+        spring, forced = model.mass * model.omega_n_rad**2, abs(model.forcing)
+        if not (spring and model.damping_ratio and forced) or model.alpha < 0.0:
+            return none
+        load = forced * max(1.0, 0.5 / model.damping_ratio) + abs(model.mean_load)
+        return np.array([spring]), load / spring + _from(starts, along, model)
+    if model.n_lags or not model.is_held or any(cubic.alpha < 0.0 for cubic in model.cubic):
+        return none
+    own = np.abs(np.linalg.eigvals(first_order(model)))
+    # Not exactly at resonance, where an undamped system has no inverse.
+    rates = (1.0 + 1e-9) * np.array([0.0, *own, 1e3 * own.max()])[:, None, None]
+    dynamic = model.stiffness - rates**2 * model.mass + 1j * rates * model.damping
+    moved = along @ np.linalg.inv(dynamic)
+    sizes = [
+        np.abs(moved @ one.amplitude) * (rates[:, :, 0] ** 2 if one.inertial else 1.0)
+        for one in model.forcing
+    ]
+    reach = np.sum([x for x, one in zip(sizes, model.forcing, strict=True) if one.k], axis=0)
+    mean = np.sum([x[0] for x, one in zip(sizes, model.forcing, strict=True) if not one.k], axis=0)
+    springs = 1.0 / np.abs(np.sum(moved[0].real * along, axis=1))
+    if not np.any(reach):
+        return springs, none[1]
+    return springs, reach.max(axis=0) + mean + _from(starts, along, model)
+
+
+def _from(starts: Array, along: Array, model: Oscillator | System) -> Array:
+    """Displacement at each contact that initial states bring [m]."""
+    n, rate = model.n, 2.0 * math.pi * model.slowest
+    x, v = np.abs(starts[:, :n] @ along.T), np.abs(starts[:, n : 2 * n] @ along.T) / rate
+    found: Array = x.max(axis=0, initial=0.0) + v.max(axis=0, initial=0.0)
+    return found
+
+
+def _of_layers(law: ContactLaw) -> Iterator[str]:
+    """A warning of a smooth law whose walls are wider than the gap."""
+    name = "gamma" if hasattr(law, "gamma") else "epsilon"
+    sharpness, half = getattr(law, name, math.inf), 0.5 * law.gap.width
+    if law.K_c and sharpness * half < 1.0 and half:
+        yield (
+            f"{name} = {sharpness:g} /m: the force rises over 1/{name} = {1.0 / sharpness:.2g} m, "
+            f"more than half the gap, {half:.2g} m: there is no clearance; write {name} = "
+            f"{10.0 / half:.0e} or more"
+        )
+
+
+def _of_table(table: ForceTable) -> Iterator[str]:
+    """Warnings of a table of the wrong sign, and of noise around zero."""
+    force = np.array(table.F)
+    for x, F in zip(table.valid_range, force[[0, -1]], strict=True):
+        if x * F < 0.0:
+            yield (
+                f"force table: F = {F:g} N at x = {x:g} m pulls outwards; F is the restoring force "
+                "and has the sign of x: write gs.ForceTable(x, -F)"
+            )
+            return
+    (changes,) = np.nonzero(force[1:] * force[:-1] < 0.0)
+    if changes.size > 2:  # a restoring force changes its sign at most once
+        noise = 1.05 * np.abs(force[changes[0] + 1 : changes[-1] + 1]).max()
+        yield (
+            f"the force changes its sign {changes.size} times near x = 0: measurement noise acts "
+            f"as stiffness there; write gs.ForceTable(x, F, noise={noise:.2g}) to set it to zero"
+        )
