@@ -379,7 +379,7 @@ class Response:
             for name, (dtype, shape) in columns_of(structure).items()
         }
         lists = {
-            name: _joined(name, found.flat if isinstance(found, np.ndarray) else [found])
+            name: _joined(name, found.flat if np.ndim(self.status) else [found])
             for name in LISTS
             for found in [getattr(self, name)]
         }
