@@ -1,4 +1,4 @@
-"""Where two branches cross: Newton's method for the crossing itself, and both tangents there.
+"""Crossings of two branches by Newton's method, with both tangents.
 
 At a crossing the equations R(u) = 0 have derivatives J of rank one less than their number. With a
 left null vector ψ it is a regular zero of [1]_ ::

@@ -12,7 +12,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class Identity:
-    """What tells an orbit from others at the same parameter values.
+    """Section and asymmetry of an orbit, which distinguish it at its parameter values.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""Which branch an orbit lies on."""
+"""Recognition of branches: the one that an orbit lies on."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
