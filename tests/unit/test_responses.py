@@ -151,4 +151,7 @@ def test_a_response_is_one_short_line():
     system = replace(one, x_min=np.array([-1.0, -2.0]), x_max=np.array([1.0, 2.0]))
     assert repr(system).endswith("x_min -1 -2, x_max 1 2>")
     several = Responses.of([one, lost, one, one]).shaped((2, 2))
-    assert repr(several) == "<gapsweep.Response of shape (2, 2): 3 periodic, 1 failed>"
+    assert (
+        repr(several)
+        == "<gapsweep.Response of shape (2, 2): 3 periodic, 1 failed, 3 touched a wall>"
+    )
