@@ -102,7 +102,7 @@ def plan(
         planned = pipeline.plan(loaded, cache, retry_failed=retry_failed, on_progress=observer)
         expected = pipeline.expected_seconds(planned, cache, workers)
         stages = pipeline.stage_reasons(loaded, planned, out, cache)
-    doubts = doubts_of(loaded, bounded(loaded) if loaded.spec.oscillator else "")
+    doubts = [*doubts_of(loaded, bounded(loaded) if loaded.spec.oscillator else "")]
     numbers = {
         "points": planned.n_points,
         "hits": planned.n_hits,
