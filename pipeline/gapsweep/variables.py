@@ -184,7 +184,7 @@ def dataset(
     attributes = {
         name: value if isinstance(value, str | float) else repr(value)
         for name, value in inputs.items()
-        if name not in ("omega", *states, "q_0")
+        if name not in ("omega", *states, "q_0") and value is not None
     }
     coordinates = [name for name in found if name not in arrays]
     made = xr.Dataset(found, attrs=attributes).set_coords(coordinates)

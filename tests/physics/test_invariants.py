@@ -13,6 +13,7 @@ from scipy.integrate import simpson
 from tests.equation import Equation, laws_of
 from tests.physics import test_response_invariants as responses
 from tests.random_scenes import random_cases
+from tests.rescaled import rescaled_law, rescaled_model
 
 import gapsweep as gs
 
@@ -441,54 +442,13 @@ def test_mirror_images_of_a_model_and_its_start_move_as_mirror_images(case):
     assert other.n_contacts == ours.n_contacts
 
 
-def rescaled_law(law, mass, length, time):
-    force = mass * length / time**2
-    if isinstance(law, gs.ForceTable):
-        return gs.ForceTable([x * length for x in law.x], [f * force for f in law.F])
-    gap = gs.Gap(law.gap.j_1 * length, law.gap.j_2 * length)
-    new = {"K_c": law.K_c * force / length, "gap": gap}
-    for name, unit in (("epsilon", 1.0 / length), ("gamma", 1.0 / length), ("fit_range", length)):
-        if hasattr(law, name):
-            new[name] = getattr(law, name) * unit
-    return replace(law, **new)
-
-
 def rescaled(case, mass, length, time):
     """The same motion in other units."""
-    force, model = mass * length / time**2, case.model
+    model = rescaled_model(case.model, mass, length, time)
     start = {
         name: np.array(value) * (length / time if name == "v_0" else length)
         for name, value in case.start.items()
     }
-    if isinstance(model, gs.Oscillator):
-        model = replace(
-            model,
-            omega_n=model.omega_n / time,
-            mass=model.mass * mass,
-            alpha=model.alpha * force / length**3,
-            c=model.c * mass / time,
-            forcing=model.forcing * force,
-            mean_load=model.mean_load * force,
-        )
-    else:
-        lags = model.lags and gs.Lags(
-            model.lags.force * mass / time**2,
-            model.lags.of_speed,
-            model.lags.of_place / time,
-            model.lags.of_lags / time,
-        )
-        model = replace(
-            model,
-            mass=model.mass * mass,
-            damping=model.damping * mass / time,
-            stiffness=model.stiffness * mass / time**2,
-            cubic=[replace(each, alpha=each.alpha * force / length**3) for each in model.cubic],
-            forcing=[
-                replace(h, amplitude=h.amplitude * (mass * length if h.inertial else force))
-                for h in model.forcing
-            ],
-            lags=lags,
-        )
     laws = [rescaled_law(law, mass, length, time) for law in case.laws]
     law = dict(zip(case.law, laws, strict=True)) if isinstance(case.law, Mapping) else laws[0]
     omega = case.omega and case.omega / time

@@ -10,6 +10,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from tests.equation import Equation, laws_of
 from tests.labels import LABELS
+from tests.rescaled import rescaled_law, rescaled_model
 
 import gapsweep as gs
 from gapsweep.model.structure import structure_of
@@ -166,7 +167,9 @@ def test_multipliers_are_those_of_the_tangent_along_the_orbit(case):
     for period, omega, start, found in case.orbits:
         how = {"t_end": period, "rtol": 1e-11, "atol": 1e-14, "tangent": True}
         run = gs.simulate(case.model, law, omega, **states(case.model, start), **how)
-        multipliers = np.array(found.multipliers).view(complex)
+        multipliers = found.multipliers
+        assert multipliers.dtype == complex
+        assert multipliers.shape == (case.model.n_states - (not case.omega),)
         assert (np.diff(np.abs(multipliers)) <= 1e-12).all()
         trace = Equation(case.model, case.laws, omega).trace
         assert_allclose(np.prod(multipliers), math.exp(trace * period), rtol=1e-6, atol=1e-12)
@@ -191,6 +194,22 @@ def test_scipy_finds_the_same_response(case):
         assert (np.abs(getattr(other, name) - getattr(found, name)) < 3e-6 * size).all()
     for name in ("force_max", "contact_share"):
         assert_allclose(getattr(other, name), getattr(found, name), rtol=1e-3)
+
+
+@pytest.mark.parametrize("rtol", [None, 1e-4])
+def test_lengths_by_powers_of_two_change_no_bit(case, rtol):
+    """Nothing has a length of its own: default tolerances and thresholds follow the problem."""
+    length = 2.0**-20
+    laws = [rescaled_law(law, 1.0, length, 1.0) for law in case.laws]
+    law = dict(zip(case.law, laws, strict=True)) if isinstance(case.law, dict) else laws[0]
+    start = {name: np.array(value) * length for name, value in (case.start or {}).items()}
+    other = replace(case, model=rescaled_model(case.model, 1.0, length, 1.0), law=law, start=start)
+    which = slice(1) if case.omega else ()
+    ours, theirs = case.respond(which, rtol=rtol), other.respond(which, rtol=rtol)
+    for name in ("x_max", "x_end", "v_end", "noise", "atol"):
+        assert_array_equal(getattr(theirs, name), getattr(ours, name) * length)
+    for name in ("response_class", "period_multiple", "multiplier_abs", "n_steps", "lyapunov"):
+        assert_array_equal(getattr(theirs, name), getattr(ours, name))
 
 
 def test_a_response_is_the_same_in_any_company(case):

@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
+from tests import exact_orbits
 from tests.machine import PAPER
 from tests.oracles import orbit_distance
 from tests.section_points import parts
@@ -18,7 +19,9 @@ from gapsweep.response import ensemble, thresholds
 from gapsweep.response.attractors import attractors_of_scenes
 from gapsweep.response.autonomous import PoincareMap
 from gapsweep.response.ensemble import Ensemble
+from gapsweep.response.respond import respond_all
 from gapsweep.response.result import Responses
+from gapsweep.response.scene import Scene
 from gapsweep.response.section import (
     cloud_distances,
     converging_multiples,
@@ -596,3 +599,78 @@ def test_undamped_motion_ends_whatever_error_of_the_exponent_is_wanted():
     assert found.response_class is gs.ResponseClass.UNRESOLVED
     assert np.isnan(found.lyapunov)
     assert "without damping" in found.message
+
+
+def at_loose_tolerances(law, omega, **how):
+    """Response of the paper's oscillator with MATLAB's ode45 and the paper's tolerances."""
+    model = gs.Oscillator(zeta=0.03, omega_n=5.0, mass=3.0, alpha=7e8, forcing=4.0)
+    solver = Solver.of("compiled", 1e-4, 1e-7, controller="ode45")
+    scene = Scene(oscillator=model, law=law, omega=omega, solver=solver)
+    return model, respond_all([scene], [0.0, 0.0], gs.Steady(**how)).row(0)
+
+
+@pytest.mark.parametrize("law", [gs.Piecewise(1.4e6, gs.Gap(0.0, 8e-4), located=False),
+                                 gs.Tanh(1.4e6, gs.Gap(0.0, 8e-4), 1e6)])  # fmt: skip
+@pytest.mark.parametrize("omega", [7.0, 13.0, 17.0])
+def test_chaos_of_a_loose_solver_is_none_of_the_machine(law, omega):
+    # the tangent along the motion of ode45 grows by 1.4 and 1.6 per second at 7 Hz
+    model, found = at_loose_tolerances(law, omega)
+    assert found.response_class is gs.ResponseClass.PERIODIC
+    assert found.stability_rtol == 1e-9
+    exact = law if isinstance(law, gs.Tanh) else gs.Piecewise(1.4e6, law.gap)
+    start = {"x_0": found.x_end, "v_0": found.v_end}
+    truth = gs.respond(model, exact, omega, **start, rtol=1e-11, atol=1e-14)
+    assert found.period_multiple == truth.period_multiple
+    assert_allclose(found.multipliers, truth.multipliers, atol=1e-4)
+    assert found.lyapunov < 0.0
+
+
+def test_an_orbit_that_is_unstable_at_tight_tolerances_is_unresolved():
+    model = gs.Oscillator(zeta=0.05214577321077409, omega_n=6.706748121395614, alpha=0.0,
+                          mass=1.0787613932772222, forcing=1.0664019921426258)  # fmt: skip
+    law = gs.Piecewise(66416.72331024821, gs.Gap(0.0, 0.0002882629469861148),
+                       K_ratio=0.2588794425878812)  # fmt: skip
+    omega, start = 2.616625965129294, (0.0002498030485829685, -0.004071268290971664)
+    found = gs.respond(model, law, omega, *start, rtol=1e-3)
+    assert found.status is gs.Status.UNRESOLVED
+    assert found.period_multiple == 0
+    assert not found.multipliers.size
+    assert "5 periods" in found.message
+    assert len(found.extrema) == found.n_extrema > 0  # the loose method's own
+    # the same orbit by matrix exponentials, from a motion near it: a multiplier beyond -1
+    equations = exact_orbits.Exact(lambda f: (exact_orbits.exact_system(model, law), f), 5)
+    guess = np.array([found.section[0], found.section[1], omega])
+    orbit = equations.orbit(guess, np.array([[0.0, 0.0, 1.0]]))
+    assert np.abs(orbit.multipliers).max() > 1.05
+    truth = gs.respond(model, law, omega, *start)
+    assert truth.period_multiple == 10
+
+
+def test_confirmed_multipliers_are_those_of_the_machine():
+    rng = np.random.default_rng(7)
+    omega, x_0 = rng.uniform(4.0, 20.0, 60), rng.normal(scale=1e-3, size=60)
+    model = gs.Oscillator(zeta=0.05, omega_n=5.0, mass=3.0, alpha=0.0, forcing=4.0)
+    law = gs.Piecewise(1.4e5, gs.Gap(2e-4, 6e-4))
+    truth = gs.respond(model, law, omega, x_0)
+    for rtol in (1e-3, 1e-4, 1e-6):
+        loose = gs.respond(model, law, omega, x_0, rtol=rtol)
+        alike = (loose.period_multiple == truth.period_multiple) & (truth.period_multiple > 0)
+        assert alike.sum() > 30
+        assert np.mean(loose.status == gs.Status.UNRESOLVED) < 0.1
+        off = np.abs(loose.multiplier_abs - truth.multiplier_abs)[alike]
+        assert np.quantile(off, 0.9) < 1e-6
+        assert (loose.x_max != truth.x_max)[alike].all()  # the loose method's own
+
+
+def test_a_response_within_its_noise_is_unresolved():
+    model = gs.Oscillator(zeta=0.0238, omega_n=21.65, mass=0.2267, alpha=0.0, forcing=0.2408)
+    tiny = model, gs.Piecewise(1.61e6, gs.Gap(0.0, 0.0)), 54.10, -1.795e-4, 6.95e-3
+    found = gs.respond(*tiny, rtol=1e-3, atol=1e-7)
+    assert found.noise > found.amplitude
+    assert found.status is gs.Status.UNRESOLVED
+    assert found.response_class is gs.ResponseClass.UNRESOLVED
+    assert "lower atol" in found.message
+    found = gs.respond(*tiny, rtol=1e-3)
+    assert found.noise < 0.1 * found.amplitude
+    assert found.status is gs.Status.OK
+    assert found.atol < 1e-8

@@ -77,3 +77,18 @@ def test_crossing_a_layer_at_once_is_integrating_through_it(K_c, gap, epsilon):
     assert np.quantile(late / stretch, 0.9) < 1e-11
     turned = np.abs(at_once.monodromy - through.monodromy) / scale / stretch[:, None, None]
     assert turned.max() < 1e-4
+
+
+def test_a_tight_atol_leaves_out_no_tail_of_far_walls():
+    # at rest in the gap: a linear oscillator under the constant sum of both tails
+    k, zeta, t = 3.0 * (10.0 * np.pi) ** 2, 0.03, 0.73
+    still = gs.Oscillator(zeta=zeta, omega_n=5.0, mass=3.0, alpha=0.0, forcing=0.0)
+    law = gs.Tanh(1e5, gs.Gap(1e-3, 1.2e-3), 1.6e4)
+    tails = 1e5 * (1e-3 / (1.0 + np.exp(32.0)) - 1.2e-3 / (1.0 + np.exp(38.4)))
+    root = np.sqrt(1.0 - zeta**2)
+    turned = 10.0 * np.pi * root * t
+    decayed = np.exp(-zeta * 10.0 * np.pi * t) * (np.cos(turned) + zeta / root * np.sin(turned))
+    truth = -tails / k * (1.0 - decayed)  # -5.6e-16 m
+    for atol in (1e-16, 1e-20, 1e-24):
+        run = gs.simulate(still, law, 1.0, t_end=t, atol=atol)
+        assert abs(run.x_end - truth) < max(atol, 1e-9 * abs(truth))

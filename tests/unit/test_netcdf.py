@@ -142,7 +142,8 @@ def test_texts_are_characters_and_come_back_as_texts(tmp_path):
 HELD = """
 import gapsweep as gs, xarray as xr
 block = {"representation": "piecewise", "K_c": 1e4, "gap": [4e-4, 4e-4], "omega": 9.0}
-study = gs.Study.from_dict({"study": {"name": "small"}, "sweep": [block]})
+machine = {"mass": 3.0, "omega_n": 5.0, "zeta": 0.03, "forcing": 4.0}
+study = gs.Study.from_dict({"study": {"name": "small"}, "oscillator": machine, "sweep": [block]})
 held = gs.run(study, out="small", cache="c-cache"), xr.open_dataset("small/responses.nc").load()
 for _ in range(4):
     again = gs.run(study, out="small", cache="c-cache")

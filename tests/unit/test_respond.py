@@ -104,7 +104,6 @@ def test_an_exponent_is_growth_per_time_however_long_returns_take():
     blocks = SimpleNamespace(
         is_ok=np.ones(n, bool), status=np.zeros(n, int), y=np.zeros((2, n)), omega=1.0 / time,
         monodromy=np.exp(logs)[:, None, None] * np.eye(2), is_sound=np.ones(n, bool),
-        strayed=np.zeros(n),
     )  # fmt: skip
     growths.step(point, n, blocks)
     (found,), (error,) = growths.exponents(point)
@@ -395,8 +394,7 @@ def test_the_smaller_multiplier_of_an_overdamped_motion_is_known_too():
     found = gs.respond(oscillator, gs.Piecewise(1.0, gs.Gap(1.0, 1.0)), 1.0)
     # Far below what rounding leaves of a determinant: 5e-3 and 1e-79.
     rates = oscillator.decay_rate + math.sqrt(8.0) * oscillator.omega_n_rad * np.array([-1.0, 1.0])
-    assert_allclose(np.reshape(found.multipliers, (2, 2)),
-                    np.stack((np.exp(-rates), np.zeros(2)), axis=1), rtol=1e-6)  # fmt: skip
+    assert_allclose(found.multipliers, np.exp(-rates), rtol=1e-6)
 
 
 @pytest.mark.parametrize("zeta", [0.0, 0.03])
@@ -483,7 +481,7 @@ def test_an_exponent_that_nothing_is_left_of_is_not_invented():
     found = gs.respond(oscillator, gs.Piecewise(1e6, gs.Gap(1.0, 1.0)), 0.005)
     assert found.response_class is gs.ResponseClass.PERIODIC
     assert math.isnan(found.lyapunov)
-    assert found.multipliers == (0.0, 0.0, 0.0, 0.0)
+    assert found.multipliers.tolist() == [0.0, 0.0]
 
 
 def test_period_multiple_is_the_smallest_repeat():
@@ -514,7 +512,7 @@ def test_bad_steady_settings_are_refused_by_name(field, value, message):
         gs.Steady(**{field: value})
 
 
-def made_call(tangent, ok, sound, strayed, omega):
+def made_call(tangent, ok, sound, omega):
     """A call of the engine, of which all blocks are made up."""
     n = len(ok)
     return SimpleNamespace(
@@ -523,7 +521,6 @@ def made_call(tangent, ok, sound, strayed, omega):
         y=np.arange(3.0 * n).reshape(3, n),
         monodromy=tangent,
         is_sound=sound,
-        strayed=strayed,
         omega=np.full(n, omega),
     )
 
@@ -534,7 +531,6 @@ def test_blocks_of_growth_in_one_call_are_those_of_one_call_each():
     points, n = np.array([4, 1, 3, 0]), LyapunovExponents(3, 1).n_least
     tangent = rng.normal(size=(4, n, 3, 3))
     ok, sound = np.ones((4, n), bool), np.ones((4, n), bool)
-    strayed = rng.uniform(size=(4, n))
     for row, block in ((1, 0), (2, 20), (3, n - 1)):
         ok[row, block:] = False
         tangent[row, block:] = np.nan
@@ -543,21 +539,54 @@ def test_blocks_of_growth_in_one_call_are_those_of_one_call_each():
     for growths in (together, apart):
         given = np.full(4, 0.9), np.full(4, omega), np.full(4, 1000)
         growths.start(points, np.zeros((3, 4)), *given)
-    given = (each.reshape(-1, *each.shape[2:]) for each in (tangent, ok, sound, strayed))
+    given = (each.reshape(-1, *each.shape[2:]) for each in (tangent, ok, sound))
     call = made_call(*given, omega)
     is_over, status = together.step(points, n, call)
     assert is_over.all()
     assert (status == Status.OK).tolist() == [True, False, False, False]
     alive = np.arange(4)
     for block in range(n):
-        one = made_call(*(each[alive, block] for each in (tangent, ok, sound, strayed)), omega)
+        one = made_call(*(each[alive, block] for each in (tangent, ok, sound)), omega)
         one.y = call.y[:, alive * n + block]
         _, now = apart.step(points[alive], 1, one)
         alive = alive[now == Status.OK]
     assert_array_equal(together.y[:, points], apart.y[:, points])
     assert_array_equal(together.n_blocks[points], apart.n_blocks[points])
     assert together.n_blocks[points].tolist() == [n, 0, 20, n - 1]
-    assert_allclose(together.solver_noise[points], apart.solver_noise[points], rtol=1e-12)
     whole = points[:1]
     assert_array_equal(together.exponents(whole), apart.exponents(whole))
     assert np.isnan(together.exponents(whole)[0]).all()  # a block was unsound
+
+
+def test_the_default_atol_is_rtol_times_the_static_deflection_or_the_start():
+    k = 3.0 * (10.0 * math.pi) ** 2
+    model = gs.Oscillator(zeta=0.05, omega_n=5.0, mass=3.0, alpha=0.0, forcing=4.0)
+    far, near = (gs.Piecewise(9.0 * k, gs.Gap(0.0, wall)) for wall in (1.0, 4.0 / k / 3.0))
+    # beyond the farther wall, at a third of the deflection, a tenth of the rest
+    for law, share in ((far, 1.0), (near, 0.4)):
+        for rtol in (1e-9, 1e-4):
+            found = gs.respond(model, law, 9.0, rtol=rtol)
+            assert found.atol == pytest.approx(rtol * share * 4.0 / k)
+    assert gs.respond(model, far, 9.0, atol=1e-11).atol == 1e-11
+    run = gs.simulate(model, far, 9.0, t_end=0.1, engine="scipy")
+    assert run.atol == pytest.approx(1e-4 * 4.0 / k)
+    assert float(run.to_dataset()["atol"]) == run.atol
+    free = replace(model, forcing=0.0)
+    runs = gs.simulate(free, far, 9.0, x_0=[1e-3, 2e-3], t_end=0.1)
+    assert_allclose(runs.atol, [1e-12, 2e-12])
+    assert_array_equal(runs.x_end[1], gs.simulate(free, far, 9.0, x_0=2e-3, t_end=0.1).x_end)
+    still = gs.simulate(free, gs.Piecewise(k, gs.Gap(0.0, 5e-4)), 9.0, t_end=0.1)
+    assert still.atol == pytest.approx(5e-13)
+
+
+def test_multipliers_are_complex_and_largest_first():
+    model = gs.Oscillator(zeta=0.05, omega_n=5.0, mass=3.0, alpha=0.0, forcing=4.0)
+    found = gs.respond(model, gs.Piecewise(0.0, gs.Gap(1.0, 1.0)), [3.0, 9.0])
+    rate = model.omega_n_rad * (-0.05 + 1j * math.sqrt(1.0 - 0.05**2))
+    for omega, multipliers in zip((3.0, 9.0), found.multipliers, strict=True):
+        expected = np.exp(rate / omega)
+        assert_allclose(multipliers.real, [expected.real] * 2, rtol=1e-7)
+        assert_allclose(np.abs(multipliers.imag), [abs(expected.imag)] * 2, rtol=1e-7)
+    made = found.to_dataset()
+    stored = made["multiplier_real"].values + 1j * made["multiplier_imag"].values
+    assert_array_equal(stored, np.stack(found.multipliers))

@@ -32,7 +32,7 @@ def test_every_state_but_the_classes_has_its_row_in_order():
 
 
 def test_every_state_can_be_reached_and_left_for_a_class():
-    found_later = {State.HIDDEN}  # when the recorded motion is read
+    found_later = {State.HIDDEN, State.NOISY}  # when the recorded motion is read
     assert reachable(State.RECORD) | {State.RECORD} == set(State) - found_later
     for state in TRANSITIONS:
         assert reachable(state) & CLASSES
@@ -81,6 +81,9 @@ def test_forced_oscillators_go_through_states_as_the_table_says(seen):
         (State.PERIOD_TEST, State.SHOOT),
         (State.SHOOT, State.ORBIT_FOUND),
         (State.BASIN_CHECK, State.PERIODIC),
+        (State.BASIN_CHECK, State.CONFIRM),
+        (State.CONFIRM, State.PERIODIC),
+        (State.CONFIRM, State.UNCONFIRMED),
         (State.BASIN_CHECK, State.APPROACH),
         (State.TIME_OVER, State.LYAPUNOV),
         (State.CHAOS_TEST, State.CHAOTIC),
@@ -91,4 +94,9 @@ def test_systems_go_through_states_as_the_table_says(seen):
     law = gs.systems.typical_section_law()
     for speed in (4.0, 8.0, 12.0, 16.0):
         gs.respond(gs.systems.typical_section(speed), law, q_0=[0.01, 0.0, 0.0], rtol=1e-4)
-    check(seen, (State.STOPPED, State.EQUILIBRIUM), (State.BASIN_CHECK, State.PERIODIC))
+    check(
+        seen,
+        (State.STOPPED, State.EQUILIBRIUM),
+        (State.BASIN_CHECK, State.CONFIRM),
+        (State.CONFIRM, State.PERIODIC),
+    )

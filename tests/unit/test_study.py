@@ -101,7 +101,7 @@ def test_protocol_overrides_the_solver(tables):
         tables, solver={"rtol": 1e-8}, protocol={"paper": {"rtol": 1e-4, "atol": 1e-7}}
     )
     plain, paper = (point(study, r, 0, 0, 0, 0).kind.solver for r in (0, 1))
-    assert (plain.rtol, paper.rtol, paper.atol) == (1e-8, 1e-4, 1e-7)
+    assert (plain.rtol, plain.atol, paper.rtol, paper.atol) == (1e-8, None, 1e-4, 1e-7)
     assert point(study, 1, 0, 0, 0, 0).kind.representation == "piecewise"
 
 
@@ -167,6 +167,7 @@ def test_keys_ignore_how_a_study_is_written(tables):
         ("oscillator", {"zeta": 0.031}),
         ("oscillator", {"forcing": -4.0}),
         ("solver", {"rtol": 1e-5}),
+        ("solver", {"atol": 1e-12}),
         ("solver", {"start_jitter": 1e-9}),
         ("steady", {"n_periods": 18}),
     ],

@@ -60,7 +60,7 @@ def _solved(
     equations: OrbitEquations, u: Array, step: Step, size: float
 ) -> tuple[Array, Array, Evaluation] | None:
     """Unknowns of the crossing of a step, second derivatives, and the equations there."""
-    d, first, psi, beta = len(u), u, np.empty(0), 0.0
+    d, first, psi, beta, length = len(u), u, np.empty(0), 0.0, np.inf
     for _ in range(limit.NEWTON_STEPS):
         evaluation, jacobians, moved = _derivatives(equations, u, step.reference, size)
         if evaluation is None:
@@ -86,7 +86,8 @@ def _solved(
         far = float(np.sqrt(((u - first) ** 2).sum()))
         if not far <= step.size:
             return None
-        if np.abs(change[:d]).max() <= limit.CROSSING_STEP:
+        before, length = length, float(np.abs(change[:d]).max())
+        if max(before, length) <= limit.CROSSING_STEP:  # a second step gains the last digits
             last = equations.evaluate(u[None, :], step.reference)
             scale = 1.0 + float(np.abs(last.jacobian[0, :, :-1]).max())
             closes = last.is_ok[0] and np.abs(last.residual[0]).max() <= limit.RESIDUAL * scale

@@ -154,7 +154,7 @@ def special_curve(
     values = {**family.values, first.name: value, second: fixed}
     omega = None if "omega" in (first.name, second) else family.omega
     curves = Family(family.model, family.law, omega, (first.name, second), values)
-    solver = Solver.of("compiled", branches.attrs["rtol"], branches.attrs["atol"])
+    solver = Solver.of("compiled", branches.attrs["rtol"], branches.attrs.get("atol"))
     plain = OrbitEquations(curves, windows, solver)
     start, reference = _start(plain, row, np.array([[value, fixed]]))
     equations = CurveEquations(curves, windows, solver, _condition(plain, start, kind, reference))

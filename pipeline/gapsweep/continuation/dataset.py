@@ -104,9 +104,10 @@ def dataset(found: Branches) -> "xr.Dataset":
         "model": repr(family.model),
         "law": repr(family.law),
         "rtol": equations.solver.rtol,
-        "atol": equations.solver.atol,
         "n_lost": found.n_lost,
     }
+    if equations.solver.atol is not None:
+        made.attrs["atol"] = equations.solver.atol
     if family.omega is not None:
         made.attrs["forcing_frequency"] = family.omega
     made.encoding["family"] = family

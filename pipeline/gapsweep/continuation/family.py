@@ -130,7 +130,8 @@ class Family:
         if isinstance(self.model, Oscillator) and name in _names(self.model):
             return
         if any(name in _GAP or name in _names(law) for law in laws):
-            if not all(law.is_numbers or name in _names(law) for law in laws):
+            is_own = [isinstance(law, UserLaw) and name in _names(law) for law in laws]
+            if not all(own or law.is_numbers for own, law in zip(is_own, laws, strict=True)):
                 raise ModelError(
                     f"along = {name!r}: parameters of fitted laws and user laws cannot be "
                     "continued; use 'omega' or a parameter of the model"

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import xarray as xr
@@ -18,7 +19,7 @@ from gapsweep.continuation.identity import Identity
 from gapsweep.continuation.orbits import OrbitEquations, motions
 from gapsweep.continuation.seed import Attractor, started
 from gapsweep.errors import ModelError
-from gapsweep.integrate.problem import Model, Solver
+from gapsweep.integrate.problem import Model, Models, Solver
 from gapsweep.integrate.simulate import AnyLaw, simulate
 from gapsweep.model.doubts import doubts, warn_of
 from gapsweep.model.oscillator import checked, whole
@@ -27,7 +28,7 @@ from gapsweep.response.result import Response, ResponseClass, Steady
 
 Array = NDArray[np.float64]
 
-DEFAULT_RTOL, DEFAULT_ATOL = 1e-11, 1e-14
+DEFAULT_RTOL = 1e-11
 
 
 def branches(
@@ -43,7 +44,7 @@ def branches(
     follow: int = 0,
     max_steps: int = 1000,
     rtol: float = DEFAULT_RTOL,
-    atol: float = DEFAULT_ATOL,
+    atol: float | None = None,
 ) -> xr.Dataset:
     """Return branches of stable and unstable periodic orbits over a parameter.
 
@@ -76,7 +77,8 @@ def branches(
     max_steps : int
         Largest number of orbits on either side of the first orbit, 2 to 100000.
     rtol, atol : float
-        Tolerances of the compiled engine [-], [m].
+        Tolerances of the compiled engine [-], [m]; default of `atol` as in `gapsweep.simulate`, at
+        the low end of `between`.
 
     Returns
     -------
@@ -104,7 +106,7 @@ def branches(
             raise ModelError(f"omega = {omega!r}: leave it out, it is the parameter")
         omega = checked("omega", omega, low=0.0, strict=True)
     family = Family(oscillator, law, omega, (along,), values)
-    solver = Solver.of("compiled", rtol, atol)
+    solver = solver_of(family, rtol, atol)
     ends = [{along: x} for x in (window.low, window.high)]
     models, laws = zip(*((family.model_at(end), family.laws_at(end)) for end in ends), strict=True)
     frequencies = (window.low, window.high) if along == "omega" else omega or 0.0
@@ -132,6 +134,17 @@ def branches(
         found.follow()
     tried += "; other initial conditions may lead to further branches"
     return dataset(found).assign_attrs(initial_conditions=tried)
+
+
+def solver_of(family: Family, rtol: float | None, atol: float | None) -> Solver:
+    """Solver of branches: one absolute tolerance for all of their orbits."""
+    solver, size = Solver.of("compiled", rtol or DEFAULT_RTOL, atol), family.values.get("amplitude")
+    laws, start = (
+        [family.laws_at(family.values)],
+        np.eye(1, family.example.n_states) * (size or 0.0),
+    )
+    models = Models.of([family.example], laws, np.array([family.omega or 0.0]), start)
+    return replace(solver, atol=float(models.absolute(solver)[0]))
 
 
 def _attractors(
@@ -252,7 +265,7 @@ def _free(equations: OrbitEquations, state: Array) -> Attractor:
         raise ModelError("start: this System has no natural frequency; give a Response")
     run = simulate(
         model, law, q_0=state[:n], v_0=state[n : 2 * n], t_end=20.0 / slowest,
-        rtol=DEFAULT_RTOL, atol=DEFAULT_ATOL,
+        rtol=DEFAULT_RTOL,
     )  # fmt: skip
     if not len(run.t_section):
         raise ModelError("start: the motion does not return; give another amplitude")

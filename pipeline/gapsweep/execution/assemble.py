@@ -219,7 +219,7 @@ def _attractor_arrays(
     longest = {
         dim: int(leaders.lists[name][1].max(initial=0)) // width
         for dim, name, width in (
-            (MULTIPLIER, "multipliers", 2),
+            (MULTIPLIER, "multipliers", 1),
             (SECTION_POINT, "section", layout.grid.structure.n_states),
         )
     }

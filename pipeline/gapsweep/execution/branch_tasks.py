@@ -18,13 +18,12 @@ from distributed.scheduler import KilledWorker
 from gapsweep.continuation.branches import Branches
 from gapsweep.continuation.dataset import dataset
 from gapsweep.continuation.family import Family, Window
-from gapsweep.continuation.follow import DEFAULT_ATOL, DEFAULT_RTOL
+from gapsweep.continuation.follow import solver_of
 from gapsweep.continuation.orbits import OrbitEquations
 from gapsweep.continuation.seed import Attractor
 from gapsweep.execution.cluster import check_workers
 from gapsweep.execution.execute import is_gone
 from gapsweep.execution.isolated import CallError, Isolated, failure
-from gapsweep.integrate.problem import Solver
 from gapsweep.model.contact import ContactLaw
 from gapsweep.model.labels import contact_law
 from gapsweep.model.oscillator import Gap
@@ -94,8 +93,7 @@ def follow(scene: BranchScene) -> Any:
         (window.name,),
         values,
     )
-    solver = Solver.of("compiled", table.rtol or DEFAULT_RTOL, table.atol or DEFAULT_ATOL)
-    equations = OrbitEquations(family, (window,), solver)
+    equations = OrbitEquations(family, (window,), solver_of(family, table.rtol, table.atol))
     found = Branches(equations=equations, max_steps=table.max_steps)
     found.add([replace(each) for each in scene.attractors])
     for _ in range(table.follow):

@@ -30,6 +30,7 @@ from gapsweep.model.oscillator import Gap
 from gapsweep.response.ensemble import Ensemble
 from gapsweep.response.respond import respond_models
 from gapsweep.response.result import Response, Responses
+from gapsweep.response.scene import CONFIRMING_RTOL, TANGENT_RTOL
 from gapsweep.store.slab import Slab, slabs
 from gapsweep.study.points import KEY, OF_CONTACT, Kind, Points
 from gapsweep.study.software import software, versions
@@ -310,9 +311,10 @@ def _warm_up(kind: Kind, models: Models, start: States) -> None:
         first = models.take([0])
         fast = replace(first, omega=np.where(first.omega > 0.0, _NO_TIME, 0.0))
         ensemble = Ensemble(fast, kind.solver)
-        for tangent in (False, True):
-            y, one = start.reshape(-1, 1), np.ones(1, int)
-            ensemble.call(np.arange(1), y, one, np.zeros(1), tangent=tangent)
+        y, one = start.reshape(-1, 1), np.ones(1, int)
+        ensemble.call(np.arange(1), y, one, np.zeros(1))
+        for each in (ensemble, *map(ensemble.tight, (TANGENT_RTOL, CONFIRMING_RTOL))):
+            each.call(np.arange(1), y, one, np.zeros(1), tangent=True)
     _warm.add(kind)
 
 

@@ -141,7 +141,7 @@ def _given(problems: Problems) -> dict[str, Any]:
 
 
 def _scenes(models: Models, solver: Solver, is_taylor: bool) -> SceneTable:
-    tolerances: dict[str, Any] = {"rtol": solver.rtol, "atol": solver.atol}
+    tolerances: dict[str, Any] = {"rtol": solver.rtol, "atol": models.absolute(solver)}
     walls = _walls(models)
     if _is_oscillator(models):
         of_contact = {name: column[:, 0] for name, column in walls.items()}

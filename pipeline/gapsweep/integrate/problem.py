@@ -6,6 +6,7 @@ import time
 from collections.abc import Callable, Hashable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from operator import attrgetter
 from typing import Any, TypeVar
 
 import numpy as np
@@ -25,15 +26,15 @@ Model = Oscillator | System
 Laws = tuple[ContactLaw, ...]
 T = TypeVar("T")
 
-# engine: default (rtol, atol)
-DEFAULT_TOLERANCES = {"compiled": (1e-9, 1e-12), "scipy": (1e-4, 1e-7)}
-ENGINES = tuple(DEFAULT_TOLERANCES)
+DEFAULT_RTOL = {"compiled": 1e-9, "scipy": 1e-4}  # by engine
+ENGINES = tuple(DEFAULT_RTOL)
 DEFAULT_ENGINE = "compiled"
 CONTROLLERS = ("native", "ode45")
 
 # Tighter than this all methods only add rounding.
 SMALLEST_RTOL = 1e-13
 LARGEST_RTOL = 0.1
+_NO_LENGTH = 1e-3  # [m] of a problem without loads, initial state and gap
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -52,6 +53,8 @@ class Models:
         Which of `systems` and of `laws` each row has.
     omega : ndarray, shape (n,)
         Forcing frequency [Hz]; 0 of what is not forced.
+    start : ndarray, shape (n, n_states), optional
+        Initial states of the whole motions; a default `atol` may depend on them.
     """
 
     systems: Sequence[Any]
@@ -59,6 +62,7 @@ class Models:
     system: Numbers
     law: Numbers
     omega: Array
+    start: Array | None = None
 
     def __post_init__(self) -> None:
         for system in self.systems:
@@ -73,13 +77,19 @@ class Models:
         object.__setattr__(self, "systems", [_integrated(system) for system in self.systems])
 
     @classmethod
-    def of(cls, systems: Sequence[Model], laws: Sequence[Laws], omega: Array) -> "Models":
+    def of(
+        cls,
+        systems: Sequence[Model],
+        laws: Sequence[Laws],
+        omega: Array,
+        start: Array | None = None,
+    ) -> "Models":
         """Rows with these systems, laws and frequencies; one of a kind is that of all rows."""
         found, system = _distinct(systems, id)
         several, law = _distinct(laws, lambda these: tuple(map(id, these)))
         n = len(omega)
         system, law = (each if len(each) == n else np.repeat(each, n) for each in (system, law))
-        return cls(systems=found, laws=several, system=system, law=law, omega=omega)
+        return cls(systems=found, laws=several, system=system, law=law, omega=omega, start=start)
 
     def __len__(self) -> int:
         return len(self.omega)
@@ -94,6 +104,7 @@ class Models:
             system=system,
             law=law,
             omega=self.omega[rows],
+            start=None if self.start is None else self.start[rows],
         )
 
     def by_kind(self) -> list[tuple[Numbers, "Models"]]:
@@ -113,6 +124,30 @@ class Models:
     def of_laws(self, value: Callable[[ContactLaw], Any]) -> NDArray[Any]:
         """A value of every row's laws, shape (n, n_contacts, ...)."""
         return np.array([[value(law) for law in laws] for laws in self.laws])[self.law]
+
+    def absolute(self, solver: "Solver") -> Array:
+        """Absolute tolerances [m], shape (n,): by default `rtol` times the length of each problem.
+
+        That is the static deflection under all loads, of an oscillator held up by its farther wall.
+        Of what is not loaded it is the initial displacement (or the velocity times the time of a
+        radian), else the distance of the farther wall. It does not depend on other rows.
+        """
+        if solver.atol is not None:
+            return np.full(len(self), solver.atol)
+        farther = self.of_laws(lambda law: max(law.gap.j_1, law.gap.j_2)).max(axis=1, initial=0.0)
+        softer = self.of_laws(lambda law: law.K_c * min(1.0, law.K_ratio)).max(axis=1, initial=0.0)
+        spring = self.of_systems(
+            lambda one: one.mass * one.omega_n_rad**2 if isinstance(one, Oscillator) else math.inf
+        )
+        length = self.of_systems(attrgetter("deflection"))
+        length = length - np.maximum(length - farther, 0.0) * (softer / (spring + softer))
+        if not length.all():
+            rate = [2.0 * math.pi * (one.slowest or one.fastest or 1.0) for one in self.systems]
+            units = np.array([one.unit(w) for one, w in zip(self.systems, rate, strict=True)])
+            start = np.zeros(1) if self.start is None else self.start / units[self.system]
+            for other in (np.abs(start).max(axis=-1), farther):
+                length = np.where(length > 0.0, length, other)
+        return np.asarray(solver.rtol * np.where(length > 0.0, length, _NO_LENGTH))
 
     def with_laws(self, value: Callable[[Laws], Laws]) -> "Models":
         """The same rows with other laws."""
@@ -252,8 +287,10 @@ class Solver:
     ----------
     engine : str
         ``"compiled"``, or ``"scipy"`` for the reference engine.
-    rtol, atol : float
-        Relative [-] and absolute [m, m/s] tolerance, ``> 0``.
+    rtol : float
+        Relative tolerance [-], ``> 0``.
+    atol : float or None
+        Absolute tolerance [m, m/s], ``> 0``; None: `rtol` times a length, as of `Models.absolute`.
     controller : str
         ``"native"``, or ``"ode45"`` for the step-size control of MATLAB's ode45 with its
         Dormand–Prince 5(4) pair, which locates contacts of an Oscillator (compiled engine only).
@@ -269,7 +306,7 @@ class Solver:
 
     engine: str
     rtol: float
-    atol: float
+    atol: float | None = None
     controller: str = "native"
     restart: bool = False
 
@@ -279,7 +316,8 @@ class Solver:
         if self.engine == "scipy" and self.controller != "native":
             raise ModelError("controller = 'ode45': needs engine = 'compiled'")
         object.__setattr__(self, "rtol", checked("rtol", self.rtol, low=SMALLEST_RTOL))
-        object.__setattr__(self, "atol", checked("atol", self.atol, low=0.0, strict=True))
+        if self.atol is not None:
+            object.__setattr__(self, "atol", checked("atol", self.atol, low=0.0, strict=True))
         if self.rtol > LARGEST_RTOL:
             raise ModelError(f"rtol = {self.rtol:g}: must be <= {LARGEST_RTOL:g}")
 
@@ -292,16 +330,15 @@ class Solver:
         controller: str = "native",
         restart: bool = False,
     ) -> "Solver":
-        """Solver settings, tolerances that are None taken from the engine's defaults."""
-        default = DEFAULT_TOLERANCES[_one_of("engine", engine, ENGINES)]
-        rtol, atol = (
-            d if given is None else given for d, given in zip(default, (rtol, atol), strict=True)
-        )
+        """Solver settings; the engine's default of `rtol` where it is None."""
+        default = DEFAULT_RTOL[_one_of("engine", engine, ENGINES)]
+        rtol = default if rtol is None else rtol
         return cls(engine=engine, rtol=rtol, atol=atol, controller=controller, restart=restart)
 
     def with_rtol(self, rtol: float) -> "Solver":
         """The same solver at another relative tolerance, the absolute one changed alike."""
-        return replace(self, rtol=rtol, atol=self.atol / self.rtol * rtol)
+        atol = None if self.atol is None else self.atol / self.rtol * rtol
+        return replace(self, rtol=rtol, atol=atol)
 
 
 def _one_of(name: str, value: str, allowed: tuple[str, ...]) -> str:

@@ -91,14 +91,17 @@ class _Record:
 def prepared(models: Models, solver: Solver) -> Integrate:
     """Integration of models with scipy, one after the other.
 
-    RK45 for ``rtol >= 1e-6``, DOP853 below; `solver.atol` holds for both m and m/s.
+    RK45 for ``rtol >= 1e-6``, DOP853 below; the absolute tolerance holds for both m and m/s.
     """
+
+    atol = models.absolute(solver)
 
     def integrate(problems: Problems) -> Motions:
         runs: list[_ReferenceMotion] = []
         for i in range(len(problems)):
             before = runs[-1] if problems.follows is not None and problems.follows[i] else None
-            runs.append(_run(models, problems, i, solver, before))
+            given = solver.rtol, float(atol[problems.which[i]])
+            runs.append(_run(models, problems, i, given, before))
         columns = {name: np.array([getattr(run, name) for run in runs]) for name in SCALARS}
 
         def sampler(t: Array) -> Array:
@@ -161,7 +164,11 @@ def _events(runs: Sequence[_ReferenceMotion]) -> Events:
 
 
 def _run(
-    models: Models, problems: Problems, i: int, solver: Solver, before: "_ReferenceMotion | None"
+    models: Models,
+    problems: Problems,
+    i: int,
+    tolerances: tuple[float, float],
+    before: "_ReferenceMotion | None",
 ) -> _ReferenceMotion:
     """Problem i, from where the run before it ended, if it follows one."""
     if before and before.t < problems.t_end[i - 1]:
@@ -178,8 +185,7 @@ def _run(
         models.laws[models.law[model]],
         omega,
         theta_0,
-        solver.rtol,
-        solver.atol,
+        *tolerances,
         problems.tangent,
     )
     run = _Record()

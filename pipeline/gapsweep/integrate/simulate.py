@@ -100,8 +100,9 @@ def simulate(
         Forcing periods from `t_0` to the end, ``> 0``; instead of `t_end`. With ``t_0 = 0`` the
         end is the last point of `section`.
     engine, rtol, atol, controller, restart
-        As in `gapsweep.integrate.problem.Solver`. Defaults of `rtol` [-] and `atol` [m] are 1e-9
-        and 1e-12 with engine ``"compiled"``, 1e-4 and 1e-7 with ``"scipy"``.
+        As in `gapsweep.integrate.problem.Solver`. Default of `rtol` [-] is 1e-9 with engine
+        ``"compiled"``, 1e-4 with ``"scipy"``; default of `atol` [m] is `rtol` times the static
+        deflection, else the initial displacement, else the gap.
     dense_output : bool
         Whether to keep the history `t`, `x`, `v` and to enable ``sample(t)``.
     tangent : bool
@@ -172,7 +173,7 @@ def simulate(
         **{"dense_output": dense_output, "tangent": tangent},
     }
     kind = SystemTrajectory if "q_0" in inputs else Trajectory
-    return kind(inputs, _laws_of(models, shape), solve, shape)
+    return kind(inputs, _laws_of(models, shape), models.absolute(solver).reshape(shape)[()], solve)
 
 
 def _solved(
@@ -279,8 +280,8 @@ def cases(
         frequency = np.broadcast_to(frequency, shape)
         start = np.broadcast_to(start, (*shape, start.shape[-1]))
     rows = _rows(list(systems.flat), systems, shape), _rows(laws, given, shape)
-    models = Models.of(*rows, frequency.ravel())
-    return models, start.reshape(len(models), -1), shape
+    start = start.reshape(frequency.size, -1)
+    return Models.of(*rows, frequency.ravel(), start), start, shape
 
 
 def inputs_of(

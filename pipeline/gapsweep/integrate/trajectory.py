@@ -34,6 +34,7 @@ VARIABLES = {
     "v_end": Variable("f8", "m s-1", "velocity at the end", dims=(COORDINATE,)),
     "z_end": Variable("f8", "", "first-order state at the end", dims=(LAG,)),
     **COUNTS,
+    "atol": Variable("f8", "m", "absolute tolerance of the integration"),
     "t": Variable("f8", "s", "time"),
     "x": Variable("f8", "m", "displacement", dims=("t", COORDINATE)),
     "v": Variable("f8", "m s-1", "velocity", dims=("t", COORDINATE)),
@@ -77,6 +78,8 @@ class Trajectory:
     inputs : mapping of str to object
         Arguments of the call by name, defaults included; frequencies and initial states have the
         common shape. ``gs.simulate(**run.inputs)`` repeats the call.
+    atol : float
+        Absolute tolerance [m] of the integration.
     laws : tuple of ContactLaw
         Contact laws, one per contact; an array of tuples for several motions.
     monodromy : ndarray, shape (2, 2), or None
@@ -97,10 +100,10 @@ class Trajectory:
         self,
         inputs: Mapping[str, Any],
         laws: Any,
+        atol: Any,
         solve: Callable[[float, bool], Motions],
-        shape: tuple[int, ...],
     ) -> None:
-        self.inputs, self.laws, self.shape = inputs, laws, shape
+        self.inputs, self.laws, self.atol, self.shape = inputs, laws, atol, np.shape(atol)
         self.t_0: float = inputs["t_0"]
         self._solve, self._has_dense_output = solve, inputs["dense_output"]
         self._dense: tuple[float, Motions] | None = None
@@ -156,7 +159,7 @@ class Trajectory:
             for name, each in zip("xvz", states, strict=False)
             if each.size
         }
-        status = {"status": self._motions.status}
+        status = {"status": self._motions.status, "atol": np.ravel(self.atol)}
         found = dataset(self.inputs, self.shape, VARIABLES, status | of_time)
         return found.assign_coords(t=("t", t, VARIABLES["t"].attributes))
 
@@ -169,6 +172,7 @@ class Trajectory:
             "t_end": motions.t,
             **{f"{name}_end": end for name, end in zip("xvz", ends, strict=True) if end.size},
             **{name: getattr(motions, name) for name in COUNTS},
+            "atol": np.ravel(self.atol),
         }
         return dataset(self.inputs, self.shape, VARIABLES, arrays)
 

@@ -204,6 +204,12 @@ class Oscillator:
         return 0.0 * omega_rad + 1.0, omega_rad
 
     @property
+    def deflection(self) -> float:
+        """Static displacement under the forcing [m], about: linear and cubic stiffness add up."""
+        stiffness = self.mass * self.omega_n_rad**2 + math.cbrt(abs(self.alpha) * self.forcing**2)
+        return abs(self.forcing) / stiffness if stiffness else 0.0
+
+    @property
     def omega_n_rad(self) -> float:
         """Natural angular frequency [rad/s]."""
         return 2.0 * math.pi * self.omega_n

@@ -365,6 +365,19 @@ class System:
         """Largest modulus of the eigenvalues of the linear system without contact [Hz]."""
         return float(np.abs(np.linalg.eigvals(first_order(self))).max()) / (2.0 * math.pi)
 
+    @property
+    def deflection(self) -> float:
+        """Largest static displacement under all loads [m], in the scale of `unit`, about.
+
+        Cubic springs are left out; an inertial load moves a free mass.
+        """
+        matrices = self.stiffness, self.mass
+        places = [
+            np.linalg.lstsq(matrices[load.inertial], load.amplitude)[0] for load in self.forcing
+        ]
+        scale = np.sqrt(np.diag(self.mass).min() / np.diag(self.mass))
+        return sum(float((np.abs(place) / scale).max()) for place in places)
+
     def unit(self, omega_rad: ArrayLike) -> Array:
         """Return the scale of every state for a motion of one metre, shape (n_states, ...).
 

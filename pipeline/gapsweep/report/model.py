@@ -80,7 +80,9 @@ def model(responses: xr.Dataset) -> list[tuple[str, str]]:
 def _system(responses: xr.Dataset) -> list[tuple[str, str]]:
     """The system at the values in [parameters]; walls of its contacts in their unit."""
     held, study = (json.loads(responses.attrs[f"{name}_json"]) for name in ("system", "study"))
-    at = ", ".join(f"{name} = {plain(value)}" for name, value in study["parameters"].items())
+    at = ", ".join(
+        f"{name} = {plain(value)}" for name, value in study.get("parameters", {}).items()
+    )
     told = [
         (f"{symbol}{f' at {at}' if at else ''}", _rows(held[name]))
         for name, symbol in _MATRICES.items()

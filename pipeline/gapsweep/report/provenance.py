@@ -44,6 +44,7 @@ def _solver(*tables: Mapping[str, Any]) -> str:
     given = dict(item for table in tables for item in table.items() if item != unset)
     own = {each.name: given.pop(each.name) for each in fields(Solver) if each.name in given}
     settings = asdict(Solver.of(**own)) | given  # what is no solver's own: how starts are moved
+    settings["atol"] = settings["atol"] or "rtol × static deflection"
     shown = {name: value for name, value in settings.items() if value}
     return ", ".join(
         f"{name} {plain(value) if isinstance(value, float) else value}"

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gapsweep.integrate.motions import VANISHED
+from gapsweep.response import thresholds as limit
 from gapsweep.response.classification import Classification, State
 from gapsweep.response.equilibrium import rates
 from gapsweep.response.loads import contact_shares, largest_forces
@@ -22,9 +23,9 @@ from gapsweep.response.result import (
     Steady,
     missing,
 )
+from gapsweep.response.scene import CONFIRMING_RTOL, TANGENT_RTOL
 from gapsweep.response.section import period_multiple, reach_of
 from gapsweep.response.shooting import NewtonShooting
-from gapsweep.response.thresholds import SURE
 from gapsweep.response.window_call import Call
 from gapsweep.response.windows import RecordedWindows
 from gapsweep.status import Status
@@ -48,6 +49,14 @@ _REASONS = {
     State.HIDDEN: (
         "a contact or a cubic spring has less than 1e-5 of the kinetic energy, which is within "
         "solver error; simulate this part of the system separately"
+    ),
+    State.NOISY: (
+        "the expected numerical noise, {noise:.2g} m, exceeds a tenth of the amplitude; lower atol "
+        "and rtol, as atol={atol:.0e}"
+    ),
+    State.UNCONFIRMED: (
+        "at rtol {rtol:g} the solver's orbit of {n} periods is not stable, has another period, or "
+        "is gone (largest multiplier {modulus:.4g}); lower rtol"
     ),
     State.UNSTABLE_REST: (
         "the initial state is an unstable equilibrium (exponent {exponent}); choose another"
@@ -104,15 +113,15 @@ def answers(
     """Responses of all points of a search."""
     ensemble, t_settled = windows.ensemble, windows.t
     n = len(t_settled)
-    states = _record(np.flatnonzero(found.is_periodic), windows, shooting)
+    states = _record(np.flatnonzero(found.has_orbit), windows, shooting)
     _rest(np.flatnonzero(found.has_stopped), windows, states)
     is_ok = windows.status == int(Status.OK)
     points, failures = np.flatnonzero(is_ok), np.flatnonzero(~is_ok)
     read, lists = _read_off(points, windows, found, steady)
+    lists["section"] = section, counts = _section(points, windows, found, states, steady)
+    read |= _precision(points, windows, shooting, found, read)
     read |= _stability(points, windows, shooting, found)
     read["t_settled"] = t_settled[points]
-    lists["multipliers"] = _multipliers(points, shooting, found)
-    lists["section"] = section, counts = _section(points, windows, found, states, steady)
     end = section[(np.cumsum(counts) - len(windows.y))[:, None] + np.arange(len(windows.y))]
     n_q = ensemble.n_coordinates
     read["x_end"], read["v_end"] = end[:, :n_q], end[:, n_q : 2 * n_q]
@@ -125,11 +134,12 @@ def answers(
         here = np.flatnonzero(found.state == int(state))
         messages |= dict.fromkeys(here.tolist(), _REASONS[state])
     for point in np.flatnonzero(columns["status"] == int(Status.UNRESOLVED)).tolist():
-        messages.setdefault(point, _why_unresolved(point, windows, found, steady))
-    columns |= ensemble.costs()
+        messages.setdefault(point, _why_unresolved(point, windows, shooting, found, steady))
+    columns |= ensemble.costs() | {"atol": ensemble.atol}
     of_all = {}
+    found_lists = lists | {"multipliers": _multipliers(points, shooting, found)}
     for name, dtype in LISTS.items():
-        items, some = lists[name]
+        items, some = found_lists[name]
         counts = np.zeros(n, np.int64)
         counts[points] = some
         of_all[name] = items.astype(dtype, copy=False), counts
@@ -156,25 +166,65 @@ def _failures(failures: Numbers, windows: RecordedWindows) -> tuple[list[Status]
 
 
 def _why_unresolved(
-    point: int, windows: RecordedWindows, found: Classification, steady: Steady
+    point: int,
+    windows: RecordedWindows,
+    shooting: NewtonShooting,
+    found: Classification,
+    steady: Steady,
 ) -> str:
     exponent, error = found.lyapunov[point], found.lyapunov_error[point]
     largest = steady.max_period_multiple
     n = period_multiple(windows.window(point), float(windows.resolution[point]), largest)
     if found.state[point] in _REASONS:
         reason = _REASONS[State(found.state[point])]
+        n = n if found.state[point] != int(State.UNCONFIRMED) else int(shooting.n[point])
     elif n:
         reason = _BLURRED if windows.ensemble.system(point).is_held else _NEUTRAL
     elif windows.ensemble.settling_rate[point] <= 0.0:
         reason = _UNDAMPED
     elif math.isnan(exponent):
         reason = _UNMEASURED
-    elif abs(exponent) <= SURE * error:
+    elif abs(exponent) <= limit.SURE * error:
         reason = _UNCERTAIN
     else:
         reason = _SHRINKS if exponent < 0.0 else _STAYS
     number = f"{exponent:.3g} ± {error:.1g} 1/s"
-    return reason.format(largest=largest, n=n, exponent=number, time=_TIME)
+    precision = {
+        "modulus": abs(shooting.multipliers[point, 0]),
+        "noise": float(windows.noise(max(int(shooting.n[point]), 1))[point]),
+        "atol": 0.01 * windows.ensemble.atol[point],
+        "rtol": CONFIRMING_RTOL,
+    }
+    return reason.format(largest=largest, n=n, exponent=number, time=_TIME, **precision)
+
+
+def _precision(
+    points: Numbers,
+    windows: RecordedWindows,
+    shooting: NewtonShooting,
+    found: Classification,
+    read: dict[str, Array | Counts],
+) -> dict[str, Array | Counts]:
+    """Columns of how precise responses are; those that swing by little more are unresolved.
+
+    What nothing loads may come to rest under its forcing's clock: it has no amplitude.
+    """
+    ensemble, stopped = windows.ensemble, found.has_stopped[points]
+    offset, swing = found.offset[points], np.asarray(read["amplitude"], float)
+    noise = windows.noise(np.where(found.is_periodic, shooting.n, 1))[points]
+    amplitude = reach_of(swing.T, ensemble.unit[:, points])
+    is_noisy = (limit.NOISY * noise > amplitude) & found.is_classified[points] & ~stopped
+    for k in np.flatnonzero(is_noisy).tolist():
+        loads = np.atleast_1d(ensemble.system(points[k]).forcing)
+        is_noisy[k] = np.any([getattr(load, "amplitude", load) for load in loads])
+    found.state[points[is_noisy]] = State.NOISY
+    read["status"][is_noisy & (read["status"] == int(Status.OK))] = Status.UNRESOLVED
+    rtol = np.where(found.has_orbit[points], CONFIRMING_RTOL, TANGENT_RTOL)
+    rtol = np.where(ensemble.solver.rtol > TANGENT_RTOL, rtol, ensemble.solver.rtol)
+    return {
+        "noise": np.where(np.isnan(offset), noise, offset),
+        "stability_rtol": np.where(stopped, np.nan, rtol),
+    }
 
 
 def _stability(
@@ -182,7 +232,6 @@ def _stability(
 ) -> dict[str, Array | Counts]:
     """Columns that say what the responses of some points are, and how sure that is."""
     state, is_orbit = found.state[points], found.is_periodic[points]
-    at_rest = (state == int(State.EQUILIBRIUM)) | (state == int(State.UNSTABLE_REST))
     n, omega = shooting.n[points], shooting.omega[points]
     lyapunov, error = found.lyapunov[points], found.lyapunov_error[points]
     modulus = np.full(len(points), np.nan)
@@ -198,8 +247,6 @@ def _stability(
     # numpy's own logarithm is another one on another processor.
     logarithms = np.fromiter(map(math.log, modulus[shrinks].tolist()), float)
     lyapunov[shrinks] = logarithms * omega[shrinks] / n[shrinks]
-    noise = windows.noise(np.where(found.is_periodic, shooting.n, 1))[points]
-    noise = np.where(at_rest, found.offset[points], noise)
     return {
         "period": np.where(is_orbit, n / omega, np.nan),
         "response_class": _CLASSES[state],
@@ -207,17 +254,15 @@ def _stability(
         "multiplier_abs": modulus,
         "lyapunov": lyapunov,
         "lyapunov_error": error,
-        "noise": noise,
     }
 
 
 def _multipliers(
     points: Numbers, shooting: NewtonShooting, found: Classification
-) -> tuple[Array, Counts]:
-    """Floquet multipliers of the orbits among some points, real part and imaginary part in turn."""
+) -> tuple[NDArray[np.complex128], Counts]:
+    """Floquet multipliers of the orbits among some points."""
     is_orbit, n = found.is_periodic[points], shooting.n_multipliers
-    multipliers = np.ascontiguousarray(shooting.multipliers[points[is_orbit], :n])
-    return multipliers.view(float).ravel(), np.where(is_orbit, 2 * n, 0)
+    return shooting.multipliers[points[is_orbit], :n].ravel(), np.where(is_orbit, n, 0)
 
 
 def _record(orbits: Numbers, windows: RecordedWindows, shooting: NewtonShooting) -> RaggedArrays:
@@ -258,7 +303,7 @@ def _section(
     steady: Steady,
 ) -> tuple[Array, Counts]:
     """States of some points: of orbits as recorded, of other motions the last of their windows."""
-    others = points[~(found.is_periodic | found.has_stopped)[points]]
+    others = points[~(found.has_orbit | found.has_stopped)[points]]
     if others.size:
         n_states, _, width = windows.section.shape
         length = windows.length[others]
@@ -274,7 +319,7 @@ def _read_off(
     points: Numbers, windows: RecordedWindows, found: Classification, steady: Steady
 ) -> tuple[dict[str, Array | Counts], dict[str, tuple[Array | Counts, Counts]]]:
     """Columns and lists that are read off the recorded extrema of some points."""
-    ensemble, is_orbit = windows.ensemble, found.is_periodic[points]
+    ensemble, is_orbit = windows.ensemble, found.has_orbit[points]
     n_q, place = ensemble.n_coordinates, ensemble.turning(points, windows.y[:, points])
     x, counts = windows.extrema.of(windows.rows(points))
     first = np.cumsum(counts) - counts

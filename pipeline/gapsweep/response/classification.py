@@ -19,6 +19,7 @@ class State(IntEnum):
     SHOOT = auto()
     SHOOT_REPEAT = auto()
     SHOOT_NOISY = auto()
+    CONFIRM = auto()
     LYAPUNOV = auto()
     LAST_WINDOW = auto()
     TORUS_TEST = auto()
@@ -44,6 +45,8 @@ class State(IntEnum):
     UNRESOLVED = auto()
     LOCKED = auto()  # repeats itself, after more periods than are looked for
     GROWING = auto()  # goes farther than it ever was, with no forcing
+    UNCONFIRMED = auto()  # an orbit of the solver, at tighter tolerances unstable or gone
+    NOISY = auto()  # swings by little more than solver errors
     HIDDEN = auto()  # a contact moves too little to be told from errors of the rest
     FAILED = auto()
 
@@ -69,6 +72,11 @@ class Classification:
     def is_periodic(self) -> NDArray[np.bool_]:
         """Which points have a periodic orbit."""
         return np.asarray(self.state == int(State.PERIODIC))
+
+    @property
+    def has_orbit(self) -> NDArray[np.bool_]:
+        """Which points have a periodic orbit, confirmed or not."""
+        return np.asarray(self.is_periodic | (self.state == int(State.UNCONFIRMED)))
 
     @property
     def is_classified(self) -> NDArray[np.bool_]:

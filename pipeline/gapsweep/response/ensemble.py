@@ -5,6 +5,7 @@ No result depends on the others that share a call.
 
 import math
 import time
+from copy import copy
 from operator import attrgetter
 from typing import Any
 
@@ -25,7 +26,8 @@ from gapsweep.integrate.simulate import prepared
 from gapsweep.model.contact import ContactLaw
 from gapsweep.model.oscillator import Oscillator
 from gapsweep.model.structure import structure_of
-from gapsweep.response.scene import Forces, located
+from gapsweep.model.user_law import UserLaw
+from gapsweep.response.scene import TANGENT_RTOL, Forces, located
 from gapsweep.response.window_call import Call, arrived
 from gapsweep.status import Status
 
@@ -46,6 +48,8 @@ class Ensemble:
     models : Models
         Parameter sets, n of them.
     solver : Solver
+    atol : ndarray, shape (n,)
+        Absolute tolerances [m].
     omega : ndarray, shape (n,)
         Forcing frequencies [Hz].
     n_multipliers : int
@@ -79,7 +83,7 @@ class Ensemble:
     is_chained = True
 
     def __init__(self, models: Models, solver: Solver) -> None:
-        self.models, self.solver = models, solver
+        self.models, self.solver, self.atol = models, solver, models.absolute(solver)
         n, n_contacts, system = len(models), len(models.laws[0]), models.systems[0]
         self.structure = structure_of(system)
         self.n_coordinates = system.n
@@ -106,6 +110,25 @@ class Ensemble:
         nobody: NDArray[np.intp] = np.zeros(0, np.intp)
         self._seconds: _Costs = [(nobody, np.empty(0))]
         self._costs: _Costs = [(nobody, np.empty((len(COUNTS) + 1, 0)))]
+
+    def tight(self, rtol: float) -> "Ensemble":
+        """The same motions at a tolerance that decides stability, with located contacts.
+
+        These themselves if their solver is tight. Costs add up in both.
+        """
+        if self.solver.rtol <= TANGENT_RTOL:
+            return self
+        other, models = copy(self), self.models.with_laws(located)
+        # numba may be unable to compile a user's law.
+        is_users = any(isinstance(law, UserLaw) for law in models.laws[0])
+        other.solver = Solver.of(self.solver.engine if is_users else "compiled", rtol)
+        other.atol, other.has_own_tangent, other.is_noisy = (
+            models.absolute(other.solver),
+            True,
+            False,
+        )
+        other._integrate, other._integrate_tangent = prepared(models, other.solver), None
+        return other
 
     def set_clock(self, omega: Array) -> None:
         """Count time in periods of these frequencies [Hz], shape (n,).

@@ -99,7 +99,7 @@ def _right_side(
 ) -> Callable[[float, Array], Any]:
     """The equation of motion, with the laws as they are or, of exact ones, in some modes."""
     system, solver = ensemble.system(scene), ensemble.solver
-    given = float(ensemble.models.omega[scene]), 0.0, solver.rtol, solver.atol
+    given = float(ensemble.models.omega[scene]), 0.0, solver.rtol, float(ensemble.atol[scene])
     return scene_of(system)(system, ensemble.laws(scene), *given, tangent=tangent).rhs(modes)
 
 

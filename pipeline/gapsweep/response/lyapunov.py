@@ -39,8 +39,6 @@ class LyapunovExponents:
         Forcing periods in a motion's blocks; 0 if no measurement was started.
     n_blocks : ndarray of int, shape (n_points,)
         Blocks done since the measurement was started or extended.
-    solver_noise : ndarray, shape (n_points,)
-        Error [m] of the solver in a block: root of the mean square.
     n_least : int
         Blocks of the shortest measurement.
     """
@@ -51,7 +49,7 @@ class LyapunovExponents:
         self.y = np.empty((n_states, n_points))
         self.n_periods, self.n_blocks, self._goal = np.zeros((3, n_points), np.int64)
         self._in_part, self._first = np.ones((2, n_points), np.int64)  # blocks, now and at first
-        self._direction, self.solver_noise = np.empty((n_points, n_states)), np.zeros(n_points)
+        self._direction = np.empty((n_points, n_states))
         # Of the block in front, then of every part: logarithm of the growth, and duration [s].
         self._growth, self._time = np.zeros((2, n_points, self.n_least))
 
@@ -148,7 +146,6 @@ class LyapunovExponents:
                 counted,
             )
             lengths[~call.is_sound.reshape(m, n)] = np.nan
-            strayed = np.where(counted, call.strayed.reshape(m, n), 0.0)
         row, block = np.nonzero(counted)
         # numpy's own logarithm is another one on another processor.
         logs = [math.log(each) if each else -math.inf for each in lengths[row, block].tolist()]
@@ -156,10 +153,7 @@ class LyapunovExponents:
         part = (self.n_blocks[now] + block - 1) // self._in_part[now] + 1  # the block in front: 0
         np.add.at(self._growth, (now, part), logs)
         np.add.at(self._time, (now, part), self.n_periods[now] / call.omega[row * n + block])
-        before = self.n_blocks[points]
         self.n_blocks[points] += counts
-        squares = before * self.solver_noise[points] ** 2 + np.square(strayed).sum(axis=1)
-        self.solver_noise[points] = np.sqrt(squares / np.maximum(before + counts, 1))
         return (status != Status.OK) | (self.n_blocks[points] == self._goal[points]), status
 
     def exponents(self, points: Numbers) -> tuple[Array, Array]:
@@ -196,15 +190,6 @@ class LyapunovExponents:
         n_periods = self.n_all_periods(points)
         # numpy's own logarithm is another one on another processor.
         return np.fromiter(map(math.log, n_periods.tolist()), float) * omega / n_periods
-
-    def scatter(self, point: int, omega: float, exponent: float) -> float:
-        """Distance [m] of two points of one phase, by solver errors: root of the mean square.
-
-        What it strays in each block adds up in random directions, and shrinks with the exponent
-        [1/s], < 0.
-        """
-        shrinks = 2.0 * exponent * int(self.n_periods[point]) / omega
-        return math.sqrt(2.0 / -math.expm1(shrinks)) * float(self.solver_noise[point])
 
 
 def _batch_means(growth: Array, time: Array) -> tuple[Array, Array]:

@@ -1,24 +1,9 @@
-"""The steady response of one sweep point: what it is, how stable, and how sure that is.
-
-A disturbance shrinks like ``exp(-ζ ω_n t)``, so damping sets the time scale. After each pause a
-window of forcing periods is recorded. If the section contracts towards a repeat, shooting
-finds the periodic orbit itself; it is accepted only if it is close, stable, of that prime period,
-and if the motion then really approaches it. A motion that has found no orbit once transients must
-have decayed (`settle_tol`) may still be in transient chaos: it is looked at again and again
-(`max_decay_times`, `max_periods`). Of what has found none by then the Lyapunov exponent is
-computed, and it is looked at for a last time: if it still finds none, positive beyond three
-standard errors is chaotic. Negative beyond three, a motion that passes kinks unlocated is a
-periodic one that its solver rattles, if it scatters no more than the solver strays. Anything else
-is `unresolved`.
-Of an oscillator with ζ > 0 every area of the section shrinks by the same factor, so there is no
-third kind. A system's motion may also run round a torus: its exponent is about zero, and its
-section lies on a curve. What may be one is measured again, eight times as long and over 8192
-section points at least.
-"""
+"""The steady response of one sweep point: what it is, how stable, and how sure that is."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -153,7 +138,7 @@ def respond_models(models: Models, solver: Solver, starts: Array, steady: Steady
         Initial displacements [m], velocities [m/s] and first-order states.
     steady : Steady
     """
-    groups, found = models.by_kind(), []
+    groups, found = replace(models, start=starts).by_kind(), []
     for rows, some in groups:
         start = starts[rows].T
         is_forced = some.omega[0] > 0.0

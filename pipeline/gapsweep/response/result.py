@@ -81,6 +81,8 @@ COLUMNS: dict[str, Variable] = {
     **COUNTS,
     "t_settled": Variable("f8", "s", "simulated time until the response was steady"),
     "t_simulated": Variable("f8", "s", "simulated time, transient and recording window"),
+    "atol": Variable("f8", "m", "absolute tolerance of the integration"),
+    "stability_rtol": Variable("f8", "1", "relative tolerance of class, multipliers and exponent"),
     "noise": Variable(
         "f8", "m", "expected numerical noise of the section; for equilibria, distance to it"
     ),
@@ -92,9 +94,8 @@ COLUMNS: dict[str, Variable] = {
     "period": Variable("f8", "s", "period of an unforced response"),
     "z_end": Variable("f8", "", "first-order states at the last section point", dims=(LAG,)),
 }
-# Lists of any length: names, and NumPy type codes. Multipliers are stored as real and imaginary
-# parts in turn, section points as their components.
-LISTS = {"extrema": "f8", "extremum_kind": "i1", "multipliers": "f8", "section": "f8"}
+# Lists of any length: names, and NumPy type codes. Section points are their components in turn.
+LISTS = {"extrema": "f8", "extremum_kind": "i1", "multipliers": "c16", "section": "f8"}
 # All variables of responses in datasets; lists are padded where they end.
 RESPONSE: dict[str, Variable] = {
     **COLUMNS,
@@ -271,9 +272,9 @@ class Response:
     contact_x_max, contact_x_min : float
         Peak and trough of the relative displacement ``b · q`` [m] at each contact of a system; NaN
         if the only contact is at the only coordinate.
-    multipliers : tuple of float
-        Real and imaginary parts of the Floquet multipliers over n periods, largest modulus first;
-        empty if aperiodic. The multiplier 1 along the orbit of an unforced system is left out.
+    multipliers : ndarray of complex, shape (number of multipliers,)
+        Floquet multipliers over n periods [-], largest modulus first; empty unless periodic. The
+        multiplier 1 along the orbit of an unforced system is left out.
     multiplier_abs : float
         Largest modulus [-]; NaN if aperiodic.
     lyapunov, lyapunov_error : float
@@ -290,6 +291,11 @@ class Response:
         Simulated time [s] until the response was steady.
     t_simulated : float
         Simulated time [s] of transient and recording window, for which the counts are.
+    atol : float
+        Absolute tolerance [m] of the integration, as given or by default.
+    stability_rtol : float
+        Relative tolerance [-] of class, multipliers and exponent: `rtol`, but where that is above
+        1e-7, 1e-9 of orbits and 1e-7 of other motions; NaN for a failure or an equilibrium.
     noise : float
         Expected numerical noise of the section [m], from the solver's tolerances: scatter of points
         a response period apart (aperiodic: a forcing period). For equilibria, distance to it.
@@ -334,7 +340,9 @@ class Response:
     contact_share: float = math.nan
     contact_x_max: float = math.nan
     contact_x_min: float = math.nan
-    multipliers: tuple[float, ...] = ()
+    multipliers: NDArray[np.complex128] = field(
+        default_factory=lambda: np.empty(0, complex), compare=False
+    )
     multiplier_abs: float = math.nan
     lyapunov: float = math.nan
     lyapunov_error: float = math.nan
@@ -345,6 +353,8 @@ class Response:
     nfev: int = 0
     t_settled: float = math.nan
     t_simulated: float = math.nan
+    atol: float = math.nan
+    stability_rtol: float = math.nan
     noise: float = math.nan
     period: float = math.nan
     x_end: float = math.nan
@@ -369,7 +379,7 @@ class Response:
             for name, (dtype, shape) in columns_of(structure).items()
         }
         lists = {
-            name: _joined(name, found.flat if isinstance(found, np.ndarray) else [found])
+            name: _joined(name, found.flat if np.ndim(self.status) else [found])
             for name in LISTS
             for found in [getattr(self, name)]
         }
@@ -557,8 +567,8 @@ class Responses:
                 rows = _padded(self.lists[name][0], shown, size, RESPONSE[name].missing)
                 found[name] = np.moveaxis(rows, -1, 1)
         items, counts = self.lists["multipliers"]
-        for i, name in enumerate(("multiplier_real", "multiplier_imag")):
-            found[name] = _padded(items[i::2], counts // 2, sizes[MULTIPLIER], math.nan)
+        for name, part in (("multiplier_real", items.real), ("multiplier_imag", items.imag)):
+            found[name] = _padded(part, counts, sizes[MULTIPLIER], math.nan)
         items, counts = self.lists["section"]
         x, v, z = np.split(items.reshape(-1, n_states), [n_q, 2 * n_q], axis=1)
         points = {"section_x": x, "section_v": v} | ({"section_z": z} if z.shape[1] else {})
@@ -586,6 +596,7 @@ class Responses:
         values["status"] = [Status(each) for each in values["status"]]
         values["response_class"] = [ResponseClass(each) for each in values["response_class"]]
         values |= {name: list(map(tuple, self._split(name))) for name in LISTS}
+        values["multipliers"] = [np.array(each, complex) for each in values["multipliers"]]
         values["message"] = [self.messages.get(k, "") for k in range(len(self))]
         names = tuple(values)
         rows = zip(*values.values(), strict=True)
@@ -599,7 +610,7 @@ class Responses:
             for name, column in self.columns.items()
         }
         for name, dtype in LISTS.items():
-            plain = np.int64 if dtype.startswith("i") else np.float64
+            plain = np.int64 if dtype.startswith("i") else np.dtype(dtype)
             values[name] = np.empty(len(self), dtype=object)
             values[name][:] = [np.array(items, plain) for items in self._split(name)]
         for name, kind in (("status", Status), ("response_class", ResponseClass)):

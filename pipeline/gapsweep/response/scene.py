@@ -5,8 +5,10 @@ from dataclasses import dataclass, replace
 from gapsweep.integrate.problem import Laws, Model, Solver
 from gapsweep.model.contact import ContactLaw, Piecewise
 
-# A tangent is as good as its motion where all kinks are located; else it takes this tolerance.
-_TANGENT_RTOL = 1e-7
+# A tangent is as good as its motion where all kinks are located; else it takes this tolerance. At
+# looser ones a stable orbit or chaos may be the solver's: exponents are computed at this tolerance,
+# too, and orbits are confirmed at the second one.
+TANGENT_RTOL, CONFIRMING_RTOL = 1e-7, 1e-9
 _LOOSE = 1e-5  # at looser tolerances an error estimate does not see the edge of a sharp layer
 
 
@@ -70,10 +72,10 @@ class Forces:
         tangent makes there: at loose tolerances its growth would be the solver's own invention.
         """
         solver = self.solver
-        if self.is_located or (solver.rtol <= _TANGENT_RTOL and not self.has_kinks):
+        if self.is_located or (solver.rtol <= TANGENT_RTOL and not self.has_kinks):
             return solver
-        rtol = min(solver.rtol, _TANGENT_RTOL)
-        return Solver.of(solver.engine, rtol, solver.atol / solver.rtol * rtol)
+        rtol = min(solver.rtol, TANGENT_RTOL)
+        return replace(solver.with_rtol(rtol), controller="native", restart=False)
 
 
 def located(laws: Laws) -> Laws:

@@ -31,10 +31,13 @@ from gapsweep.response.equilibrium import linear_stability
 from gapsweep.response.lyapunov import LyapunovExponents
 from gapsweep.response.quasiperiodic import MOST_POINTS, persists, torus_test
 from gapsweep.response.result import Responses, Steady
+from gapsweep.response.scene import CONFIRMING_RTOL, TANGENT_RTOL
 from gapsweep.response.section import (
     converging_multiples,
     drifts,
     likely_multiple,
+    norm,
+    period_multiple,
     period_multiples,
     prime_multiple,
     repeat_nearly,
@@ -55,16 +58,19 @@ TRANSITIONS: dict[State, tuple[str, tuple[State, ...]]] = {
     State.APPROACH: ("integrate", (State.APPROACHED, State.STOPPED)),
     State.LAST_TRANSIENT: ("integrate", (State.TIME_OVER, State.STOPPED)),
     State.SHOOT: ("shoot", (State.ORBIT_FOUND, State.NO_ORBIT)),
-    State.SHOOT_REPEAT: ("measure_orbit", (State.PERIODIC, State.NEXT_WINDOW)),
-    State.SHOOT_NOISY: ("measure_orbit", (State.PERIODIC, State.CHAOS_TEST)),
+    State.SHOOT_REPEAT: (
+        "measure_orbit", (State.PERIODIC, State.CONFIRM, State.NEXT_WINDOW)),
+    State.SHOOT_NOISY: ("measure_orbit", (State.PERIODIC, State.CONFIRM, State.CHAOS_TEST)),
+    State.CONFIRM: ("confirm", (State.PERIODIC, State.UNCONFIRMED)),
     State.LYAPUNOV: ("measure_exponent", (State.LAST_WINDOW, State.STOPPED)),
     State.LAST_WINDOW: ("record_last", (State.PERIOD_TEST, State.QUASIPERIODIC, State.STOPPED)),
     State.TORUS_TEST: ("test_torus", (State.LAST_WINDOW, State.SIGN_TEST)),
-    State.APPROACHED: ("check_approach", (State.PERIODIC, State.NO_REPEAT)),
+    State.APPROACHED: ("check_approach", (State.PERIODIC, State.CONFIRM, State.NO_REPEAT)),
     State.PERIOD_TEST: ("test_period", (State.SHOOT, State.NO_REPEAT)),
     State.ORBIT_FOUND: ("reduce_period", (State.BASIN_CHECK, State.SHOOT, State.NO_ORBIT)),
     State.NO_ORBIT: ("restore_orbit", (State.BASIN_CHECK, State.NO_REPEAT)),
-    State.BASIN_CHECK: ("check_basin", (State.PERIODIC, State.APPROACH, State.NO_REPEAT)),
+    State.BASIN_CHECK: (
+        "check_basin", (State.PERIODIC, State.CONFIRM, State.APPROACH, State.NO_REPEAT)),
     State.NO_REPEAT: ("continue_window", (State.RECORD, State.REPEAT_TEST, State.NEXT_WINDOW)),
     State.REPEAT_TEST: ("test_repeat", (State.SHOOT_REPEAT, State.NEXT_WINDOW)),
     State.NEXT_WINDOW: (
@@ -74,7 +80,7 @@ TRANSITIONS: dict[State, tuple[str, tuple[State, ...]]] = {
     State.EXPONENT_TEST: ("test_exponent", (State.LYAPUNOV, State.TORUS_TEST, State.SIGN_TEST)),
     State.SIGN_TEST: (
         "test_sign",
-        (State.RECORD, State.LAST_TRANSIENT, State.SHOOT_NOISY, State.CHAOS_TEST,
+        (State.RECORD, State.LAST_TRANSIENT, State.SHOOT_NOISY, State.CONFIRM, State.CHAOS_TEST,
          State.UNRESOLVED)),
     State.CHAOS_TEST: ("test_chaos", (State.CHAOTIC, State.GROWING, State.UNRESOLVED)),
     State.STOPPED: (
@@ -112,6 +118,9 @@ class Search:
         self._ensemble, self._steady = ensemble, steady
         self._windows = RecordedWindows(ensemble, start)
         self._shooting = NewtonShooting(n_states, n, ensemble.n_multipliers)
+        # What computes exponents and confirms orbits: the same where the solver is tight.
+        self._exact, self._tight = map(ensemble.tight, (TANGENT_RTOL, CONFIRMING_RTOL))
+        self._confirmed = NewtonShooting(n_states, n, ensemble.n_multipliers)
         self._exponents = LyapunovExponents(n_states, n)
         self._found = Classification(n)
         # Periods between windows, to settle, until the last window, and for an exponent or a torus.
@@ -228,14 +237,16 @@ class Search:
 
     def _shoot(self, points: Numbers) -> States:
         """One Newton step on the map over the orbit's periods."""
-        is_found, is_lost = self._step(points)
+        is_found, is_lost = self._step(points, self._ensemble, self._shooting)
         return np.where(is_found, State.ORBIT_FOUND, np.where(is_lost, State.NO_ORBIT, State.SHOOT))
 
-    def _step(self, points: Numbers) -> tuple[Mask, Mask]:
+    def _step(
+        self, points: Numbers, ensemble: Ensemble, shooting: NewtonShooting
+    ) -> tuple[Mask, Mask]:
         """Whose orbit is found, and who went too far or failed; as of `NewtonShooting.step`."""
-        y, n = self._shooting.y[:, points], self._shooting.n[points]
-        call = self._ensemble.call(points, y, n, np.zeros(len(n)), tangent=True)
-        return self._shooting.step(points, call)
+        y, n = shooting.y[:, points], shooting.n[points]
+        call = ensemble.call(points, y, n, np.zeros(len(n)), tangent=True)
+        return shooting.step(points, call)
 
     def _reduce_period(self, points: Numbers) -> States:
         """Shoot over a part of the period where the orbit's points repeat after it."""
@@ -279,25 +290,63 @@ class Search:
         self._recording[away] = np.where(slow[waits], np.maximum(full // n, 1) * n, 0)
         stays = ~seen.is_own & ~waits
         is_own = seen.is_own | (stays & seen.has_shrunk & seen.is_near)
-        self._accept(points[is_own])
-        return np.where(is_own, State.PERIODIC, np.where(waits, State.APPROACH, State.NO_REPEAT))
+        accepted = self._accept(points[is_own])
+        return np.where(is_own, accepted, np.where(waits, State.APPROACH, State.NO_REPEAT))
 
     def _check_approach(self, points: Numbers) -> States:
         """Whether the motion has come near its orbit; else it goes on with its window."""
         windows = self._windows
         slow = is_slow(self._shooting, points, self._steady.n_periods)
         is_near = distances(windows, self._shooting, points, slow) <= self._goal[points]
-        self._accept(points[is_near])
+        accepted = self._accept(points[is_near])
         away = points[~is_near]
         # A window that is to go on begins again: what was not recorded would be a gap in it.
         windows.clear(away[windows.length[away] < self._size[away]])
         begin = windows.n_periods[away] - windows.length[away]
         self._is_settled[away] |= begin >= self._settling[away]
-        return np.where(is_near, State.PERIODIC, State.NO_REPEAT)
+        return np.where(is_near, accepted, State.NO_REPEAT)
 
-    def _accept(self, points: Numbers) -> None:
-        """Forget exponents of the way to an orbit."""
-        self._found.lyapunov[points] = self._found.lyapunov_error[points] = np.nan
+    def _accept(
+        self, points: Numbers, *, is_noisy: Mask | bool = False, y: Array | None = None
+    ) -> State:
+        """Forget exponents of the way to orbits, but of noisy ones; confirm these, from states."""
+        forgets = points[np.broadcast_to(~np.asarray(is_noisy), len(points))]
+        self._found.lyapunov[forgets] = self._found.lyapunov_error[forgets] = np.nan
+        if self._exact is self._ensemble:
+            return State.PERIODIC
+        reach, n = self._windows.reach[points], self._shooting.n[points]
+        # Without damping Newton's method has no step: the multipliers alone are computed.
+        is_undamped = self._ensemble.settling_rate[points] == 0.0
+        goal = np.where(is_undamped, np.inf, limit.SAME_POINT * reach)
+        noise = self._tight.solver.rtol / self._ensemble.solver.rtol * self._windows.noise()[points]
+        furthest = limit.NEWTON_RANGE * reach
+        y = self._shooting.y[:, points] if y is None else y
+        self._confirmed.start(points, y, n, goal, noise * np.sqrt(n), furthest)
+        return State.CONFIRM
+
+    def _confirm(self, points: Numbers) -> States:
+        """One Newton step at tight tolerances: whether the orbit exists, is stable, and prime."""
+        confirmed, reach = self._confirmed, self._windows.reach[points]
+        is_found, is_lost = self._step(points, self._tight, confirmed)
+        stays = is_found & (np.abs(confirmed.multipliers[points, 0]) < self._bound(points))
+        stable = points[stays]
+        part = confirmed.parts(stable, 10.0 * limit.SAME_POINT * reach[stays])
+        is_whole = part == confirmed.n[stable]
+        stays[stays] = is_whole
+        if self._ensemble.is_noisy:  # its errors may have hidden a shorter period
+            confirmed.shorten(stable[~is_whole], part[~is_whole], is_scattered=True)
+            is_found[np.isin(points, stable[~is_whole])] = False
+        self._shooting.n[points[stays]] = confirmed.n[points[stays]]
+        self._shooting.multipliers[points] = np.where(
+            is_found[:, None], confirmed.multipliers[points], np.nan
+        )
+        after = np.where(is_found | is_lost, State.UNCONFIRMED, State.CONFIRM)
+        return np.where(stays, State.PERIODIC, after)
+
+    def _bound(self, points: Numbers, largest: float = limit.STABLE) -> Array:
+        """Moduli of multipliers below which orbits are stable; on the circle without damping."""
+        on_circle = 1.0 + max(limit.ON_CIRCLE, self._ensemble.solver.rtol)
+        return np.where(self._ensemble.settling_rate[points] == 0.0, on_circle, largest)
 
     def _test_repeat(self, points: Numbers) -> States:
         """Whether a settled motion repeats itself, though shooting could not improve on it.
@@ -332,11 +381,9 @@ class Search:
     def _measure_orbit(self, points: Numbers) -> States:
         """Whether the multipliers of an orbit taken from the motion say that it is stable."""
         shooting, ensemble, windows = self._shooting, self._ensemble, self._windows
-        is_found, _ = self._step(points)
+        is_found, _ = self._step(points, ensemble, shooting)
         modulus = np.abs(shooting.multipliers[points, 0])
-        is_undamped = ensemble.settling_rate[points] == 0.0
-        on_circle = 1.0 + max(limit.ON_CIRCLE, ensemble.solver.rtol)
-        stays = is_found & (modulus < np.where(is_undamped, on_circle, 1.0))
+        stays = is_found & (modulus < self._bound(points, 1.0))
         if ensemble.has_own_tangent:
             # Newton multiplies what the solver strays in a period by 1 / (1 - modulus): about a
             # slow orbit that is far, and the motion is there if it had the time to settle.
@@ -348,9 +395,9 @@ class Search:
             has_settled[has_settled] = modulus[has_settled] ** n_repeats <= limit.NEAR
             stays &= is_near | has_settled
         is_repeat = self.state[points] == State.SHOOT_REPEAT
-        self._accept(points[stays & is_repeat])  # the exponent of a noisy one is its own
+        accepted = self._accept(points[stays], is_noisy=~is_repeat[stays])
         after = np.where(is_repeat, State.NEXT_WINDOW, State.CHAOS_TEST)
-        return np.where(stays, State.PERIODIC, after)
+        return np.where(stays, accepted, after)
 
     # --- aperiodic motions ------------------------------------------------------------------------
 
@@ -374,7 +421,7 @@ class Search:
     def _measure_exponent(self, points: Numbers) -> States:
         """The next blocks of motion with its tangent; at the end of a measurement its exponent."""
         exponents, found, after = self._exponents, self._found, self.state[points]
-        over, status = exponents.advance(self._ensemble, points)
+        over, status = exponents.advance(self._exact, points)
         is_ok = status == Status.OK
         # What failed did so within the next block.
         elapsed = (exponents.n_blocks[over] + ~is_ok) * exponents.n_periods[over]
@@ -457,8 +504,7 @@ class Search:
         after[is_extended] = self._schedule(points[is_extended])
         if not self._ensemble.has_own_tangent:
             for k in np.flatnonzero(contracts & ~is_extended).tolist():
-                is_noisy = self._is_noisy_orbit(int(points[k]))
-                after[k] = State.SHOOT_NOISY if is_noisy else State.CHAOS_TEST
+                after[k] = self._noisy_orbit(int(points[k]))
         return after
 
     def _extend(self, points: Numbers, exponent: Array) -> Mask:
@@ -476,24 +522,45 @@ class Search:
         self._windows.discard_extrema(some)
         return np.asarray(may)
 
-    def _is_noisy_orbit(self, point: int) -> bool:
+    def _noisy_orbit(self, point: int) -> State:
         """Whether a contracting motion is a periodic one, scattered by its solver's errors.
 
         A kink passed unlocated throws a step off by more than its error estimate. The tangent is
         another solver's, so that the exponent tells this from chaos; what scatters more than the
-        solver strays is on its way or has another period.
+        solver strays is on its way or has another period. A loose solver must scatter about the
+        orbit on which the tight one has settled.
         """
-        windows, omega = self._windows, float(self._ensemble.omega[point])
-        scatter = self._exponents.scatter(point, omega, self._found.lyapunov[point])
-        n = likely_multiple(
-            windows.window(point),
-            limit.CLOSE * windows.reach[point],
-            self._steady.max_period_multiple,
-            limit.DEVIATIONS * scatter,
-        )
-        if n:
-            self._start_measurement(point, n)
-        return bool(n)
+        windows, largest = self._windows, self._steady.max_period_multiple
+        window, reach = windows.window(point), windows.reach[point]
+        allowed = limit.DEVIATIONS * self._scatter(point)
+        if self._exact is self._ensemble:
+            n = likely_multiple(window, limit.CLOSE * reach, largest, allowed)
+            if n:
+                self._start_measurement(point, n)
+            return State.SHOOT_NOISY if n else State.CHAOS_TEST
+        one, y = np.array([point]), self._exponents.y[:, [point]]
+        call = self._exact.call(one, y, windows.length[one], np.zeros(1))
+        n = period_multiple(call.section, limit.ALIKE * reach, largest)
+        shifted = [np.roll(call.section, k, axis=1)[:, n:] for k in range(n)]
+        apart = [np.square(norm(window[:, n:] - orbit)).mean() for orbit in shifted]
+        if not apart or math.sqrt(min(apart)) > min(allowed, limit.NEWTON_RANGE * reach):
+            return State.CHAOS_TEST
+        self._start_measurement(point, n)
+        self._shooting.omega[point] = self._ensemble.omega[point]
+        return self._accept(one, is_noisy=True, y=call.y)
+
+    def _scatter(self, point: int) -> float:
+        """Distance [m] of two points of one phase, by solver errors: root of the mean square.
+
+        The solver strays in each period of the window. That adds up in random directions, and
+        shrinks with the exponent, < 0.
+        """
+        y = self._windows.window(point) * self._ensemble.unit[:, [point]]
+        n, never = np.ones(y.shape[1], np.int64), np.full(y.shape[1], np.inf)
+        shrinks = 2.0 * self._found.lyapunov[point]
+        call = self._ensemble.call(n * point, y, n, never, tangent=True)
+        strayed = math.sqrt(float(np.square(call.strayed).mean()))
+        return math.sqrt(2.0 / -math.expm1(shrinks / self._ensemble.omega[point])) * strayed
 
     def _test_chaos(self, points: Numbers) -> States:
         """Whether the exponent is positive, the section irregular, and the motion bounded."""

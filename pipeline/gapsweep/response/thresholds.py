@@ -61,6 +61,8 @@ NEAR, CLOSER = 1e-2, 0.5
 # A window that shrinks disturbances by less says nothing by a single point: a torus may pass the
 # orbit as near, again and again.
 SLOW = 0.5
+# A response that swings by less than so many times its expected numerical noise is unresolved.
+NOISY = 10.0
 # A motion that swings by less than this share of its largest swing is at rest.
 REST = 1e-8
 

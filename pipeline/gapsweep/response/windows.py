@@ -62,8 +62,7 @@ class RecordedWindows:
     @property
     def step_error(self) -> Array:
         """What the solver's tolerances admit in a step [m]."""
-        solver = self.ensemble.solver
-        return np.asarray(solver.atol + solver.rtol * self.reach)
+        return np.asarray(self.ensemble.atol + self.ensemble.solver.rtol * self.reach)
 
     def noise(self, n_periods: Counts | int = 1) -> Array:
         """Predicted scatter [m] of section points so many forcing periods apart.

@@ -53,7 +53,9 @@ def _is_floor(plain: dict[str, Any], protocol: dict[str, Any]) -> bool:
         usual.controller,
         usual.restart,
     )
-    not_looser = other.rtol <= usual.rtol and other.atol <= usual.atol
+    # The default of atol is rtol times a length of about a millimetre.
+    atols = [each.atol or 1e-3 * each.rtol for each in (other, usual)]
+    not_looser = other.rtol <= usual.rtol and atols[0] <= atols[1]
     # A protocol that changes nothing has the same points, whose differences are 0 by definition.
     changed = other != usual or jitter != usual_jitter
     return same_method and not_looser and changed and abs(jitter) <= _LARGEST_JITTER

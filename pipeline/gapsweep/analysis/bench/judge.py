@@ -146,7 +146,7 @@ class Judge:
     def _allowed(self, run: ScenarioRun, solver: Solver) -> float:
         """Largest error of a run that keeps its tolerance in every step."""
         steps = max(run.n_steps, _FEW_STEPS)
-        tolerance = solver.rtol + solver.atol / self.scale.length
+        tolerance = solver.rtol + (solver.atol or 0.0) / self.scale.length
         # Errors of energy do not grow; an error of both states counts about twice in energy.
         grown = 10.0 if self._is_energy else self.growth
         return max(tolerance * steps, _REFERENCE_ERROR) * grown

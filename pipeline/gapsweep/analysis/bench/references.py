@@ -7,7 +7,7 @@ the smallest error that can be measured.
 """
 
 import math
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 
 import numpy as np
 
@@ -154,7 +154,7 @@ def references(scenario: Scenario, representation: str) -> References:
 
 def _looser(solver: Solver) -> list[Solver]:
     """Tolerances ten and a hundred times looser: a single one could agree by chance."""
-    return [replace(solver, rtol=f * solver.rtol, atol=f * solver.atol) for f in (10.0, 100.0)]
+    return [solver.with_rtol(f * solver.rtol) for f in (10.0, 100.0)]
 
 
 def settled(

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from gapsweep.analysis.agreement.branch_agreement import MATCH, compared
 from gapsweep.continuation.dataset import ATTRACTOR, BRANCH, OF_BRANCH, VARIABLES
 from gapsweep.continuation.family import Window
-from gapsweep.continuation.follow import DEFAULT_ATOL, DEFAULT_RTOL
+from gapsweep.continuation.follow import DEFAULT_RTOL
 from gapsweep.continuation.seed import Attractor
 from gapsweep.errors import StoreError
 from gapsweep.execution.branch_tasks import BranchScene, Followed, followed
@@ -196,7 +196,7 @@ def _assembled(study: Study, parts: list[_SceneBranches]) -> xr.Dataset:
     made.coords[BRANCH] = np.arange(made.sizes[BRANCH])
     made.coords.update({name: list(of) for name, of in grid.parts.items() if name in made.dims})
     axis = grid.axes[table.along]
-    settings = {"rtol": DEFAULT_RTOL, "atol": DEFAULT_ATOL, **table.model_dump(exclude_none=True)}
+    settings = {"rtol": DEFAULT_RTOL, **table.model_dump(exclude_none=True)}
     return made.assign_attrs(
         **study.attributes,
         numerics_fingerprint=numerics_fingerprint(),

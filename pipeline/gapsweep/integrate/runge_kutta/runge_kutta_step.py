@@ -40,9 +40,9 @@ _FAILED, _CUT = 1.0, 2.0
 
 
 @inlined
-def _error(at, method, lane, h, rtol, atol):
+def _error(at, method, lane, h, rtol):
     """Error estimate over tolerance; up to 1: accepted. Largest for ode45, else mean square."""
-    tableau, k = method.tableau, method.k
+    tableau, k, atol = method.tableau, method.k, load(lane, at.atol)
     worst, lost = simd.splat(0.0), simd.splat(0.0)
     e5, e3, other = simd.splat(0.0), simd.splat(0.0), simd.splat(0.0)
     for i in range(at.n_rates):
@@ -401,11 +401,11 @@ def _has_pole(at, method, q, lane, none):
 
 
 @inlined
-def _begin(at, method, lane, rtol, atol, left):
+def _begin(at, method, lane, rtol, left):
     """The next step where the derivative has become known: at a start by ode45's rule, from rest by
     the size of y' alone; at a wall as before, or by the same rule.
     """
-    threshold, rate = atol / rtol, simd.splat(0.0)
+    threshold, rate = load(lane, at.atol) / rtol, simd.splat(0.0)
     chosen = load(lane, at.is_fresh) >= (AT_WALL if method.restarts else AT_START)
     for j in range(at.n_states):
         # Derivatives of the state: speeds, accelerations, rates of first-order states.
@@ -511,7 +511,7 @@ def runge_kutta_step(at, method, lane, coefficients, limits):
     -------
     StepOutcome
     """
-    rtol, atol, bound, _ = limits
+    rtol, bound, _ = limits
     tableau, k, kinds, q = method.tableau, method.k, method.kinds, method.q
     fresh = load(lane, at.is_fresh) > 0.0
     h_asked = select(fresh, simd.splat(0.0), load(lane, at.h))
@@ -526,7 +526,7 @@ def runge_kutta_step(at, method, lane, coefficients, limits):
         _set_active(at, q, lane)
 
     stages(at, kinds, q, lane, tableau, k, h)
-    error = _error(at, method, lane, h, rtol, atol)
+    error = _error(at, method, lane, h, rtol)
     if method.tangent:
         all_ = 0, tableau.n_stages
         tangent_stages(at, kinds, q, lane, tableau, k, method.k_tangent, h, all_)
@@ -547,7 +547,7 @@ def runge_kutta_step(at, method, lane, coefficients, limits):
         store(lane, at.n_short, select(commit, 0.0, load(lane, at.n_short)))
 
     if simd.bits(fresh) != 0:
-        h_next = select(fresh, _begin(at, method, lane, rtol, atol, left), h_next)
+        h_next = select(fresh, _begin(at, method, lane, rtol, left), h_next)
         for i in range(at.n_rates):
             within = within & (~fresh | (simd.absolute(load(lane, at.a_1 + i)) < np.inf))
         bad = bad | (fresh & ~within)

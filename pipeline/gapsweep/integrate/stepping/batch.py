@@ -174,9 +174,7 @@ def run(
     points = np.empty((len(which) + 1, at.n_rows))
     follows = np.append(np.zeros(len(which), bool) if follows is None else follows, False)
     given = start, follows, t_0, t_end, record_from, section_only and not dense_output
-    outcome = set_starts(
-        at.numbers, points, prepared.table, which, *given, prepared.rtol, prepared.atol
-    )
+    outcome = set_starts(at.numbers, points, prepared.table, which, *given, prepared.rtol)
     if outcome == NOT_FINITE:
         check(start=start, t_0=t_0, t_end=t_end, record_from=record_from)
     if outcome == BACKWARD:
@@ -190,7 +188,7 @@ def run(
             np.inf
         )  # no layer is crossed at once: the motion within it is wanted
     statuses = np.full(len(which), RUNNING)
-    limits = prepared.rtol, prepared.atol, DIVERGED_AT, _MOST_SHORT
+    limits = prepared.rtol, DIVERGED_AT, _MOST_SHORT
     queue = np.flatnonzero(~follows[:-1]) if queue is None else queue
     is_recording = bool(np.isfinite(record_from).any())
     # Where nothing forces the motion the section is passed at turns, whatever else is wanted.

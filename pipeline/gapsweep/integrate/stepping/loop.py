@@ -244,7 +244,7 @@ def _judged(at, suspects, lanes, x_bound, max_short):
 @internal
 def _attend(layout, named, run, limits):
     """See to the lanes that a step has named."""
-    _, _, x_bound, max_short = limits
+    _, x_bound, max_short = limits
     at, lanes = run.at, run.lanes
     done, bad, recording = named.done, named.bad, named.recording
     count_passings(layout, named.miscounted, run)
@@ -283,7 +283,7 @@ def _finish(at, run, k, status, limits):
 
     That is the one that follows; what follows a failure has failed.
     """
-    rtol, atol, _, _ = limits
+    rtol, _, _ = limits
     p = run.lane_point[k]
     for r in range(at.n_rows):
         run.points[p, r] = run.lanes[r, k]
@@ -292,7 +292,7 @@ def _finish(at, run, k, status, limits):
     while run.follows[p + 1]:
         p += 1
         if status == OK:
-            follow(at, run.points[p], run.points[p - 1], rtol, atol)
+            follow(at, run.points[p], run.points[p - 1], rtol)
             run.lane_point[k] = p
             for r in range(at.n_rows):
                 run.lanes[r, k] = run.points[p, r]
@@ -378,7 +378,7 @@ def _method_step(layout, method, lanes, coefficients, limits):
 
 @inlined
 def _taylor(layout, method, lanes, coefficients, limits):
-    rtol, _, x_bound, max_short = limits
+    rtol, x_bound, max_short = limits
     packed = taylor_step(layout, lanes, coefficients, rtol, x_bound, max_short)
     every, width = layout.all_lanes, layout.width
     return StepOutcome(
@@ -398,7 +398,7 @@ def _advance(layout, run, limits, budget):
     layout : RowLayout
     run : LoopState
     limits : tuple of float
-        rtol, atol, x_bound [m], cap on successive short contact steps.
+        rtol, x_bound [m], cap on successive short contact steps.
     budget : int
         Largest number of vector steps.
 

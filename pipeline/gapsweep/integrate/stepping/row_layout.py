@@ -45,6 +45,7 @@ _ONE = (
     *("omega", "omega_rad", "period"),
     # from these (whole periods + fraction) on section points are recorded, and all events
     *("record_clock", "event_clock"),
+    "atol",  # [m]: of an error, of displacements and speeds alike
     "floor",  # absolute part of the step's tolerance [m/s]
     "rate",  # fastest angular frequency of the linear parts [rad/s]
     "min_step",  # [s]: a shorter step, unless it ends on a wall or at the end, is an underflow

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from .loop import Taylor
 from .row_layout import RowLayout, of_width
+from .start_rows import FLOOR_SHARE
 
 Array = NDArray[np.float64]
 
@@ -44,7 +45,7 @@ class SceneTable:
     table : ndarray, shape (n + 1, n_rows)
         Rows as the kernel reads them, the idle point last. ``at.floor`` holds the size of the
         motion that the forcing keeps up against all springs.
-    rtol, atol : float
+    rtol : float
         As in `scenes`.
     method : Taylor or RungeKutta
         The latter without its work space.
@@ -53,7 +54,6 @@ class SceneTable:
     at: RowLayout
     table: Array
     rtol: float
-    atol: float
     method: Any = _TAYLOR
 
 
@@ -71,7 +71,7 @@ def scenes(
     epsilon: Array | None = None,
     *,
     rtol: float,
-    atol: float,
+    atol: Array | float,
 ) -> SceneTable:
     """Prepare oscillators; `run` then starts them as often as wanted.
 
@@ -86,7 +86,7 @@ def scenes(
         Distances of the walls from the origin [m], >= 0; infinity: no wall.
     epsilon : ndarray, shape (n,), optional
         Convergence parameter [1/m] of contacts that are smoothed by tanh.
-    rtol, atol : float
+    rtol, atol : float, or of the latter an array, shape (n,)
         A step's error in velocity is kept below about `rtol` times the speed that the state's
         energy amounts to, in the gap or beside the wall, whichever springs hold it; that of a
         disturbance below a part of `rtol` of its own size. `atol` [m] can only tighten: it is
@@ -107,19 +107,27 @@ def scenes(
         table[at.layer] = (_TAIL - math.log(rtol)) / table[at.sharpness]
         table[at.is_near], table[at.longest] = 1.0, np.inf
     set_clock(at, table, omega)
+    table[at.atol] = atol
     stiffnesses = table[at.lower_stiffness], table[at.upper_stiffness]
     table[at.floor] = np.minimum(*map(partial(_forced_size, at, table), (j_1, j_2), stiffnesses))
+    if epsilon is not None:
+        # A tighter atol than that of steps: what the tail left out holds up must stay below it.
+        least, stiffest = FLOOR_SHARE * rtol * table[at.floor], np.maximum(*stiffnesses)
+        held = 2.0 * table[at.layer] * stiffest / (n_rad**2 * np.maximum(table[at.atol], 1e-300))
+        wider = np.log(np.maximum(held, 1.0)) / table[at.sharpness]
+        is_tighter = (table[at.atol] > 0.0) & (table[at.atol] < least)
+        table[at.layer] = np.where(is_tighter, np.maximum(table[at.layer], wider), table[at.layer])
     table[at.rate] = np.sqrt(n_rad**2 + np.maximum(*stiffnesses)) + table[at.omega_rad]
     shortest = _MIN_STEP_IN_LAYERS if at.is_tanh else MIN_STEP
     table[at.min_step] = shortest / np.maximum(n_rad, table[at.omega_rad])
-    return SceneTable(at, points, rtol, atol)
+    return SceneTable(at, points, rtol)
 
 
-def check_tolerances(rtol: float, atol: float) -> None:
+def check_tolerances(rtol: float, atol: Array | float) -> None:
     """Refuse tolerances that no step can meet."""
     if not 1e-14 <= rtol <= 1e-1:
         raise ValueError(f"rtol = {rtol}: must lie in [1e-14, 0.1]")
-    if not 0.0 <= atol < np.inf:
+    if not np.all((np.asarray(atol) >= 0.0) & (np.asarray(atol) < np.inf)):
         raise ValueError(f"atol = {atol}: must be finite and >= 0")
 
 
@@ -272,7 +280,7 @@ def _cos_sin_of_period(tau: Array) -> tuple[Array, Array]:
 
 def _set_idle(at: RowLayout, point: Array) -> None:
     """Rest without forcing, walls or end: what a lane does when no point waits for it."""
-    point[[at.omega, at.period, at.floor, at.rate]] = 1.0
+    point[[at.omega, at.period, at.floor, at.rate, at.atol]] = 1.0
     point[at.lower : at.lower + at.contacts] = -1.0
     point[at.upper : at.upper + at.contacts] = 1.0
     if not at.is_plain:

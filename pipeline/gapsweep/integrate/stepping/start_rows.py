@@ -22,7 +22,7 @@ PRODUCT_ROUNDING = 1.5 * np.finfo(float).eps  # of two numbers that are rounded,
 
 @entry
 def set_starts(
-    at, points, table, which, start, follows, t_0, t_end, record_from, section_only, rtol, atol
+    at, points, table, which, start, follows, t_0, t_end, record_from, section_only, rtol
 ):
     """Copy rows of a table of scenes and put starts and ends into the copies.
 
@@ -72,27 +72,27 @@ def set_starts(
         for j in range(at.n_states):
             if not isfinite(start[i, j]):
                 return NOT_FINITE
-        if _set_state(at, point, start[i], rtol, atol):
+        if _set_state(at, point, start[i], rtol):
             outcome = ON_WALL
     return outcome
 
 
 @internal
-def _set_state(at, point, state, rtol, atol):
+def _set_state(at, point, state, rtol):
     """Begin in a state; whether it is on a wall."""
     for j in range(at.n_states):
         point[at.q + j] = state[j]
     for j in range(at.n):
         point[at.reach + j] = abs(state[j])
-    _set_floors(at, point, rtol, atol)
+    _set_floors(at, point, rtol)
     return _set_modes(at, point)
 
 
 @internal
-def follow(at, point, ended, rtol, atol):
+def follow(at, point, ended, rtol):
     """Begin where another point has ended."""
     # on a wall, it goes on as the other one did
-    is_on_wall = _set_state(at, point, ended[at.q : at.q + at.n_states], rtol, atol)
+    is_on_wall = _set_state(at, point, ended[at.q : at.q + at.n_states], rtol)
     for contact in range(at.contacts):
         if is_on_wall:
             point[at.mode + contact] = ended[at.mode + contact]
@@ -101,7 +101,7 @@ def follow(at, point, ended, rtol, atol):
 
 
 @internal
-def _set_floors(at, point, rtol, atol):
+def _set_floors(at, point, rtol):
     """Absolute parts of the tolerances, from the size of the motion that is to be expected."""
     if at.is_plain:
         size = max(point[at.floor], _swing(at, point))
@@ -113,7 +113,7 @@ def _set_floors(at, point, rtol, atol):
         speed = max(point[at.floor], math.sqrt(energy))
         size = max(speed, _pushed_speed(at, point)) / point[at.slow]
         scale = point[at.slow]
-    floor = rtol * FLOOR_SHARE * size
+    floor, atol = rtol * FLOOR_SHARE * size, point[at.atol]
     floor = min(floor, atol) if atol > 0.0 else floor
     point[at.floor] = floor * scale
     for i in range(at.m):

@@ -71,7 +71,7 @@ def system_scenes(
     omega: Array,
     *,
     rtol: float,
-    atol: float,
+    atol: Array | float,
 ) -> SceneTable:
     """Prepare points of systems; `batch.run` then starts them as often as wanted.
 
@@ -84,7 +84,7 @@ def system_scenes(
     walls : Walls
     omega : ndarray, shape (n,)
         Forcing frequency [Hz]; 0 of what is not forced, whose clock then counts its own periods.
-    rtol, atol : float
+    rtol, atol
         As of `scenes`: the norm of errors is that of the masses, ``v'Mv``.
     """
     check_tolerances(rtol, atol)
@@ -100,7 +100,8 @@ def system_scenes(
     blocks = at.lower, at.upper, at.lower_stiffness, at.upper_stiffness
     for block, values in zip(blocks, (-walls.j_1, walls.j_2, *stiffnesses), strict=True):
         table[block : block + at.contacts] = values.T
-    return SceneTable(at, points, rtol, atol)
+    table[at.atol] = atol
+    return SceneTable(at, points, rtol)
 
 
 class _Linear:
