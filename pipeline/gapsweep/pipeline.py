@@ -63,24 +63,14 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """The result of a run.
-
-    Attributes
-    ----------
-    folder : Path
-    progress : Progress
-    failures : mapping of str to int
-        Number of sweep points per failure status.
-    failed_motions : mapping of str to mapping
-        By file, the number of motions in it per failure status.
-    doubts : tuple of str
-        Warnings of numbers in another unit, and of cases in which the exact law touches no wall.
-    """
+    """The result of a run."""
 
     folder: Path
     progress: Progress
-    failures: Mapping[str, int]
+    failures: Mapping[str, int]  # number of sweep points per failure status
+    # By file, the number of motions in it per failure status.
     failed_motions: Mapping[str, Mapping[str, int]]
+    # Warnings of numbers in another unit, and of cases in which the exact law touches no wall.
     doubts: tuple[str, ...]
 
 
@@ -239,10 +229,10 @@ def carry_out(
     if study.spec.oscillator:
         values, grid = partial(netcdf.values, folder / RESPONSES), study.grid
         far = never_reached(values, grid.dims, grid.representations)
-    doubts = doubts_of(study, far)
+    doubts = tuple(doubts_of(study, far))
     motions = {stage.file: stage.failed_motions(folder) for stage in stages}
     failed = {file: counts for file, counts in motions.items() if counts}
-    return Outcome(folder, progress, failures, failed, tuple(doubts))
+    return Outcome(folder, progress, failures, failed, doubts)
 
 
 def plan(

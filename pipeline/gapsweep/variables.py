@@ -25,28 +25,14 @@ _OWN_UNITS = {"1", "s", "s-1", "Hz"}
 
 @dataclass(frozen=True, slots=True)
 class Variable:
-    """One dataset variable.
+    """One dataset variable."""
 
-    Attributes
-    ----------
-    dtype : str
-        NumPy type code, or ``"str"``.
-    units : str
-        UDUNITS text, ``"1"`` if nondimensional; empty if its user alone knows.
-    long_name : str
-    missing : float
-        Value in cells that are no sweep point.
-    flags : tuple of (str, int)
-        Meanings and values, for flag variables.
-    dims : tuple of str
-        Dimensions within a point. An oscillator has no `COORDINATE`, `CONTACT` and `LAG`.
-    """
-
-    dtype: str
-    units: str
+    dtype: str  # type code of NumPy, or ``"str"``
+    units: str  # UDUNITS text, ``"1"`` if nondimensional; empty if its user alone knows
     long_name: str
-    missing: float = float("nan")
-    flags: tuple[tuple[str, int], ...] = ()
+    missing: float = float("nan")  # value in cells that are no sweep point
+    flags: tuple[tuple[str, int], ...] = ()  # meanings and values, for flag variables
+    # Dimensions within a point. An oscillator has no `COORDINATE`, `CONTACT` and `LAG`.
     dims: tuple[str, ...] = ()
 
     @property

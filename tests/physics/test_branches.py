@@ -629,6 +629,8 @@ SOFT = gs.Piecewise(1.4e4, gs.Gap(0.4e-3, 0.4e-3))
         ({"along": "amplitude"}, "along = 'amplitude': .* forcing and damping must be 0"),
         ({"at": 8.0, "start": [0.0, 0.0], "starts": [0.0, 0.0]}, "start and starts: "),
         ({"at": [8.0, 9.0], "start": [0.0, 0.0]}, r"at = \[8.0, 9.0\]: .*one value of omega"),
+        ({"law": None}, "law = None: must be a contact law"),
+        ({"law": {"x": None}}, "law = None: must be a contact law"),
         (
             {"along": "forcing", "between": (0.0, 5.0), "at": 0.0, "omega": 9.0},
             r"starts: no motion .*\(3 equilibrium\)",
@@ -638,7 +640,7 @@ SOFT = gs.Piecewise(1.4e4, gs.Gap(0.4e-3, 0.4e-3))
 def test_bad_input_gives_one_line(options, message):
     given = {"between": (6.0, 12.0)} | options
     with pytest.raises(gs.ModelError, match=message) as caught:
-        gs.branches(gs.systems.paper_oscillator(), SOFT, **given)
+        gs.branches(gs.systems.paper_oscillator(), given.pop("law", SOFT), **given)
     assert "\n" not in str(caught.value)
 
 
@@ -650,6 +652,24 @@ def test_a_response_at_another_frequency_is_refused():
     ):
         with pytest.raises(gs.ModelError, match="= 9: must be omega = 8 of the response"):
             gs.branches(gs.systems.paper_oscillator(), SOFT, start=start, **options)
+
+
+def test_a_response_of_another_model_is_refused():
+    start = gs.respond(gs.systems.paper_oscillator(), SOFT, omega=0.1)
+    system, law = gs.systems.two_masses(), gs.systems.two_masses_law()
+    with pytest.raises(
+        gs.ModelError, match=r"start: must be a response of this model.* 4 .* forced"
+    ):
+        gs.branches(system, law, between=(0.05, 0.2), start=start)
+    cycle, free = gs.respond(duffing(), {}, q_0=[0.5]), {"along": "amplitude"}
+    for model, other, wall, given in (
+        (gs.systems.paper_oscillator(), cycle, SOFT, {}),
+        (duffing(), start, {}, free),
+    ):
+        with pytest.raises(gs.ModelError, match="start: must be a response of this model"):
+            gs.branches(model, wall, between=(0.05, 2.0), start=other, **given)
+    with pytest.raises(gs.ModelError, match=r"oscillator = .*dict.*: must be a gapsweep"):
+        gs.branches(dict, law, "forcing", (1.0, 2.0), omega=1.0)
 
 
 def test_a_parameter_that_a_system_lacks_is_named_with_the_remedy():
@@ -721,6 +741,8 @@ def test_free_motions_start_at_every_value_and_stay_between():
     for wrong in ({"at": 0.4, "start": [0.3, 0.0]}, {"start": [1.5, 0.0]}, {"at": 0.7}):
         with pytest.raises(gs.ModelError, match=r"^(at|amplitude) = [\d.\[\]]+: must "):
             gs.branches(model, law, "amplitude", (0.2, 0.8), **wrong)
+    with pytest.raises(gs.ModelError, match=r"starts: .* free motions; .* at"):
+        gs.branches(model, law, "amplitude", (0.2, 0.8), starts=[[0.3, 0.0]])
     response = gs.respond(duffing(), {}, q_0=[0.5])
     ds = gs.branches(duffing(), {}, "amplitude", (0.3, 0.8), start=response)
     assert float(ds["attractor_amplitude"][0]) == pytest.approx(0.5, rel=1e-6)
@@ -964,6 +986,8 @@ def test_points_without_a_curve_and_ranges_without_the_branch_are_refused():
     ):
         with pytest.raises(gs.ModelError):
             gs.special_curve(ds, *arguments)
+    with pytest.raises(gs.ModelError, match=r"branches = None: must be .* gs\.branches"):
+        gs.special_curve(None, 0, "forcing", (0.01, 0.1))
 
 
 def test_a_branch_passes_no_kink_twice():
@@ -1057,12 +1081,13 @@ def test_a_coordinate_that_stands_still_does_no_harm():
         contacts={"stop": [1.0, 0.0]},
         forcing=[gs.Harmonic(amplitude=[1.0, 0.0])],
     )
-    ds = gs.branches(model, gs.Piecewise(100.0, gs.Gap(0.02, 0.02)), between=(0.8, 1.2), at=1.0)
+    wall, starts = gs.Piecewise(100.0, gs.Gap(0.02, 0.02)), np.diag([0.03, 0.01, 0.0, 0.0])
+    ds = gs.branches(model, wall, between=(0.8, 1.2), at=1.0, starts=starts)
+    assert ds.sizes["attractor"] == 1
     branch = rows(ds, 0)
     alone = gs.Oscillator(
         mass=1.0, omega_n=math.sqrt(30.0) / TURN, zeta=0.15 / math.sqrt(30.0), forcing=1.0
     )
-    wall = gs.Piecewise(100.0, gs.Gap(0.02, 0.02))
     again = rows(gs.branches(alone, wall, between=(0.8, 1.2), at=1.0), 0)
     assert_allclose(branch["x_max"].max(), again["x_max"].max(), rtol=1e-3)
     assert [kind for kind, _ in special_points(branch)] == [k for k, _ in special_points(again)]

@@ -371,6 +371,8 @@ def test_a_file_is_a_table_in_its_units(name, tmp_path):
         ("0,1\n\n2\n", "line 3: 2: must be two numbers"),
         ("x,F\n", "no line of two numbers"),
         ("1,1\n2,2\n", "must hold 0"),
+        ("x;F\n-1,5;-8,0\n0,0;0,0\n1,5;8,0\n", "line 2: -1,5;-8,0: must .* decimal points"),
+        ("-1,5\t-8,0\n1,5\t8,0\n", "line 1: .*: must .* decimal points"),
         (None, "cannot be read"),
     ],
 )
@@ -387,6 +389,11 @@ def test_a_file_in_place_of_points_names_the_way_to_read_it(tmp_path):
         gs.ForceTable("stop.csv")
     with pytest.raises(gs.ModelError, match="x = 'cm': must be a unit: m, mm"):
         gs.ForceTable.from_csv("stop.csv", x="cm")
+    for path in (None, "stop\0.csv"):
+        with pytest.raises(gs.ModelError, match="cannot be read"):
+            gs.ForceTable.from_csv(path)
+    with pytest.raises(gs.ModelError, match=r"force = \['N'\]: must be a unit: N, mN"):
+        gs.ForceTable.from_csv("stop.csv", force=["N"])
 
 
 def test_a_label_names_a_file_and_the_unit_of_its_displacements(tables, tmp_path, monkeypatch):

@@ -68,7 +68,7 @@ def bounded(study: "Study") -> str:
     return never_reached(values.__getitem__, grid.dims, [EXACT])
 
 
-def doubts_of(study: "Study", far: str = "", own: bool = True) -> list[str]:
+def doubts_of(study: "Study", far: str = "", own: bool = True) -> Iterator[str]:
     """Warnings of numbers of a study that are probably in another unit: the rules of calls.
 
     A sentence `far` on walls out of reach replaces that on the gap. Without `own` no code of the
@@ -77,7 +77,7 @@ def doubts_of(study: "Study", far: str = "", own: bool = True) -> list[str]:
     grid, model = study.grid, study.model
     axes = {name: grid.axes[name] for name in study.spec.model if name in grid.axes}
     if not (model.is_oscillator or own):
-        return []
+        return
     ends = product(*({min(axis), max(axis)} for axis in axes.values()))
     points = [dict(zip(axes, end, strict=True)) for end in ends]  # bound the rules of oscillators
     if not model.is_oscillator:
@@ -90,7 +90,8 @@ def doubts_of(study: "Study", far: str = "", own: bool = True) -> list[str]:
             laws.append(tuple(_laws(study, label, K_c, gap, ratio, own)))
     omega, starts = grid.axes.get("omega", 0.0), starts_of(grid.axes).states
     found = doubts([model.at(some) for some in points], laws, omega, starts) if laws else ()
-    return [*(each for each in found if not (far and each.startswith("gap"))), *[far] * bool(far)]
+    yield from (each for each in found if not (far and each.startswith("gap")))
+    yield from [far] * bool(far)
 
 
 def _laws(

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import click
 
 from gapsweep.cli import options
+from gapsweep.cli.options import echo
 from gapsweep.errors import StoreError
 
 if TYPE_CHECKING:
@@ -50,16 +51,16 @@ def info(cache: Path | None, as_json: bool) -> None:
     with _existing(cache) as store:
         found = maintenance.info(store, numerics_fingerprint())
     if as_json:
-        options.echo(json.dumps(found))
+        echo(json.dumps(found))
         return
     size = f"{found['bytes'] / 1e6:.1f} MB in {found['segments']} segments"
-    options.echo(f"{found['folder']}: format {found['format']}, {size}")
-    options.echo(
+    echo(f"{found['folder']}: format {found['format']}, {size}")
+    echo(
         f"{found['points']} points, {found['current']} of this version of the code, "
         f"{found['of_other_code']} of other versions"
     )
     for label, count in found["status"].items():
-        options.echo(f"{count:>10}  {label}")
+        echo(f"{count:>10}  {label}")
 
 
 @cache_commands.command()
@@ -76,7 +77,7 @@ def verify(cache: Path | None) -> int:
 
     with busy("checking all points"), _existing(cache) as store:
         verdict = maintenance.verify(store)
-    options.echo(f"{verdict.n_points} intact points, {len(verdict.damaged)} damaged segments")
+    echo(f"{verdict.n_points} intact points, {len(verdict.damaged)} damaged segments")
     return 0 if verdict.is_sound else 1
 
 
@@ -99,4 +100,4 @@ def gc(cache: Path | None, apply: bool) -> None:
     with _existing(cache, read_only=not apply) as store:
         n_points, n_damaged = maintenance.clean(store, numerics_fingerprint(), apply=apply)
     verb = "removed:" if apply else "to be removed by 'gapsweep cache gc --apply':"
-    options.echo(f"{verb} {n_points} points, damage in {n_damaged} segments")
+    echo(f"{verb} {n_points} points, damage in {n_damaged} segments")

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import click
 
-from gapsweep.cli import options
+from gapsweep.cli.options import echo
 from gapsweep.errors import StoreError
 
 # What is written, and the study file in it.
@@ -32,9 +32,9 @@ def init(name: str) -> None:
     """
     carried, study = STUDIES[name]
     _copy(_carried(carried), Path(carried))
-    options.echo(f"written: {carried}")
-    options.echo(f"next:    gapsweep plan {study}   # show what a run would compute")
-    options.echo(f"         gapsweep run {study}    # compute the points, datasets and the report")
+    echo(f"written: {carried}")
+    echo(f"next:    gapsweep plan {study}   # show what a run would compute")
+    echo(f"         gapsweep run {study}    # compute the points, datasets and the report")
 
 
 def _carried(name: str) -> Path:

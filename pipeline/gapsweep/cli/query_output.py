@@ -11,7 +11,7 @@ from typing import Any
 import click
 import xarray as xr
 
-from gapsweep.cli import options
+from gapsweep.cli.options import echo
 from gapsweep.console import print_table, print_text
 from gapsweep.errors import StoreError
 from gapsweep.execution.layout import Layout
@@ -30,24 +30,12 @@ _LONG = 10
 
 @dataclass(frozen=True, slots=True)
 class Form:
-    """Format of the output.
+    """Format of the output."""
 
-    Attributes
-    ----------
-    kind : str
-        ``table``, ``csv``, ``json`` or ``nc``.
-    columns : sequence of str
-        Variables in addition to the dimensions; all if empty.
-    digits : int, optional
-        Significant digits; all if None.
-    hint : str
-        Printed below the output: how to select columns; empty if columns were named.
-    """
-
-    kind: str
-    columns: Sequence[str] = ()
-    digits: int | None = None
-    hint: str = ""
+    kind: str  # ``table``, ``csv``, ``json`` or ``nc``
+    columns: Sequence[str] = ()  # variables in addition to the dimensions; all if empty
+    digits: int | None = None  # significant digits; all if None
+    hint: str = ""  # printed below the output: how to select columns; empty if columns were named
 
     @classmethod
     def of(
@@ -105,7 +93,7 @@ def written(responses: xr.Dataset, form: Form, output: Path | None) -> None:
     if form.kind == "table":
         _print(responses, form)
     elif output is None:
-        options.echo(_text(responses, form), nl=False)
+        echo(_text(responses, form), nl=False)
     else:
         with replacing(output) as temporary:
             if form.kind == "nc":

@@ -9,7 +9,7 @@ from pathlib import Path
 import click
 
 from gapsweep.cli import options
-from gapsweep.cli.options import FINISHED
+from gapsweep.cli.options import FINISHED, echo
 
 
 @click.command()
@@ -31,21 +31,19 @@ def status(folder: Path, as_json: bool) -> int:
     # An active run replaces files, damaged ones too.
     damaged, unread = (None, None) if state.state == RUNNING else checked(folder)
     if as_json:
-        options.echo(json.dumps(asdict(state) | {"damaged": damaged, "not_checked": unread}))
+        echo(json.dumps(asdict(state) | {"damaged": damaged, "not_checked": unread}))
         return FINISHED
-    options.echo(f"{state.study}: {state.state}{f' ({state.message})' if state.message else ''}")
-    options.echo(
+    echo(f"{state.study}: {state.state}{f' ({state.message})' if state.message else ''}")
+    echo(
         f"{state.hits + state.computed} of {state.points} points: {state.hits} from the cache, "
         f"{state.computed} computed, {state.failed} failed"
     )
-    options.echo(f"started {state.started} on {state.host}")
-    options.echo(f"updated {state.updated}")
+    echo(f"started {state.started} on {state.host}")
+    echo(f"updated {state.updated}")
     if damaged:
-        options.echo(f"damaged or missing: {options.first(damaged)}; 'gapsweep run' repairs them")
+        echo(f"damaged or missing: {options.first(damaged)}; 'gapsweep run' repairs them")
     if unread:
-        options.echo(
-            f"not checked (large): {options.first(unread)}; check with sha256sum --check {SUMS}"
-        )
+        echo(f"not checked (large): {options.first(unread)}; check with sha256sum --check {SUMS}")
     return FINISHED
 
 
@@ -68,7 +66,7 @@ def report(folder: Path, study: Path | None) -> int:
 
     with busy("writing the report"):
         shown = pipeline.report(folder, options.loaded(study, None) if study else None)
-    options.echo(f"report: {shown}")
+    echo(f"report: {shown}")
     return FINISHED
 
 
@@ -95,7 +93,7 @@ def claims(folder: Path, study: Path | None, as_json: bool) -> int:
     with reading(folder), busy("evaluating the claims"):
         decided = pipeline.claims(folder, options.loaded(study, None) if study else None)
     if as_json:
-        options.echo(json.dumps(decided, ensure_ascii=False))
+        echo(json.dumps(decided, ensure_ascii=False))
         return FINISHED
     with reading(folder):
         rows = [
@@ -104,9 +102,9 @@ def claims(folder: Path, study: Path | None, as_json: bool) -> int:
         ]
         counts = ", ".join(f"{n} {verdict}" for verdict, n in decided["counts"].items())
         print_table(("id", "verdict", "claim and result"), rows)
-    options.echo(f"{len(decided['claims'])} claims: {counts}")
+    echo(f"{len(decided['claims'])} claims: {counts}")
     if study:
-        options.echo(f"written: {folder / CLAIMS}")
+        echo(f"written: {folder / CLAIMS}")
     return FINISHED
 
 
@@ -136,7 +134,7 @@ def explore(path: Path | None, port: int, no_browser: bool) -> int:
     from gapsweep.explorer.widget import explore_path
 
     page = explore_path(path, port)
-    options.echo(f"{page.url} (Ctrl-C closes it)")
+    echo(f"{page.url} (Ctrl-C closes it)")
     with tempfile.TemporaryDirectory() as private, suppress(KeyboardInterrupt):
         if not no_browser:
             # All users of the machine can read the browser's command line, none but ours the file.

@@ -12,7 +12,7 @@ from typing import Any
 import click
 
 from gapsweep.cli import options
-from gapsweep.cli.options import FINISHED, SOME_FAILED
+from gapsweep.cli.options import FINISHED, SOME_FAILED, echo
 
 
 @click.command()
@@ -51,22 +51,22 @@ def run(study: Path, engine: str | None, **how: Any) -> int:
         outcome = pipeline.carry_out(loaded, on_progress=observer, **how)
     done = outcome.progress
     shared = f", {done.n_shared} by another run" if done.n_shared else ""
-    options.echo(
+    echo(
         f"{done.n_points} points: {done.n_hits} from the cache, {done.n_computed} computed{shared}"
     )
-    options.echo(f"report: {outcome.folder / REPORT}")
+    echo(f"report: {outcome.folder / REPORT}")
     if outcome.failures:
         _say_failed("points", outcome.failures, f"'gapsweep status {outcome.folder}'")
     for file, counts in outcome.failed_motions.items():
         _say_failed("motions", counts, f"'status' in {file}")
     for doubt in outcome.doubts:  # last, as they may say that the results are not about contact
-        options.echo(doubt)
+        echo(doubt)
     return SOME_FAILED if outcome.failures or outcome.failed_motions else FINISHED
 
 
 def _say_failed(what: str, counts: Mapping[str, int], where: str) -> None:
     listed = ", ".join(f"{n} {label}" for label, n in sorted(counts.items()))
-    options.echo(f"failed {what}: {listed}; see {where}", err=True)
+    echo(f"failed {what}: {listed}; see {where}", err=True)
 
 
 @click.command()
@@ -102,7 +102,7 @@ def plan(
         planned = pipeline.plan(loaded, cache, retry_failed=retry_failed, on_progress=observer)
         expected = pipeline.expected_seconds(planned, cache, workers)
         stages = pipeline.stage_reasons(loaded, planned, out, cache)
-    doubts = doubts_of(loaded, bounded(loaded) if loaded.spec.oscillator else "")
+    doubts = [*doubts_of(loaded, bounded(loaded) if loaded.spec.oscillator else "")]
     numbers = {
         "points": planned.n_points,
         "hits": planned.n_hits,
@@ -111,22 +111,20 @@ def plan(
     }
     if as_json:
         rounded = None if expected is None else round(expected, 3)
-        options.echo(
-            json.dumps(numbers | {"expected_s": rounded, "stages": stages, "doubts": doubts})
-        )
+        echo(json.dumps(numbers | {"expected_s": rounded, "stages": stages, "doubts": doubts}))
         return FINISHED
     for name, value in numbers.items():
-        options.echo(f"{name:>8}  {value}")
+        echo(f"{name:>8}  {value}")
     unknown = "unknown (no comparable points cached)"
     time = unknown if expected is None else f"{timedelta(seconds=round(expected))} (h:mm:ss)"
-    options.echo(f"expected  {time}")
+    echo(f"expected  {time}")
     states = {
         file: f"to be written: {why}" if why else "up to date" for file, why in stages.items()
     }
-    options.echo()
+    echo()
     print_table(("file", "state"), states.items())
     for doubt in doubts:
-        options.echo(f"\n{doubt}")
+        echo(f"\n{doubt}")
     return FINISHED
 
 
@@ -187,12 +185,10 @@ def query(
     shown.check(loaded)
     with options.at_work() as observer:
         found = pipeline.query(loaded, on_progress=observer, **how, **options.selected(wanted))
-    options.echo(
-        f"{found.attrs['n_points']} points, {found.attrs['n_hits']} from the cache", err=True
-    )
+    echo(f"{found.attrs['n_points']} points, {found.attrs['n_hits']} from the cache", err=True)
     written(found, shown, output)
     if shown.hint:
-        options.echo(shown.hint, err=True)
+        echo(shown.hint, err=True)
     return FINISHED
 
 
@@ -226,15 +222,15 @@ def explain(
         points = pipeline.explain(loaded, cache, limit + 1, observer, **options.selected(wanted))
     for n, point in enumerate(points):
         if n == limit:
-            options.echo(f"more points: --limit {10 * limit}")
+            echo(f"more points: --limit {10 * limit}")
             break
-        options.echo(f"{point.label}: {point.status}{f' on {point.host}' if point.host else ''}")
+        echo(f"{point.label}: {point.status}{f' on {point.host}' if point.host else ''}")
         if point.message:
-            options.echo(f"  {point.message}")
+            echo(f"  {point.message}")
         if point.differences is None and point.status == "missing":
-            options.echo("  no comparable points cached")
+            echo("  no comparable points cached")
         for name, (asked, stored) in (point.differences or {}).items():
-            options.echo(f"  {name}: {_short(asked)}; nearest cached point: {_short(stored)}")
+            echo(f"  {name}: {_short(asked)}; nearest cached point: {_short(stored)}")
     return FINISHED
 
 
@@ -265,13 +261,13 @@ def advise(study: Path, error: float | None, as_json: bool) -> int:
     found = advice(loaded, error)
     scenes, error, own = sentences(found), found.attrs["error"], loaded.own_laws
     if as_json:
-        options.echo(json.dumps({"error": error, "not_assessed": own, "scenes": scenes}))
+        echo(json.dumps({"error": error, "not_assessed": own, "scenes": scenes}))
         return FINISHED
     print_text(f"allowed relative error of the steady amplitude: {error:g}")
     for scene in scenes:
         print_text(_case(scene))
         for one in scene["starts"]:
-            options.echo(f"\nfrom {one['start']}:")
+            echo(f"\nfrom {one['start']}:")
             print_table(
                 ("from [Hz]", "to [Hz]", "simplest model", "rtol", "reason"),
                 [
@@ -280,7 +276,7 @@ def advise(study: Path, error: float | None, as_json: bool) -> int:
                     for part in one["advice"]
                 ],
             )  # fmt: skip
-        options.echo()
+        echo()
         print_text(scene["approximations"])
     for label in own:
         print_text(
@@ -319,7 +315,7 @@ def bench(study: Path, out: Path | None, timeout: float, as_json: bool) -> int:
     from gapsweep.store import netcdf
 
     loaded = options.loaded(study, None)
-    made = pipeline.bench(loaded, out, lambda text: options.echo(text, err=True), timeout=timeout)
+    made = pipeline.bench(loaded, out, lambda text: echo(text, err=True), timeout=timeout)
     files, found, code = list(made), {}, FINISHED
     for file, counts in made.items():
         if counts:
@@ -329,12 +325,12 @@ def bench(study: Path, out: Path | None, timeout: float, as_json: bool) -> int:
             found[file.name] = conclusions(dataset)
     if as_json:
         numbers = {name: lines.numbers for name, lines in found.items()}
-        options.echo(json.dumps({"files": [str(file) for file in files]} | numbers))
+        echo(json.dumps({"files": [str(file) for file in files]} | numbers))
         return code
     for file in files:
         for sentence in found[file.name].sentences:
-            options.echo(sentence)
-        options.echo(f"written: {file}")
+            echo(sentence)
+        echo(f"written: {file}")
     shown = files[0].parent / REPORT
-    options.echo(f"report: {shown}" if shown.exists() else "'gapsweep run' writes the report")
+    echo(f"report: {shown}" if shown.exists() else "'gapsweep run' writes the report")
     return code

@@ -17,33 +17,13 @@ from itertools import combinations_with_replacement
 import numpy as np
 from numpy.typing import NDArray
 
+from gapsweep.continuation import thresholds as limit
 from gapsweep.continuation.crossing import crossing
 from gapsweep.continuation.hopf import hopf_point
 from gapsweep.continuation.locate import Step
 from gapsweep.continuation.newton import Corrector
 from gapsweep.continuation.orbits import Orbit, OrbitEquations, Reference
 from gapsweep.continuation.special import Special, crossing_kind
-from gapsweep.continuation.thresholds import (
-    ASIDE,
-    ASTRAY,
-    BEHIND,
-    CHANGE,
-    EDGE,
-    FAST,
-    FEW_STEPS,
-    FIRST,
-    GROWS,
-    INNER,
-    LARGEST,
-    NEAR_EDGE,
-    ON_CHORD,
-    SHORTEST_LOOP,
-    SLIGHT_TURN,
-    SMALL_CYCLE,
-    SMALLEST,
-    TURN,
-    UNLIKE,
-)
 
 Array = NDArray[np.float64]
 Numbers = NDArray[np.intp]
@@ -51,26 +31,13 @@ Numbers = NDArray[np.intp]
 
 @dataclass(slots=True)
 class Half:
-    """A branch on one side of its first orbit.
-
-    Attributes
-    ----------
-    orbits : list of Orbit
-    references : list of Reference
-        With which each but the first was found.
-    crossings : dict of int to Orbit
-        The crossing of the step from the orbit of that number.
-    end : str
-        Why it ends.
-    has_kink : bool
-        Whether it was searched behind a kink.
-    """
+    """A branch on one side of its first orbit."""
 
     orbits: list[Orbit]
-    references: list[Reference] = field(default_factory=list)
-    crossings: dict[int, Orbit] = field(default_factory=dict)
-    end: str = ""
-    has_kink: bool = False
+    references: list[Reference] = field(default_factory=list)  # of each orbit but the first
+    crossings: dict[int, Orbit] = field(default_factory=dict)  # by the orbit before the step
+    end: str = ""  # why it ends
+    has_kink: bool = False  # whether it was searched behind a kink
 
     def step(self, i: int) -> Step:
         """From the i-th orbit to the next one."""
@@ -78,14 +45,7 @@ class Half:
 
 
 class Continuation:
-    """Branches that are followed together, each from an orbit in one direction.
-
-    Parameters
-    ----------
-    equations : OrbitEquations or like it
-    max_steps : int
-        Orbits of a half at most.
-    """
+    """Branches that are followed together, each from an orbit in one direction."""
 
     def __init__(self, equations: OrbitEquations, max_steps: int) -> None:
         self.equations, self.max_steps = equations, max_steps
@@ -95,7 +55,7 @@ class Continuation:
         """The halves that begin at orbits, in the direction of their tangents."""
         halves = [Half([start]) for start in starts]
         n = len(halves)
-        size, reference = np.full(n, FIRST), reference.take(np.arange(n))
+        size, reference = np.full(n, limit.FIRST), reference.take(np.arange(n))
         for half in halves:
             half.end = "window" if self._leaves(half.orbits[0]) else ""
         left = np.array([i for i, half in enumerate(halves) if not half.end], int)
@@ -108,36 +68,36 @@ class Continuation:
                 reference.rate[left] = self.equations.rates(states, u)
             here = reference.take(left)
             bend = size[left, None] * np.array([_bend(halves[i].orbits) for i in left.tolist()])
-            bend[np.abs(bend).max(axis=1) > SLIGHT_TURN] = 0.0  # at a kink
+            bend[np.abs(bend).max(axis=1) > limit.SLIGHT_TURN] = 0.0  # at a kink
             guess = u + size[left, None] * (t + 0.5 * bend)
             guess, normal = self._within(u, guess, t)
-            found, n_steps = self.corrector.orbits(guess, normal, here, ASIDE * size[left])
+            found, n_steps = self.corrector.orbits(guess, normal, here, limit.ASIDE * size[left])
             for k, (i, orbit) in enumerate(zip(left.tolist(), found, strict=True)):
                 half, step, of = halves[i], float(size[i]), here.take([k])
                 turn = self._turn(half, orbit, step, of)
                 if turn is None:
                     size[i] = 0.5 * step
-                    if size[i] >= SMALLEST:
+                    if size[i] >= limit.SMALLEST:
                         continue
                     orbit = self._ahead(half, orbit, of)
                     if orbit is None:
                         continue
                     turn = math.inf
                     apart = np.abs(orbit.unknowns - half.orbits[-1].unknowns).max()
-                    size[i] = max(0.1 * float(apart), 2.0 * SMALLEST)
+                    size[i] = max(0.1 * float(apart), 2.0 * limit.SMALLEST)
                 assert orbit is not None
                 half.orbits.append(orbit)
                 half.references.append(of)
                 half.end = self._end(half)
-                if 2.0 * SLIGHT_TURN < turn < math.inf:
+                if 2.0 * limit.SLIGHT_TURN < turn < math.inf:
                     size[i] = 0.7 * step
-                elif n_steps[k] <= FEW_STEPS and turn < SLIGHT_TURN:
-                    largest = LARGEST * max(1.0, float(np.abs(orbit.unknowns).max()))
-                    size[i] = min(GROWS * step, largest)
+                elif n_steps[k] <= limit.FEW_STEPS and turn < limit.SLIGHT_TURN:
+                    largest = limit.LARGEST * max(1.0, float(np.abs(orbit.unknowns).max()))
+                    size[i] = min(limit.GROWS * step, largest)
             left = np.array([i for i in left.tolist() if not halves[i].end], int)
         return halves
 
-    def _leaves(self, orbit: Orbit, edge: float = EDGE) -> bool:
+    def _leaves(self, orbit: Orbit, edge: float = limit.EDGE) -> bool:
         """Whether an orbit at the end of a window is on the way out."""
         first = len(orbit.unknowns) - self.equations.n_parameters
         u, t = orbit.unknowns[first:], orbit.tangent[first:]
@@ -164,12 +124,10 @@ class Continuation:
             return None
         if len(half.orbits) == 1 and before.across is not None:
             return 0.0 if _leaves_crossing(before, orbit) else None
-        if not orbit.identity.is_prime or not before.identity.is_kept(orbit.identity):
+        turn = _turned(before, orbit)
+        if turn > limit.TURN:
             return None
-        turn = math.acos(min(1.0, max(-1.0, float(before.tangent @ orbit.tangent))))
-        if turn > TURN:
-            return None
-        if step > FAST and _change(before.multipliers, orbit.multipliers) > CHANGE:
+        if step > limit.FAST and _change(before.multipliers, orbit.multipliers) > limit.CHANGE:
             return None
         # Curves of special points have more equations, whose determinant tells nothing of orbits.
         if before.branching * orbit.branching < 0.0 and len(self.equations.windows) == 1:
@@ -187,21 +145,15 @@ class Continuation:
         if behind is not None:
             half.has_kink = True
             return behind
-        if orbit is not None and self._is_near_another(last, orbit):
-            # Two branches are nearer than the smallest step, or cross: it may lie on either.
-            return replace(orbit, special=int(Special.UNRESOLVED))
-        half.end = "window" if self._leaves(last, NEAR_EDGE) else "step_too_small"
-        return None
-
-    def _is_near_another(self, last: Orbit, orbit: Orbit) -> bool:
-        """Whether nothing but a crossing that is not located refuses a step."""
-        return (
-            last.branching * orbit.branching < 0.0
+        if (
+            orbit is not None
             and last.special != Special.UNRESOLVED
-            and orbit.identity.is_prime
-            and last.identity.is_kept(orbit.identity)
-            and float(last.tangent @ orbit.tangent) > math.cos(TURN)
-        )
+            and last.branching * orbit.branching < 0.0
+            and _turned(last, orbit) < limit.TURN
+        ):  # two branches are nearer than the smallest step, or cross: it may lie on either
+            return replace(orbit, special=int(Special.UNRESOLVED))
+        half.end = "window" if self._leaves(last, limit.NEAR_EDGE) else "step_too_small"
+        return None
 
     def _behind_kink(self, orbits: list[Orbit], reference: Reference) -> Orbit | None:
         """The branch's next orbit where it turns at a graze more sharply than steps can follow.
@@ -215,13 +167,13 @@ class Continuation:
         ways = np.concatenate([np.eye(d), -np.eye(d)])
         axes = np.array([a + b for a, b in combinations_with_replacement(ways, 2) if (a + b).any()])
         axes /= np.sqrt((axes**2).sum(axis=1))[:, None]
-        normals = np.tile(axes, (len(BEHIND), 1))
-        distances = np.repeat(BEHIND, len(axes))
+        normals = np.tile(axes, (len(limit.BEHIND), 1))
+        distances = np.repeat(limit.BEHIND, len(axes))
         found, _ = self.corrector.orbits(
             u + distances[:, None] * normals,
             normals,
             reference.take(np.zeros(len(normals), int)),
-            ASTRAY * distances,
+            limit.ASTRAY * distances,
         )
         # Those that pass as many contacts lie on this side.
         behind = [
@@ -229,8 +181,7 @@ class Continuation:
             for each in found
             if each is not None
             and each.n_contacts != last.n_contacts
-            and each.identity.is_prime
-            and last.identity.is_kept(each.identity)
+            and _turned(last, each) < math.inf
             and not _is_passed(orbits, each)
         ]
         if not behind:
@@ -243,11 +194,8 @@ class Continuation:
     def _end(self, half: Half) -> str:
         """Why a half ends at its last orbit; nothing if it goes on."""
         first, before, last = half.orbits[0], half.orbits[-2], half.orbits[-1]
-        places = [float(self.equations.window_places(orbit)[0]) for orbit in (before, last)]
-        is_free = self.equations.family.is_conservative
-        passed = (
-            is_free and not 0.0 <= places[1] <= 1.0 and abs(places[1] - 0.5) > abs(places[0] - 0.5)
-        )
+        aside, far = (abs(self.equations.place(orbit) - 0.5) for orbit in (before, last))
+        passed = self.equations.family.is_conservative and far > max(aside, 0.5)
         found = half.crossings.get(len(half.orbits) - 2)
         if found is not None and _ends_on(found):
             # Behind it lie the same orbits half a period later, or their mirror images.
@@ -260,7 +208,7 @@ class Continuation:
         if half.has_kink and _is_passed(half.orbits[:-1], last):  # it has turned round at a kink
             del half.orbits[-1], half.references[-1]
             return "step_too_small"
-        closing = self._closing(first, half) if len(half.orbits) >= SHORTEST_LOOP else None
+        closing = self._closing(first, half) if len(half.orbits) >= limit.SHORTEST_LOOP else None
         if closing is not None:
             half.orbits[-1] = closing
             return "closed"
@@ -270,14 +218,14 @@ class Continuation:
         """Whether cycles shrink to an equilibrium; their Hopf point becomes the last orbit."""
         before, last, reference = half.orbits[-2], half.orbits[-1], half.references[-1]
         swing = [self._swing(orbit, reference) for orbit in (before, last)]
-        if not min(swing) < 3.0 * LARGEST:
+        if not min(swing) < 3.0 * limit.LARGEST:
             return False
         n, size = self.equations.n, reference.size[0, : 2 * self.equations.n]
         centre = np.concatenate([0.5 * (before.x_max + before.x_min), np.zeros(n)])
         sides = [(orbit.state[: 2 * n] - centre) / size for orbit in (before, last)]
         # Through the equilibrium the branch goes on with the same orbits, half a period later.
         has_passed = float(sides[0] @ sides[1]) < 0.0
-        if not has_passed and not swing[1] < min(swing[0], SMALL_CYCLE):
+        if not has_passed and not swing[1] < min(swing[0], limit.SMALL_CYCLE):
             return False
         if has_passed:
             del half.orbits[-1], half.references[-1]
@@ -315,6 +263,13 @@ class Continuation:
         return None
 
 
+def _turned(before: Orbit, orbit: Orbit) -> float:
+    """Turn of the tangent [rad] between orbits; inf of orbits that no branch has one by one."""
+    if not orbit.identity.is_prime or not before.identity.is_kept(orbit.identity):
+        return math.inf
+    return math.acos(min(1.0, max(-1.0, float(before.tangent @ orbit.tangent))))
+
+
 def _ends_on(crossing: Orbit) -> bool:
     """Whether a branch ends where it crosses one of half its period, or of symmetric orbits."""
     if crossing.special == Special.PERIOD_DOUBLING:
@@ -332,11 +287,11 @@ def _leaves_crossing(first: Orbit, orbit: Orbit) -> bool:
     if not own @ own < other @ other:
         return False
     # The branch whose parameter is stationary has orbits of twice the period, or less symmetry.
-    is_double = first.identity.halves <= UNLIKE
+    is_double = first.identity.halves <= limit.UNLIKE
     is_symmetric = first.special == Special.SYMMETRY_BREAKING
     if abs(first.tangent[-1]) < abs(first.across[-1]) and (is_double or is_symmetric):
         unlike = orbit.identity.halves if is_double else orbit.identity.asymmetry
-        return unlike > UNLIKE
+        return unlike > limit.UNLIKE
     return True
 
 
@@ -364,14 +319,14 @@ def _is_passed(orbits: Sequence[Orbit], orbit: Orbit) -> bool:
     places = np.array([each.unknowns for each in orbits])
     way = float(((orbit.unknowns - places[-1]) ** 2).sum())
     apart = ((orbit.unknowns - places[alike]) ** 2).sum(axis=1)
-    if apart.min(initial=np.inf) <= ON_CHORD**2 * way:
+    if apart.min(initial=np.inf) <= limit.ON_CHORD**2 * way:
         return True
     (rows,) = np.nonzero(alike[:-1] & alike[1:])
     chords, to = places[rows + 1] - places[rows], orbit.unknowns - places[rows]
     squares = np.maximum((chords**2).sum(axis=1), np.finfo(float).tiny)
     share = (chords * to).sum(axis=1) / squares
     aside = ((to - share[:, None] * chords) ** 2).sum(axis=1)
-    return bool(((share >= 0.0) & (share <= 1.0) & (aside <= ON_CHORD**2 * squares)).any())
+    return bool(((share >= 0.0) & (share <= 1.0) & (aside <= limit.ON_CHORD**2 * squares)).any())
 
 
 def _bend(orbits: list[Orbit]) -> Array:
@@ -394,7 +349,7 @@ def _change(before: NDArray[np.complex128], after: NDArray[np.complex128]) -> fl
     Zero far inside the unit circle: there multipliers may turn quickly, as of a fast oscillation
     within a long period, and nothing happens.
     """
-    if max(np.abs(before).max(initial=0.0), np.abs(after).max(initial=0.0)) < INNER:
+    if max(np.abs(before).max(initial=0.0), np.abs(after).max(initial=0.0)) < limit.INNER:
         return 0.0
     apart = np.abs(after[:, None] - before[None, :]).min(axis=1)
     return float((apart / (1.0 + np.abs(after))).max())

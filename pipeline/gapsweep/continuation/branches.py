@@ -22,24 +22,13 @@ _WINDOW = -1  # kind of the sign change that is the window's end
 
 @dataclass(kw_only=True)
 class Branches:
-    """The branches of one family.
-
-    Attributes
-    ----------
-    equations : OrbitEquations
-    max_steps : int
-        Orbits of a branch on either side of its start, at most.
-    found : list of Branch
-    attractors : list of Attractor
-    n_lost : int
-        Starts, special points and branches from there that Newton's method did not find.
-    """
+    """The branches of one family."""
 
     equations: OrbitEquations
-    max_steps: int
+    max_steps: int  # orbits of a branch on either side of its start, at most
     found: list[Branch] = field(default_factory=list)
     attractors: list[Attractor] = field(default_factory=list)
-    n_lost: int = 0
+    n_lost: int = 0  # starts, special points and branches that Newton's method did not find
 
     def __post_init__(self) -> None:
         self.window = self.equations.windows[0]
@@ -49,25 +38,26 @@ class Branches:
     def add(self, attractors: Sequence[Attractor]) -> None:
         """Follow the branches of attractors, those of one parameter value together."""
         self.attractors += attractors
-        starts, reference, kept = seeds(self.equations, attractors)
-        self.n_lost += len(attractors) - len(starts)
-        left = list(range(len(kept)))
-        while left:
-            self._find([kept[k] for k in left])
-            left = [k for k in left if kept[k].branch < 0]
-            if not left:
+        found = seeds(self.equations, attractors)
+        self.n_lost += len(attractors) - len(found)
+        while found:
+            self._find([attractor for *_, attractor in found])
+            found = [each for each in found if each[2].branch < 0]
+            if not found:
                 return
-            values = [kept[k].value for k in left]
+            values = [attractor.value for *_, attractor in found]
             value = max(set(values), key=values.count)
-            now = [k for k in left if kept[k].value == value]
-            left = [k for k in left if kept[k].value != value]
-            several = self._followed([starts[k] for k in now], reference.take(now))
+            starts, references, now = zip(
+                *(each for each in found if each[2].value == value), strict=True
+            )
+            found = [each for each in found if each[2].value != value]
             first = len(self.found)
-            for branch, k in zip(several, now, strict=True):
-                self._find([kept[k]], first)
-                if kept[k].branch < 0:
+            several = self._followed(starts, Reference.joined(references))
+            for branch, attractor in zip(several, now, strict=True):
+                self._find([attractor], first)
+                if attractor.branch < 0:
                     self.found.append(branch)
-                    kept[k].branch = len(self.found) - 1
+                    attractor.branch = len(self.found) - 1
 
     def follow(self) -> None:
         """Follow the branches that leave those of the last generation, each once."""
@@ -109,10 +99,8 @@ class Branches:
     ) -> list[Branch]:
         """Branches through orbits, or from orbits to one side."""
         n = len(starts)
-        if not n:
-            return []
         others = [] if one_sided else list(map(reversed_orbit, starts))
-        lanes = np.concatenate([np.arange(n)] * (1 if one_sided else 2))
+        lanes = np.arange(n + len(others)) % n
         halves = self.continuation.follow([*starts, *others], reference.take(lanes))
         rows = self.with_special_points(halves)
         found: list[Branch] = []
@@ -126,18 +114,15 @@ class Branches:
             orbits[start] = replace(orbits[start], across=None)
             branch = Branch(orbits=orbits, ends=ends, reference=reference.take([k]))
             if ends == ("max_steps", "max_steps"):  # of a loop, each may hold a part of the other
-                half = replace(branch, orbits=orbits[start:])
-                first, _ = own_part(
-                    self.equations, replace(branch, orbits=orbits[:start]), start, [half]
+                before, after = (
+                    replace(branch, orbits=x) for x in (orbits[:start], orbits[start:])
                 )
-                if first:
-                    branch.orbits, branch.ends, start = (
-                        orbits[first:],
-                        ("closed", "closed"),
-                        start - first,
-                    )
-            cut = [each for each in [*self.found, *found] if "max_steps" in each.ends]
-            first, last = own_part(self.equations, branch, start, cut)
+                cut, _ = own_part(self.equations, before, start, [after])
+                if cut:
+                    branch.orbits, branch.ends = orbits[cut:], ("closed", "closed")
+                    start -= cut
+            known = [each for each in [*self.found, *found] if "max_steps" in each.ends]
+            first, last = own_part(self.equations, branch, start, known)
             branch.orbits = branch.orbits[first:last]
             found.append(branch)
         return found
@@ -210,21 +195,14 @@ class Branches:
         """The end of the window of amplitudes that the last orbit of a half is outside of."""
         if not self.equations.family.is_conservative:
             return []
-        bound = float(self._place(last) > 0.5)
-        return [SignChange(_WINDOW, lambda orbit: self._place(orbit) - bound)]
-
-    def _place(self, orbit: Orbit) -> float:
-        return float(self.equations.window_places(orbit)[0])
+        place = self.equations.place
+        bound = float(place(last) > 0.5)
+        return [SignChange(_WINDOW, lambda orbit: place(orbit) - bound)]
 
     def _find(self, attractors: Sequence[Attractor], first: int = 0) -> None:
         """Look for the branches that attractors lie on, from a number on."""
-        numbers = holders(
-            self.equations,
-            [float(self.window.place(each.value)) for each in attractors],
-            [each.section for each in attractors],
-            [each.multiple for each in attractors],
-            self.found[first:],
-        )
+        points = [(float(self.window.place(a.value)), a.section, a.multiple) for a in attractors]
+        numbers = holders(self.equations, points, self.found[first:])
         for attractor, number in zip(attractors, numbers, strict=True):
             attractor.branch = first + number if number >= 0 else -1
 

@@ -18,17 +18,9 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from gapsweep.continuation import thresholds as limit
 from gapsweep.continuation.locate import Step
 from gapsweep.continuation.orbits import Evaluation, Orbit, OrbitEquations, Reference
-from gapsweep.continuation.thresholds import (
-    CROSSING_DIFFERENCE,
-    CROSSING_STEP,
-    NEWTON_STEPS,
-    RESIDUAL,
-    SECOND_DIFFERENCE,
-    SINGULAR,
-    SMALLEST,
-)
 
 Array = NDArray[np.float64]
 
@@ -40,13 +32,13 @@ def crossing(equations: OrbitEquations, step: Step) -> Orbit | None:
     """
     a, b = step.before.branching, step.after.branching
     u = step.point(a / (a - b))
-    size = float(np.clip(0.01 * step.size, 10.0 * SMALLEST, SECOND_DIFFERENCE))
+    size = float(np.clip(0.01 * step.size, 10.0 * limit.SMALLEST, limit.SECOND_DIFFERENCE))
     found = _solved(equations, u, step, size)
     if found is None:
         return None
     u, second, evaluation = found
     _, singular, rows = np.linalg.svd(evaluation.jacobian[0])
-    if singular[-1] > SINGULAR * singular[-2]:
+    if singular[-1] > limit.SINGULAR * singular[-2]:
         return None
     plane = rows[-2:]
     values, vectors = np.linalg.eigh(plane @ second @ plane.T)
@@ -69,7 +61,7 @@ def _solved(
 ) -> tuple[Array, Array, Evaluation] | None:
     """Unknowns of the crossing of a step, second derivatives, and the equations there."""
     d, first, psi, beta, length = len(u), u, np.empty(0), 0.0, np.inf
-    for _ in range(NEWTON_STEPS):
+    for _ in range(limit.NEWTON_STEPS):
         evaluation, jacobians, moved = _derivatives(equations, u, step.reference, size)
         if evaluation is None:
             return None
@@ -95,10 +87,10 @@ def _solved(
         if not far <= step.size:
             return None
         before, length = length, float(np.abs(change[:d]).max())
-        if max(before, length) <= CROSSING_STEP:  # a second step gains the last digits
+        if max(before, length) <= limit.CROSSING_STEP:  # a second step gains the last digits
             last = equations.evaluate(u[None, :], step.reference)
             scale = 1.0 + float(np.abs(last.jacobian[0, :, :-1]).max())
-            closes = last.is_ok[0] and np.abs(last.residual[0]).max() <= RESIDUAL * scale
+            closes = last.is_ok[0] and np.abs(last.residual[0]).max() <= limit.RESIDUAL * scale
             return (u, second, last) if closes else None
     return None
 
@@ -112,6 +104,6 @@ def _derivatives(
     shifted[:, -1] = np.clip(shifted[:, -1], 0.0, 1.0)
     moved = np.diagonal(shifted[1 : d + 1] - shifted[d + 1 :])
     found = equations.evaluate(
-        shifted, reference.take(np.zeros(2 * d + 1, int)), CROSSING_DIFFERENCE
+        shifted, reference.take(np.zeros(2 * d + 1, int)), limit.CROSSING_DIFFERENCE
     )
     return (found if found.is_ok.all() else None), found.jacobian[1:], moved

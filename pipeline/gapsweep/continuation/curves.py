@@ -23,8 +23,9 @@ from gapsweep.continuation.dataset import dataset, special_points
 from gapsweep.continuation.family import AMPLITUDE, Family, Window
 from gapsweep.continuation.orbits import Evaluation, Orbit, OrbitEquations, Reference
 from gapsweep.continuation.recognise import Branch
+from gapsweep.continuation.seed import Attractor, started
 from gapsweep.continuation.special import Graze, Special, nearest_graze
-from gapsweep.continuation.thresholds import DIFFERENCE
+from gapsweep.continuation.thresholds import CLOSES, CONDITION_DIFFERENCE, DIFFERENCE, STANDS_STILL
 from gapsweep.errors import ModelError
 from gapsweep.integrate.problem import Model, Solver
 from gapsweep.integrate.simulate import AnyLaw
@@ -33,22 +34,11 @@ from gapsweep.variables import POINT
 
 Array = NDArray[np.float64]
 
-_DIFFERENCE = 1e-7  # of the scaled unknowns, for derivatives of g
-_STILL = 1e-4  # component of a cusp's tangent along the parameters
-_CLOSES = 1e-6  # residual of an orbit of the model, over its size
 _TARGETS = {Special.FOLD: 1.0, Special.PERIOD_DOUBLING: -1.0}
 
 
 class CurveEquations(OrbitEquations):
-    """Equations of orbits with two parameters that are special points of one kind.
-
-    Parameters
-    ----------
-    family, windows, solver
-        As of `OrbitEquations`.
-    condition : callable
-        g of an orbit.
-    """
+    """Equations of orbits with two parameters that are special points: `condition` is their g."""
 
     def __init__(
         self,
@@ -64,7 +54,7 @@ class CurveEquations(OrbitEquations):
         self, unknowns: Array, reference: Reference, difference: float = DIFFERENCE
     ) -> Evaluation:
         m, d = unknowns.shape
-        shifts = _DIFFERENCE * np.concatenate([np.zeros((1, d)), np.eye(d), -np.eye(d)])
+        shifts = CONDITION_DIFFERENCE * np.concatenate([np.zeros((1, d)), np.eye(d), -np.eye(d)])
         moved = unknowns[None, :, :] + shifts[:, None, :]
         first = d - self.n_parameters
         moved[:, :, first:] = np.clip(moved[:, :, first:], 0.0, 1.0)
@@ -138,6 +128,8 @@ def special_curve(
     >>> curve["omega"].dims
     ('step',)
     """
+    if not (isinstance(branches, xr.Dataset) and "special" in branches):
+        raise ModelError(f"branches = {branches!r:.80}: must be a result of gs.branches(...)")
     row, kind = _row(branches, point)
     family, name = branches.encoding.get("family"), str(branches.attrs["along"])
     if name == AMPLITUDE:
@@ -184,7 +176,7 @@ def special_curve(
     if halves[0].end == "closed":
         orbits = [*forward[:-1], forward[0]]
     # Where the curve has a corner, as at a graze, the parameters do not stand still.
-    orbits = [o for o in orbits if not o.special or np.abs(o.tangent[-2:]).max() <= _STILL]
+    orbits = [o for o in orbits if not o.special or np.abs(o.tangent[-2:]).max() <= STANDS_STILL]
     ends = halves[1].end, halves[0].end
     found_all.found = [Branch(orbits=orbits, ends=ends, reference=reference)]
     made = dataset(found_all).isel(branch=0, drop=True)
@@ -208,24 +200,19 @@ def _row(branches: xr.Dataset, point: int) -> tuple[xr.Dataset, Special]:
 
 def _start(equations: OrbitEquations, row: xr.Dataset, values: Array) -> tuple[Orbit, Reference]:
     """The orbit of a row of branches, with both parameters."""
-    state, period = row["start_state"].values[None, :], np.array([float(row["period"])])
-    model = equations.family.example
-    unit = np.asarray(model.unit(2.0 * np.pi / period[0]), float).reshape(-1)
-    size = unit * np.abs(state[0] / unit).max()
-    multiple = np.array([int(row["period_multiple"])])
-    duration = period if equations.has_period else np.ones(1)
-    reference = Reference(
-        size=size[None, :], duration=duration, multiple=multiple, y=state, rate=np.zeros_like(state)
+    orbit = Attractor(
+        value=np.nan,
+        section=row["start_state"].values[None, :],
+        period=float(row["period"]),
+        multiple=int(row["period_multiple"]),
     )
-    unknowns = equations.unknowns(state, period, values, reference)
-    if equations.has_period:
-        reference.rate = equations.rates(state, unknowns)
+    unknowns, reference = started(equations, [orbit], values)
     found = equations.evaluate(unknowns, reference)
-    if not found.is_ok[0] or np.abs(found.residual).max() > _CLOSES:
+    if not found.is_ok[0] or np.abs(found.residual).max() > CLOSES:
         raise ModelError("oscillator, law: must be those of the branches; the orbit does not close")
     tangent = np.zeros_like(unknowns)
-    (orbit,) = equations.orbits(unknowns, tangent, reference, found, np.zeros(1, np.intp))
-    return orbit, reference
+    (first,) = equations.orbits(unknowns, tangent, reference, found, np.zeros(1, np.intp))
+    return first, reference
 
 
 def _condition(

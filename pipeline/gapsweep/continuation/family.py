@@ -122,24 +122,24 @@ class Family:
             raise ModelError(f"omega: {said}")
 
     def _check(self, name: str) -> None:
+        laws = self._laws
         if name in ("omega", AMPLITUDE):
             return
-        if callable(self.model) and name in inspect.signature(self.model).parameters:
+        if name in self._arguments:
             return
         if isinstance(self.model, Oscillator) and name in _names(self.model):
             return
-        if any(name in _GAP or name in _names(law) for law in self._laws):
-            is_own = [isinstance(law, UserLaw) and name in _names(law) for law in self._laws]
-            if not all(own or law.is_numbers for own, law in zip(is_own, self._laws, strict=True)):
+        if any(name in _GAP or name in _names(law) for law in laws):
+            is_own = [isinstance(law, UserLaw) and name in _names(law) for law in laws]
+            if not all(own or law.is_numbers for own, law in zip(is_own, laws, strict=True)):
                 raise ModelError(
                     f"along = {name!r}: parameters of fitted laws and user laws cannot be "
                     "continued; use 'omega' or a parameter of the model"
                 )
             return
-        known = [each for law in self._laws for each in _names(law) if each != "gap"]
+        known = [each for law in laws for each in _names(law) if each != "gap"]
         known += _names(self.model) if isinstance(self.model, Oscillator) else []
-        if callable(self.model):
-            known += inspect.signature(self.model).parameters
+        known += self._arguments
         allowed = ", ".join(dict.fromkeys(["omega", AMPLITUDE, *known, *_GAP]))
         raise ModelError(
             f"parameter {name!r}: must be one of {allowed}; for a parameter of a System, pass "
@@ -156,8 +156,17 @@ class Family:
 
     @cached_property
     def _laws(self) -> tuple[ContactLaw, ...]:
-        law = self.law
-        return tuple(law.values()) if isinstance(law, Mapping) else (checked_law(law),)
+        laws = self.law.values() if isinstance(self.law, Mapping) else [self.law]
+        return tuple(map(checked_law, laws))
+
+    @cached_property
+    def _arguments(self) -> Mapping[str, inspect.Parameter]:
+        """Arguments of a function that returns the model; none of a model."""
+        try:
+            return inspect.signature(self.model).parameters if callable(self.model) else {}
+        except ValueError:  # of what is written in C
+            said = "must be a gapsweep.System, or a Python function that returns one"
+            raise ModelError(f"oscillator = {self.model!r}: {said}") from None
 
     @cached_property
     def example(self) -> Any:
@@ -178,8 +187,8 @@ class Family:
         """The model at parameter values."""
         model = self.model
         if callable(model):
-            known = inspect.signature(model).parameters
-            made = model(**{name: value for name, value in values.items() if name in known})
+            known = {name: value for name, value in values.items() if name in self._arguments}
+            made = model(**known)
             if not isinstance(made, Oscillator | System):
                 raise ModelError(f"oscillator: {made!r}: must return a gapsweep.System")
             return made
@@ -225,9 +234,8 @@ class Family:
             known |= {each: own[each] for each in _names(law)}
             known |= {"gap": law.gap.j_1, "j_1": law.gap.j_1, "j_2": law.gap.j_2}
         known |= {each: getattr(model, each) for each in _names(model)}
-        if callable(self.model):
-            parameters = inspect.signature(self.model).parameters.values()
-            known |= {p.name: p.default for p in parameters if p.default is not p.empty}
+        arguments = self._arguments.values()
+        known |= {each.name: each.default for each in arguments if each.default is not each.empty}
         if name not in known:
             raise ModelError(f"second = {name!r}: not a parameter of the model, or without a value")
         return float(known[name])

@@ -11,11 +11,13 @@ import numpy as np
 import xarray as xr
 from numpy.typing import ArrayLike, NDArray
 
+from gapsweep.continuation import thresholds as limit
 from gapsweep.continuation.branches import Branches
 from gapsweep.continuation.dataset import dataset
 from gapsweep.continuation.family import Family, Window
+from gapsweep.continuation.identity import Identity
 from gapsweep.continuation.orbits import OrbitEquations, motions
-from gapsweep.continuation.seed import Attractor
+from gapsweep.continuation.seed import Attractor, started
 from gapsweep.errors import ModelError
 from gapsweep.integrate.problem import Model, Models, Solver
 from gapsweep.integrate.simulate import AnyLaw, simulate
@@ -27,11 +29,6 @@ from gapsweep.response.result import Response, ResponseClass, Steady
 Array = NDArray[np.float64]
 
 DEFAULT_RTOL = 1e-11
-_VALUES = 8  # of the parameter, at which attractors are sought
-_CLOSE = 1e-3  # a motion that comes back so near, as a share of its size, closes
-_AWAY = 2.0  # initial displacements beyond the walls, in distances of the walls
-# The same of unforced systems, whose equilibrium leads nowhere; without walls in metres.
-_DISPLACED = 1e-3, 0.03, 1.0, 30.0
 
 
 def branches(
@@ -117,7 +114,9 @@ def branches(
     equations = OrbitEquations(family, (window,), solver)
     found = Branches(equations=equations, max_steps=whole("max_steps", max_steps, 2, 100_000))
     if start is None and not family.is_conservative:
-        at_values = np.asarray(places or window.value((np.arange(_VALUES) + 0.5) / _VALUES))
+        at_values = np.asarray(
+            places or window.value((np.arange(limit.VALUES) + 0.5) / limit.VALUES)
+        )
         states = _states(equations, starts)
         every = np.repeat(at_values, len(states)), np.tile(states, (len(at_values), 1))
         found.add(settled(equations, *every))
@@ -156,9 +155,11 @@ def _attractors(
 ) -> list[Attractor]:
     """Orbits that are known, or those of free motions."""
     window, n_states = equations.windows[0], equations.n_states
-    if start is not None and starts is not None:
-        raise ModelError("start and starts: give one of them only")
     is_free = equations.family.is_conservative
+    if starts is not None:
+        why = "start and starts: give one of them only"
+        free = "starts: not for free motions; give their amplitudes as at"
+        raise ModelError(why if start is not None else free)
     if start is not None and at is not None and (is_free or len(at) > 1):
         allowed = "left out" if is_free else f"one value of {window.name}"
         raise ModelError(f"at = {at!r}: must be {allowed}, since start is one orbit")
@@ -167,6 +168,12 @@ def _attractors(
             raise ModelError("start: must be one response, as from gs.respond at one omega")
         if start.response_class != ResponseClass.PERIODIC:
             raise ModelError("start: must be a periodic response")
+        is_alike = np.size(start.amplitude) == equations.n and not np.size(start.section) % n_states
+        if not is_alike or np.isfinite(start.period) != equations.has_period:
+            forced = "not forced" if equations.has_period else "forced"
+            raise ModelError(
+                f"start: must be a response of this model: {n_states} states, {forced}"
+            )
         if equations.family.is_forced:
             own, is_parameter = float(start.inputs["omega"]), window.name == "omega"
             called = at[0] if at and is_parameter else equations.family.omega
@@ -202,36 +209,32 @@ def settled(equations: OrbitEquations, values: Array, states: Array) -> list[Att
     ModelError
         If there are none.
     """
-    window, n = equations.windows[0], equations.n_states
+    window = equations.windows[0]
     models = equations.family.models((window,), np.asarray(window.place(values))[:, None])
     answers = respond_models(models, Solver.of(), states, Steady()).rows()
-    found: list[Attractor] = []
+    every: list[Attractor] = []
     kinds: Counter[str] = Counter()
     for value, answer in zip(values.tolist(), answers, strict=True):
         kind = answer.response_class
         if kind == ResponseClass.PERIODIC and np.max(answer.amplitude) <= answer.noise:
             kind = ResponseClass.EQUILIBRIUM  # as where the forcing is 0
         kinds[kind.name.lower()] += 1
-        if kind != ResponseClass.PERIODIC:
-            continue
-        attractor = _attractor(answer, value, n)
-        if not any(_are_same(attractor, other) for other in found):
-            found.append(attractor)
-    if not found:
+        if kind == ResponseClass.PERIODIC:
+            every.append(_attractor(answer, value, equations.n_states))
+    if not every:
         n_of = ", ".join(f"{n} {name}" for name, n in kinds.items())
         raise ModelError(
             f"starts: no motion settles on a periodic orbit ({n_of}); change starts, the values of "
             f"{window.name} as at, or give an initial state near an orbit as start"
         )
-    return found
-
-
-def _are_same(one: Attractor, other: Attractor) -> bool:
-    if one.value != other.value or one.section.shape != other.section.shape:
-        return False
-    size = np.abs(one.section).max(axis=0) + 1e-300
-    apart = np.abs(one.section[:1] - other.section) / size
-    return float(apart.max(axis=1).min()) <= 1e-4
+    size = started(equations, every, np.array([[each.value] for each in every]))[1].size
+    found: dict[tuple[float, int], list[tuple[Identity, Attractor]]] = {}
+    for each, of in zip(every, size, strict=True):
+        known = found.setdefault((each.value, each.multiple), [])
+        identity = Identity(each.section / of, 0.0)
+        if not any(identity.is_same(other, limit.SETTLED_ALIKE) for other, _ in known):
+            known.append((identity, each))
+    return [each for known in found.values() for _, each in known]
 
 
 def _attractor(response: Response, value: float, n_states: int) -> Attractor:
@@ -248,7 +251,7 @@ def _periods(equations: OrbitEquations, value: float, state: Array) -> int:
     t_end = Steady().max_period_multiple / models.omega
     section = motions(models, equations.solver, state[None, :], t_end, 0.0).events().section
     apart = np.abs(section - state).max(axis=1) / np.abs(state).max(initial=1e-300)
-    return 1 + int(np.argmax(apart <= _CLOSE))
+    return 1 + int(np.argmax(apart <= limit.COMES_BACK))
 
 
 def _free(equations: OrbitEquations, state: Array) -> Attractor:
@@ -301,7 +304,7 @@ def _states(equations: OrbitEquations, starts: ArrayLike | None) -> Array:
         return states.reshape(-1, n)
     laws = equations.family.laws_at(equations.family.values)
     walls = [wall for law in laws for wall in (-law.gap.j_1, law.gap.j_2) if wall]
-    displaced = [0.0, *(_AWAY * wall for wall in walls)]
+    displaced = [0.0, *(limit.BEYOND_WALLS * wall for wall in walls)]
     if equations.has_period:
-        displaced += [max(map(abs, walls), default=1.0) * part for part in _DISPLACED]
+        displaced += [max(map(abs, walls), default=1.0) * part for part in limit.DISPLACED]
     return np.unique(np.outer(displaced, np.eye(n)[0]) + 0.0, axis=0)  # no -0.0

@@ -7,17 +7,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import root_scalar
 
+from gapsweep.continuation import thresholds as limit
 from gapsweep.continuation.identity import Identity
 from gapsweep.continuation.orbits import Orbit, OrbitEquations, Reference
 from gapsweep.continuation.special import Special
-from gapsweep.continuation.thresholds import (
-    CLOSED,
-    EQUILIBRIUM_DIFFERENCE,
-    HOPF_LOCATED,
-    HOPF_RATE,
-    NEWTON_STEPS,
-    ROUNDING,
-)
 from gapsweep.response.equilibrium import Rates
 
 Array = NDArray[np.float64]
@@ -38,8 +31,10 @@ def hopf_point(equations: OrbitEquations, orbit: Orbit, reference: Reference) ->
         return float(_nearest(values, rate).real) / rate
 
     place = float(orbit.unknowns[-1])
-    found = root_scalar(growth, x0=place, x1=_beside(place), xtol=HOPF_LOCATED, maxiter=30)
-    if not (found.converged and 0.0 <= found.root <= 1.0 and abs(growth(found.root)) < HOPF_RATE):
+    found = root_scalar(growth, x0=place, x1=_beside(place), xtol=limit.HOPF_LOCATED, maxiter=30)
+    if not (
+        found.converged and 0.0 <= found.root <= 1.0 and abs(growth(found.root)) < limit.HOPF_RATE
+    ):
         return None
     place = float(found.root)
     state, values = _equilibrium(equations, place, state, size)
@@ -86,21 +81,23 @@ def _equilibrium(
     """The equilibrium near a state at a place of the parameter, and its eigenvalues [1/s]."""
     rates = Rates(equations.family.models(equations.windows, np.array([[place]])))
     y = state
-    for _ in range(NEWTON_STEPS):
+    for _ in range(limit.NEWTON_STEPS):
         rate, slope = _linearised(rates, y, size)
         step = -np.linalg.lstsq(slope, rate)[0]
         y = y + step
-        if np.abs(step / size).max() <= CLOSED:
+        if np.abs(step / size).max() <= limit.CLOSED:
             break
-    y = np.where(np.abs(y) > ROUNDING * size, y, 0.0)
+    y = np.where(np.abs(y) > limit.ROUNDING * size, y, 0.0)
     return y, np.linalg.eigvals(_linearised(rates, y, size)[1]).astype(complex)
 
 
 def _linearised(rates: Any, y: Array, size: Array) -> tuple[Array, Array]:
     """Derivative of a state by time, and its derivative by the state."""
     n = len(y)
-    shifts = EQUILIBRIUM_DIFFERENCE * np.diag(size)
+    shifts = limit.EQUILIBRIUM_DIFFERENCE * np.diag(size)
     states = np.concatenate([y[None, :], y + shifts, y - shifts])
     found = np.asarray(rates(np.zeros(2 * n + 1, int), states.T)).T
-    slope = (found[1 : n + 1] - found[n + 1 :]) / (2.0 * EQUILIBRIUM_DIFFERENCE * size[:, None])
+    slope = (found[1 : n + 1] - found[n + 1 :]) / (
+        2.0 * limit.EQUILIBRIUM_DIFFERENCE * size[:, None]
+    )
     return found[0], slope.T

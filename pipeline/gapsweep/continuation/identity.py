@@ -12,19 +12,13 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class Identity:
-    """Section and asymmetry of an orbit, which distinguish it at its parameter values.
+    """Section and asymmetry of an orbit, which distinguish it at its parameter values."""
 
-    Attributes
-    ----------
-    section : ndarray, shape (k, n_states)
-        States in order of time, as shares of the size of the state: at whole forcing periods; of
-        an unforced orbit at the maxima of its first coordinate.
-    asymmetry : float
-        Largest sum of the extreme values of a coordinate, as a share of its size; zero of an orbit
-        that is its own mirror image.
-    """
-
+    # Shape (k, n_states); states in order of time, as shares of the size of the state: at whole
+    # forcing periods; of an unforced orbit at the maxima of its first coordinate.
     section: Array
+    # Largest sum of the extreme values of a coordinate, as a share of its size; zero of an orbit
+    # that is its own mirror image.
     asymmetry: float
 
     def repeats(self, length: int) -> float:
@@ -50,10 +44,10 @@ class Identity:
         """Whether the orbit repeats itself after its period, not before."""
         return self.prime == len(self.section)
 
-    def is_same(self, other: "Identity") -> bool:
+    def is_same(self, other: "Identity", within: float = ALIKE) -> bool:
         """Whether another orbit at the same parameter values is this one, in any phase."""
         apart = np.abs(self.section[:1] - other.section).max(axis=1)
-        return bool(apart.min() <= ALIKE)
+        return bool(apart.min() <= within)
 
     def is_part_of(self, before: "Identity") -> bool:
         """Whether an orbit may lie on a branch with another one: both repeat themselves, or not."""

@@ -22,18 +22,11 @@ Value = Callable[[Orbit], float]
 
 @dataclass(frozen=True, slots=True)
 class Step:
-    """Two orbits of a branch, one after the other.
-
-    Attributes
-    ----------
-    before, after : Orbit
-    reference : Reference
-        With which the second one was found.
-    """
+    """Two orbits of a branch, one after the other."""
 
     before: Orbit
     after: Orbit
-    reference: Reference
+    reference: Reference  # with which the second one was found
 
     @property
     def chord(self) -> Array:

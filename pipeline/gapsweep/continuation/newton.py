@@ -5,16 +5,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from gapsweep.continuation import thresholds as limit
 from gapsweep.continuation.orbits import Evaluation, Orbit, Reference
-from gapsweep.continuation.thresholds import (
-    CLOSED,
-    NEAR,
-    NEARLY,
-    NEWTON_STEPS,
-    ROUNDING,
-    SHRINKS,
-    WIDER,
-)
 
 Array = NDArray[np.float64]
 
@@ -29,27 +21,16 @@ class Corrector:
     def orbits(
         self, guess: Array, direction: Array, reference: Reference, furthest: Array
     ) -> tuple[list[Orbit | None], NDArray[np.int64]]:
-        """Orbits on hyperplanes through guesses; None where none is found.
+        """Orbits on hyperplanes through guesses, None where none is found, and Newton's steps.
 
-        Parameters
-        ----------
-        guess, direction : ndarray, shape (m, d)
-            A point of each hyperplane and its normal.
-        reference : Reference
-        furthest : ndarray, shape (m,)
-            Distance from the guess beyond which the search is given up.
-
-        Returns
-        -------
-        list of Orbit or None
-        ndarray of int, shape (m,)
-            Newton steps.
+        Directions are the normals, shape (m, d); the search ends at the furthest distance from the
+        guess.
         """
         u, m = guess.copy(), len(guess)
         found: list[Orbit | None] = [None] * m
         n_steps, last = np.zeros(m, np.int64), np.full(m, np.inf)
         left = np.arange(m)
-        for _ in range(NEWTON_STEPS):
+        for _ in range(limit.NEWTON_STEPS):
             if not left.size:
                 break
             here = reference.take(left)
@@ -58,8 +39,10 @@ class Corrector:
             step, tangent = self._solved(equations, off, direction[left])
             length = np.sqrt((step**2).sum(axis=1))
             is_ok = equations.is_ok & np.isfinite(length)
-            near = np.clip(NEAR * furthest[left], ROUNDING, CLOSED)
-            is_best = (length <= NEARLY * furthest[left]) & (length > SHRINKS * last[left])
+            near = np.clip(limit.NEAR * furthest[left], limit.ROUNDING, limit.CLOSED)
+            is_best = (length <= limit.NEARLY * furthest[left]) & (
+                length > limit.SHRINKS * last[left]
+            )
             closed = np.flatnonzero(is_ok & ((length <= near) | is_best))
             if closed.size:
                 rows = left[closed]
@@ -71,7 +54,7 @@ class Corrector:
             moved = u[left] + step - guess[left]
             goes_on = is_ok & (np.sqrt((moved**2).sum(axis=1)) <= furthest[left])
             goes_on[closed] = False
-            goes_on &= ~(length > WIDER * last[left])
+            goes_on &= ~(length > limit.WIDER * last[left])
             last[left], n_steps[left] = length, n_steps[left] + 1
             u[left[goes_on]] += step[goes_on]
             left = left[goes_on]

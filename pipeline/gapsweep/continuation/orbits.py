@@ -36,23 +36,12 @@ Numbers = NDArray[np.intp]
 
 @dataclass(slots=True, kw_only=True)
 class Reference:
-    """What stays fixed while one orbit is sought, of n branches.
+    """What stays fixed while one orbit is sought, of n branches."""
 
-    Attributes
-    ----------
-    size : ndarray, shape (n, n_states)
-        Sizes of the components of the state.
-    duration : ndarray, shape (n,)
-        Scale of periods [s]; 1 where the forcing sets them.
-    multiple : ndarray of int, shape (n,)
-        Forcing periods in one response period.
-    y, rate : ndarray, shape (n, n_states)
-        State near which an unforced orbit starts, and its derivative by time.
-    """
-
-    size: Array
-    duration: Array
-    multiple: NDArray[np.int64]
+    size: Array  # shape (n, n_states); sizes of the components of the state
+    duration: Array  # shape (n,); scale of periods [s]; 1 where the forcing sets them
+    multiple: NDArray[np.int64]  # shape (n,); forcing periods in one response period
+    # Shape (n, n_states); state near which an unforced orbit starts, and its derivative by time.
     y: Array
     rate: Array
 
@@ -69,51 +58,27 @@ class Reference:
 
 @dataclass(slots=True, kw_only=True)
 class Orbit:
-    """One periodic orbit.
+    """One periodic orbit."""
 
-    Attributes
-    ----------
-    unknowns, tangent : ndarray, shape (d,)
-        Scaled unknowns, and the direction of the branch there.
-    parameters : tuple of float
-    period : float
-        Response period [s].
-    state : ndarray, shape (n_states,)
-        Where it starts: at forcing phase zero.
-    multipliers : ndarray of complex
-        Floquet multipliers, largest modulus first; without the one along an unforced orbit.
-    x_max, x_min : ndarray, shape (n,)
-        Of every coordinate [m].
-    turning : list of (ndarray, ndarray)
-        Of every contact's gap the maxima and the minima [m], in descending order.
-    n_contacts : int
-        Wall crossings in a period, in and out.
-    branching : float
-        Determinant of the equations and the tangent: zero where branches cross.
-    period_multiple : int
-    identity : Identity
-    monodromy : ndarray, shape (n_states, n_states)
-    special : int
-        Kind of a special point, as of `gapsweep.continuation.special.Special`; 0: none.
-    across : ndarray, shape (d,), or None
-        Direction of the branch that crosses there, where it is known.
-    """
-
-    unknowns: Array
-    tangent: Array
+    unknowns: Array  # scaled unknowns, shape (d,)
+    tangent: Array  # direction of the branch there, shape (d,)
     parameters: tuple[float, ...]
-    period: float
-    state: Array
+    period: float  # response period [s]
+    state: Array  # shape (n_states,); where it starts: at forcing phase zero
+    # Floquet multipliers, largest modulus first; without the one along an unforced orbit.
     multipliers: NDArray[np.complex128]
-    x_max: Array
+    x_max: Array  # shape (n,); of every coordinate [m]
     x_min: Array
+    # Of every contact's gap the maxima and the minima [m], in descending order.
     turning: list[tuple[Array, Array]]
-    n_contacts: int
-    branching: float
+    n_contacts: int  # wall crossings in a period, in and out
+    branching: float  # determinant of the equations and the tangent: zero where branches cross
     period_multiple: int
     identity: Identity
-    monodromy: Array
+    monodromy: Array  # shape (n_states, n_states)
+    # Kind of a special point, as of `gapsweep.continuation.special.Special`; 0: none.
     special: int = 0
+    # Shape (d,); direction of the branch that crosses there, where it is known.
     across: Array | None = None
 
     @property
@@ -124,33 +89,17 @@ class Orbit:
 
 @dataclass(slots=True, kw_only=True)
 class Evaluation:
-    """Equations at m sets of unknowns.
+    """Equations at m sets of unknowns, and whether the motions of each did not fail."""
 
-    Attributes
-    ----------
-    residual : ndarray, shape (m, d - 1)
-    jacobian : ndarray, shape (m, d - 1, d)
-    is_ok : ndarray of bool, shape (m,)
-        Whose motions did not fail.
-    """
-
-    residual: Array
-    jacobian: Array
+    residual: Array  # shape (m, d - 1)
+    jacobian: Array  # shape (m, d - 1, d)
     is_ok: NDArray[np.bool_]
     motions: Motions
     rate: Array
 
 
 class OrbitEquations:
-    """The equations of the orbits of a family.
-
-    Parameters
-    ----------
-    family : Family
-    windows : tuple of Window
-        Of its parameters.
-    solver : Solver
-    """
+    """The equations of the orbits of a family, for windows of its parameters."""
 
     def __init__(self, family: Family, windows: tuple[Window, ...], solver: Solver) -> None:
         self.family, self.windows, self.solver = family, windows, solver
@@ -164,14 +113,7 @@ class OrbitEquations:
         self.n_unknowns = self.n_states + self.has_period + self.n_parameters
 
     def unknowns(self, state: Array, period: Array, values: Array, reference: Reference) -> Array:
-        """Scaled unknowns of orbits, shape (m, d).
-
-        Parameters
-        ----------
-        state : ndarray, shape (m, n_states)
-        period : ndarray, shape (m,)
-        values : ndarray, shape (m, number of parameters)
-        """
+        """Scaled unknowns, shape (m, d), of m states, periods and rows of parameter values."""
         parts = [state / reference.size]
         if self.has_period:
             parts.append((period / reference.duration)[:, None])
@@ -188,10 +130,10 @@ class OrbitEquations:
         places = self.places(unknowns)
         return tuple(float(w.value(s)) for w, s in zip(self.windows, places, strict=False))
 
-    def window_places(self, orbit: Orbit) -> Array:
-        """Where an orbit is in every window: from 0 to 1 inside."""
-        values = [orbit.amplitude] if self.family.is_conservative else orbit.parameters
-        return np.array([w.place(x) for w, x in zip(self.windows, values, strict=True)])
+    def place(self, orbit: Orbit) -> float:
+        """Where an orbit is in the first window: from 0 to 1 inside."""
+        is_free = self.family.is_conservative
+        return float(self.windows[0].place(orbit.amplitude if is_free else orbit.parameters[0]))
 
     def evaluate(
         self, unknowns: Array, reference: Reference, difference: float = DIFFERENCE
@@ -259,16 +201,7 @@ class OrbitEquations:
         found: Evaluation,
         rows: Numbers,
     ) -> list[Orbit]:
-        """What the orbits are whose equations an evaluation holds, of some of its rows.
-
-        Parameters
-        ----------
-        unknowns, tangents : ndarray, shape (number of rows, d)
-        reference : Reference
-            Of these rows.
-        found : Evaluation
-        rows : ndarray of int
-        """
+        """The orbits whose equations some rows of an evaluation hold; all else is of these rows."""
         motions, n = found.motions, self.n_states
         assert motions.monodromy is not None
         monodromy = motions.monodromy[rows]

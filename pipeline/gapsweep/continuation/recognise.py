@@ -18,23 +18,12 @@ _PARTS = np.linspace(0.0, 1.0, 65)
 
 @dataclass(slots=True, kw_only=True)
 class Branch:
-    """Periodic orbits in the order of a branch.
-
-    Attributes
-    ----------
-    orbits : list of Orbit
-    ends : tuple of str
-        Why it ends before the first and after the last one.
-    reference : Reference
-        Sizes that its unknowns are scaled by.
-    parent : int
-        The branch that it leaves, or that ends on it; -1: none.
-    """
+    """Periodic orbits in the order of a branch."""
 
     orbits: list[Orbit]
-    ends: tuple[str, str]
-    reference: Reference
-    parent: int = -1
+    ends: tuple[str, str]  # why it ends before the first and after the last orbit
+    reference: Reference  # with the sizes that its unknowns are scaled by
+    parent: int = -1  # the branch that it leaves, or that ends on it; -1: none
 
 
 def is_known(equations: OrbitEquations, branch: Branch, others: Sequence[Branch]) -> bool:
@@ -52,13 +41,9 @@ def is_known(equations: OrbitEquations, branch: Branch, others: Sequence[Branch]
 
 def on_branches(equations: OrbitEquations, branch: Branch, others: Sequence[Branch]) -> list[int]:
     """For each orbit of a branch the number of another branch that holds it; -1: none."""
-    return holders(
-        equations,
-        [float(equations.window_places(orbit)[0]) for orbit in branch.orbits],
-        [orbit.identity.section * branch.reference.size[0] for orbit in branch.orbits],
-        [orbit.period_multiple for orbit in branch.orbits],
-        others,
-    )
+    size, place = branch.reference.size[0], equations.place
+    points = [(place(o), o.identity.section * size, o.period_multiple) for o in branch.orbits]
+    return holders(equations, points, others)
 
 
 def own_part(
@@ -66,12 +51,7 @@ def own_part(
 ) -> tuple[int, int]:
     """First orbit of a branch, and the one after its last, up to which no other branch holds them.
 
-    Parameters
-    ----------
-    start : int
-        Number of the orbit that the branch was followed from, in both directions.
-    others : sequence of Branch
-        Branches that `max_steps` has cut.
+    The branch was followed from the orbit number `start` in both directions.
     """
     held = np.array(on_branches(equations, branch, others)) >= 0
     before, after = np.flatnonzero(held[:start]), np.flatnonzero(held[start + 1 :])
@@ -81,29 +61,21 @@ def own_part(
 
 def holders(
     equations: OrbitEquations,
-    places: Sequence[float],
-    sections: Sequence[Array],
-    multiples: Sequence[int],
+    points: Sequence[tuple[float, Array, int]],
     branches: Sequence[Branch],
 ) -> list[int]:
     """Numbers of the branches that hold orbits; -1 for an orbit that no branch holds.
 
-    Parameters
-    ----------
-    places : sequence of float
-        Of the parameter of each orbit in its window.
-    sections : sequence of ndarray, shape (k, n_states)
-    multiples : sequence of int
-    branches : sequence of Branch
+    An orbit has a place in the window, a section, shape (k, n_states), and a period multiple.
     """
-    found, tasks = [-1] * len(places), []
+    found, tasks = [-1] * len(points), []
     along = np.zeros(equations.n_unknowns)
     along[0 if equations.family.is_conservative else -1] = 1.0
     for number, branch in enumerate(branches):
-        of = np.array([equations.window_places(orbit)[0] for orbit in branch.orbits])
+        of = np.array([equations.place(orbit) for orbit in branch.orbits])
         low, high = np.sort([of[:-1], of[1:]], axis=0)
-        for k, place in enumerate(places):
-            if not equations.has_period and branch.orbits[0].period_multiple != multiples[k]:
+        for k, (place, _, multiple) in enumerate(points):
+            if not equations.has_period and branch.orbits[0].period_multiple != multiple:
                 continue
             there = (low - EDGE <= place) & (place <= high + EDGE)
             for i in np.flatnonzero(there).tolist():
@@ -112,7 +84,7 @@ def holders(
                 tasks.append((k, number, Step(before, after, reference)))
     if not tasks:
         return found
-    guesses = [_guess(equations, step, places[k]) for k, _, step in tasks]
+    guesses = [_guess(equations, step, points[k][0]) for k, _, step in tasks]
     nearby, _ = Corrector(equations).orbits(
         np.array(guesses),
         np.tile(along, (len(tasks), 1)),
@@ -121,7 +93,7 @@ def holders(
     )
     for (k, number, step), orbit in zip(tasks, nearby, strict=True):
         if orbit is not None and found[k] < 0:
-            section = Identity(sections[k] / step.reference.size[0], 0.0)
+            section = Identity(points[k][1] / step.reference.size[0], 0.0)
             found[k] = number if orbit.identity.is_same(section) else -1
     return found
 
@@ -129,9 +101,8 @@ def holders(
 def _guess(equations: OrbitEquations, step: Step, place: float) -> Array:
     """Unknowns near a step's orbit at a place of the parameter."""
     if equations.family.is_conservative:
-        ends = [float(equations.window_places(orbit)[0]) for orbit in (step.before, step.after)]
-        apart = ends[1] - ends[0]
-        return step.before.unknowns + (place - ends[0]) / (apart or 1.0) * step.chord
+        begin, end = equations.place(step.before), equations.place(step.after)
+        return step.before.unknowns + (place - begin) / ((end - begin) or 1.0) * step.chord
     points = np.array([step.point(s) for s in _PARTS])
     guess: Array = points[np.abs(points[:, -1] - place).argmin()].copy()
     guess[-1] = place

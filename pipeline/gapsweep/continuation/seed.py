@@ -17,29 +17,20 @@ Array = NDArray[np.float64]
 class Attractor:
     """A periodic orbit that is known: a start for a branch.
 
-    Attributes
-    ----------
-    value : float
-        Of the parameter.
-    section : ndarray, shape (n, n_states)
-        States on it at whole forcing periods, or at maxima of the first coordinate.
-    period : float
-        [s]; NaN where the forcing sets it.
-    multiple : int
-    branch : int
-        Which branch it lies on; -1: none.
+    Its section are states, shape (n, n_states), at whole forcing periods, or at maxima of the first
+    coordinate.
     """
 
-    value: float
+    value: float  # of the parameter
     section: Array
-    period: float
+    period: float  # [s]; NaN where the forcing sets it
     multiple: int
-    branch: int = -1
+    branch: int = -1  # that it lies on; -1: none
 
 
 def seeds(
     equations: OrbitEquations, attractors: Sequence[Attractor]
-) -> tuple[list[Orbit], Reference, list[Attractor]]:
+) -> list[tuple[Orbit, Reference, Attractor]]:
     """Orbits of attractors at their parameter values, of those that Newton's method finds.
 
     Attractors get the sections of their orbits, and the shortest period after which these repeat:
@@ -57,54 +48,64 @@ def seeds(
         found = _orbits(equations, [attractor for *_, attractor in found])
     for orbit, reference, attractor in found:
         attractor.section = orbit.identity.section * reference.size
-    orbits = [orbit for orbit, *_ in found]
-    reference = Reference.joined([each for _, each, _ in found]) if found else _EMPTY
-    return orbits, reference, [attractor for *_, attractor in found]
-
-
-_EMPTY = Reference(
-    size=np.empty((0, 0)),
-    duration=np.empty(0),
-    multiple=np.empty(0, np.int64),
-    y=np.empty((0, 0)),
-    rate=np.empty((0, 0)),
-)
+    return found
 
 
 def _orbits(
     equations: OrbitEquations, attractors: Sequence[Attractor]
 ) -> list[tuple[Orbit, Reference, Attractor]]:
     """Orbits of attractors by Newton's method, with the sizes of their states."""
-    n = len(attractors)
-    if not n:
+    if not attractors:
         return []
-    states = np.array([each.section[0] for each in attractors])
-    values = np.array([[each.value] for each in attractors])
-    period = np.array([each.period for each in attractors])
-    places = np.asarray(equations.windows[0].place(values))
-    models = equations.family.models(equations.windows, places)
-    multiple = np.array([each.multiple for each in attractors])
+    values, states = np.array([[each.value] for each in attractors]), None
     if equations.has_period:
-        later = motions(models, equations.solver, states, OFF_TURNING * period, np.inf)
-        states, rate = np.asarray(later.state), 2.0 * np.pi / period
-    else:
-        period, rate = np.ones(n), 2.0 * np.pi * models.omega
-    size = np.empty_like(states)
-    for i in range(n):
-        unit = np.asarray(models.systems[models.system[i]].unit(rate[i]), float)
-        sections = np.concatenate([states[i : i + 1], attractors[i].section])
-        size[i] = unit * swing(sections / unit)
-    reference = Reference(
-        size=size, duration=period, multiple=multiple, y=states, rate=np.zeros_like(states)
-    )
-    unknowns = equations.unknowns(states, period, values, reference)
-    if equations.has_period:
-        reference.rate = equations.rates(states, unknowns)
+        models = equations.family.models(equations.windows, equations.windows[0].place(values))
+        begin = np.array([each.section[0] for each in attractors])
+        times = OFF_TURNING * np.array([each.period for each in attractors])
+        states = motions(models, equations.solver, begin, times, np.inf).state
+    unknowns, reference = started(equations, attractors, values, states)
     direction = np.zeros_like(unknowns)
     direction[:, 0 if equations.family.is_conservative else -1] = 1.0
-    orbits, _ = Corrector(equations).orbits(unknowns, direction, reference, np.full(n, 0.5))
+    furthest = np.full(len(attractors), 0.5)
+    orbits, _ = Corrector(equations).orbits(unknowns, direction, reference, furthest)
     return [
         (orbit, reference.take([k]), attractors[k])
         for k, orbit in enumerate(orbits)
         if orbit is not None
     ]
+
+
+def started(
+    equations: OrbitEquations,
+    attractors: Sequence[Attractor],
+    values: Array,
+    states: Array | None = None,
+) -> tuple[Array, Reference]:
+    """Unknowns near attractors at values of the parameters, with the sizes of their states.
+
+    Orbits begin at the first points of the sections, or at other states.
+    """
+    n = len(attractors)
+    states = np.array([each.section[0] for each in attractors]) if states is None else states
+    windows = equations.windows
+    places = np.stack([w.place(values[:, k]) for k, w in enumerate(windows)], axis=1)
+    models = equations.family.models(windows, places)
+    period, rate = np.ones(n), 2.0 * np.pi * models.omega
+    if equations.has_period:
+        period = np.array([each.period for each in attractors])
+        rate = 2.0 * np.pi / period
+    size = np.empty_like(states)
+    for i, each in enumerate(attractors):
+        unit = np.asarray(models.systems[models.system[i]].unit(rate[i]), float)
+        size[i] = unit * swing(np.concatenate([states[i : i + 1], each.section]) / unit)
+    reference = Reference(
+        size=size,
+        duration=period,
+        multiple=np.array([each.multiple for each in attractors]),
+        y=states,
+        rate=np.zeros_like(states),
+    )
+    unknowns = equations.unknowns(states, period, values, reference)
+    if equations.has_period:
+        reference.rate = equations.rates(states, unknowns)
+    return unknowns, reference

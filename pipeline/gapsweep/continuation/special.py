@@ -26,16 +26,9 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class SignChange:
-    """A test function that changes its sign over a step.
+    """A test function that changes its sign over a step."""
 
-    Attributes
-    ----------
-    kind : int
-        As of `Special`, or negative: the end of the window.
-    value : callable
-    """
-
-    kind: int
+    kind: int  # as of `Special`, or negative: the end of the window
     value: Callable[[Orbit], float]
 
     def is_at(self, orbit: Orbit) -> bool:
@@ -124,15 +117,8 @@ def crossing_kind(equations: OrbitEquations, orbit: Orbit) -> Special:
 class Graze:
     """Distance [m] of a turning point of a contact's gap beyond a wall.
 
-    Parameters
-    ----------
-    contact : int
-    side : int
-        1: the upper wall, -1: the lower.
-    is_outer : bool
-        Whether it is a turning point away from the other wall.
-    rank : int
-        How many such points are farther beyond.
+    Side 1 is the upper wall, -1 the lower. Outer turning points lie away from the other wall; the
+    rank is the number of points of this kind that are farther beyond.
     """
 
     def __init__(

@@ -85,6 +85,27 @@ REAL = 1e-9
 # A branch that leaves another one has at least so many orbits.
 SHORTEST = 4
 
+# --- attractors -----------------------------------------------------------------------------------
+
+# Values of the parameter at which attractors are sought: the time of each counts.
+VALUES = 8
+# Settled motions that differ by less are one attractor: their tolerances are the default ones.
+SETTLED_ALIKE = 1e-4
+# A motion that comes back so near closes; Newton's method needs no more.
+COMES_BACK = 1e-3
+# Initial displacements beyond the walls, in distances of the walls; of unforced systems, whose
+# equilibrium leads nowhere, also so many of the largest distance, or metres without walls.
+BEYOND_WALLS, DISPLACED = 2.0, (1e-3, 0.03, 1.0, 30.0)
+
+# --- curves of special points ---------------------------------------------------------------------
+
+# Of the scaled unknowns, for derivatives of the condition: that of multipliers has errors of 1e-10.
+CONDITION_DIFFERENCE = 1e-7
+# Largest component of a cusp's tangent along the parameters: at a corner they do not stand still.
+STANDS_STILL = 1e-4
+# Residual of an orbit of the branches' model: that of another model is larger.
+CLOSES = 1e-6
+
 # --- recognition ----------------------------------------------------------------------------------
 
 # Orbits along a branch that are compared with known branches: one may be near a fold, where

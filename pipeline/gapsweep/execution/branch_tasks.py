@@ -36,20 +36,10 @@ from gapsweep.study.spec import BranchesTable
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BranchScene:
-    """What the branches of one scene depend on.
+    """What the branches of one scene depend on."""
 
-    Attributes
-    ----------
-    point : Points
-        One sweep point, whose model, laws and frequency are those of the scene.
-    system : AlongParameter, optional
-        Where the parameter is one of a system: the system as its function.
-    window : Window
-    table : BranchesTable
-    attractors : tuple of Attractor
-    """
-
-    point: Points
+    point: Points  # one sweep point, whose model, laws and frequency are those of the scene
+    # Where the parameter is one of a system: the system as its function.
     system: AlongParameter | None
     window: Window
     table: BranchesTable

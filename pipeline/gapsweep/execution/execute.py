@@ -60,23 +60,12 @@ _CLUSTER_LOST = "the cluster was lost; run again to resume"
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Job:
-    """What one task computes, how often its worker died of it, and its result with a worker.
+    """What one task computes, how often its worker died of it, and its result with a worker."""
 
-    Attributes
-    ----------
-    rows : ndarray of int, shape (n,)
-        All of one representation.
-    claimed : (int, int)
-        First and last number claimed.
-    tiles : list of Tile
-    rest : ndarray of int
-        What follows in their sweeps.
-    """
-
-    rows: Rows
-    claimed: tuple[int, int]
+    rows: Rows  # shape (n,); all of one representation
+    claimed: tuple[int, int]  # first and last number claimed
     tiles: list[Tile]
-    rest: Rows
+    rest: Rows  # what follows in their sweeps
     attempts: int = 0
     losses: int = 0
 

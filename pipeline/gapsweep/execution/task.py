@@ -52,32 +52,22 @@ Ask = Callable[[Points, States], Responses]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Tile:
-    """Sweep points of one kind that are computed together, sweep after sweep.
-
-    Attributes
-    ----------
-    points : Points
-    identity : str
-        Of their kind, as the client says it: it keeps results of the same `software` only. Empty
-        for what is not stored.
-    keys, previous : ndarray of void, shape (n,)
-        Content keys of the points, and of those that they start from.
-    lengths : ndarray of int, shape (m,)
-        Number of points of each sweep, that start where the one before them ends; a fixed start
-        is a sweep of one.
-    states : ndarray, shape (m, n_states)
-        Displacement [m] and velocity [m/s] from which each sweep starts, of a system all of its
-        state; of no meaning for fixed starts, which are among the points' numbers.
-    origins : ndarray of void, shape (m,)
-        Keys of the points whose ends those states are, as of `sweeps.origins`.
-    """
+    """Sweep points of one kind that are computed together, sweep after sweep."""
 
     points: Points
+    # Of their kind, as the client says it: it keeps results of the same `software` only. Empty for
+    # what is not stored.
     identity: str
+    # Shape (n,); content keys of the points, and of those that they start from.
     keys: NDArray[np.void]
     previous: NDArray[np.void]
+    # Shape (m,); number of points of each sweep, that start where the one before them ends; a fixed
+    # start is a sweep of one.
     lengths: NDArray[np.int64]
+    # Shape (m, n_states); displacement [m] and velocity [m/s] from which each sweep starts, of a
+    # system all of its state; of no meaning for fixed starts, which are among the points' numbers.
     states: States
+    # Shape (m,); keys of the points whose ends those states are, as of `sweeps.origins`.
     origins: NDArray[np.void]
 
     def __len__(self) -> int:
@@ -107,21 +97,13 @@ class Tile:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Task:
-    """What a worker is sent; one object, because Dask would search lists for futures.
-
-    Attributes
-    ----------
-    tiles : list of Tile
-    timeout : float
-        Time [s] after which the worker process gives up, and with it all that it held; of
-        points that are computed alone, the time for each.
-    client : (str, int)
-        The client's `process`, which must not end that way.
-    """
+    """What a worker is sent; one object, because Dask would search lists for futures."""
 
     tiles: list[Tile]
+    # Time [s] after which the worker process gives up, and with it all that it held; of points that
+    # are computed alone, the time for each.
     timeout: float
-    client: tuple[str, int]
+    client: tuple[str, int]  # the client's `process`, which must not end that way
 
 
 @dataclass(frozen=True, slots=True, eq=False)

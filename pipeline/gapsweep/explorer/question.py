@@ -119,22 +119,12 @@ def labels(text: str) -> tuple[str, ...]:
 
 @dataclass(frozen=True, slots=True)
 class Dial:
-    """A slider: what it is called, its range and where it starts, in the unit that it shows.
+    """A slider: what it is called, its range and where it starts, in the unit that it shows."""
 
-    Attributes
-    ----------
-    name : str
-        Of the parameter.
-    title, unit : str
-    factor : float
-        SI units in one of the shown.
-    low, high, value : float
-    """
-
-    name: str
+    name: str  # of the parameter
     title: str
     unit: str
-    factor: float
+    factor: float  # SI units in one of the shown
     low: float
     high: float
     value: float

@@ -20,6 +20,7 @@ Array = NDArray[np.float64]
 MAX_POINTS = 10_000
 _LENGTHS = {"m": 1.0, "mm": 1e-3, "um": 1e-6}
 _FORCES = {"N": 1.0, "mN": 1e-3, "kN": 1e3}
+_DECIMAL_COMMA = r"\s*[-+]?\d+,\d+[;\s]+[-+.\d]"  # at the start of a line
 _NO_WALL = 1e-12  # of the other chord: the ratio of two needs both
 
 
@@ -106,21 +107,23 @@ class ForceTable(ContactLaw):
             If the file cannot be read or is no table.
         """
         for name, unit, known in (("x", x, _LENGTHS), ("force", force, _FORCES)):
-            if unit not in known:
+            if not isinstance(unit, str) or unit not in known:
                 raise ModelError(f"{name} = {unit!r}: must be a unit: {', '.join(known)}")
         try:
             lines = Path(path).read_text(encoding="utf-8-sig").splitlines()
-        except (OSError, UnicodeDecodeError) as error:
-            raise ModelError(f"{path}: cannot be read: {error}") from None
+        except (OSError, TypeError, ValueError) as error:
+            raise ModelError(f"{path!s:.200}: cannot be read: {error}") from None
         rows: list[tuple[float, float]] = []
         for number, line in enumerate(lines, 1):
+            where = f"{path}: line {number}: {line:.60}: must be two numbers"
+            if re.match(_DECIMAL_COMMA, line):
+                raise ModelError(f"{where} with decimal points, as -0.4; 12.5")
             first, *others = re.split(r"[,;\s]+", line.strip())
             try:
                 rows.append((float(first) * _LENGTHS[x], float(others[0]) * _FORCES[force]))
             except (ValueError, IndexError):
                 if rows and first[:1] not in ("", "#"):
-                    said = f"{path}: line {number}: {line:.60}: must be two numbers"
-                    raise ModelError(said) from None
+                    raise ModelError(where) from None
         if not rows:
             raise ModelError(f"{path}: no line of two numbers, as -0.4, 12.5")
         places, forces = np.reshape(rows, (-1, 2)).T

@@ -34,23 +34,12 @@ _KEPT = 64  # decoded slabs: neighbouring points are read together
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Found:
-    """Stored results of some of the keys that were asked for.
+    """Stored results of some of the keys that were asked for."""
 
-    Attributes
-    ----------
-    at : ndarray of int, shape (n,)
-        Numbers of these keys, ascending.
-    responses : Responses
-    host : ndarray of str, shape (n,)
-        Machine that computed each.
-    versions : frozenset of str
-        Of Python and the libraries, as text.
-    """
-
-    at: NDArray[np.intp]
+    at: NDArray[np.intp]  # shape (n,); numbers of these keys, ascending
     responses: Responses
-    host: NDArray[np.str_]
-    versions: frozenset[str]
+    host: NDArray[np.str_]  # shape (n,); machine that computed each
+    versions: frozenset[str]  # of Python and the libraries, as text
 
 
 class Cache:

@@ -36,38 +36,22 @@ def _now() -> str:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RunState:
-    """What a run is doing, or how it ended.
+    """What a run is doing, or how it ended."""
 
-    Attributes
-    ----------
-    state : str
-        ``running``, ``finished``, ``interrupted``, ``failed`` or ``died``.
-    study : str
-        Name of the study.
-    cache : str
-        Absolute path of the cache.
-    points, hits, computed, failed : int
-    message : str
-        Why it failed, else empty.
-    host, pid, process_started
-        Where it runs; the start time tells a process from a later one of the same number.
-    started, updated : str
-        UTC.
-    """
-
-    state: str
-    study: str
-    cache: str
+    state: str  # ``running``, ``finished``, ``interrupted``, ``failed`` or ``died``
+    study: str  # name of the study
+    cache: str  # absolute path of the cache
     points: int
     hits: int
     computed: int = 0
     failed: int = 0
-    message: str = ""
+    message: str = ""  # why it failed, else empty
+    # Where it runs; the start time tells a process from a later one of the same number.
     host: str = field(default_factory=platform.node)
     pid: int = field(default_factory=lambda: psutil.Process().pid)
     process_started: float = field(default_factory=lambda: psutil.Process().create_time())
-    started: str = field(default_factory=_now)
-    updated: str = field(default_factory=_now)
+    started: str = field(default_factory=_now)  # UTC
+    updated: str = field(default_factory=_now)  # UTC
 
     def write(self, folder: Path) -> None:
         """Store the state as of now."""

@@ -36,40 +36,21 @@ Numbers = NDArray[np.intp]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Kind:
-    """What the points of a table have in common: all that their results depend on but numbers.
+    """What the points of a table have in common: all that their results depend on but numbers."""
 
-    Attributes
-    ----------
-    representation : str
-        Canonical label, without a protocol.
-    solver : Solver
-    steady : Steady
-    fit_range : float
-        Half-width [m] of the range of fitted laws.
-    start : str
-        ``"fixed"``, or ``"sweep_up"`` or ``"sweep_down"``: from where the point before it ended,
-        the first one from the state in the table.
-    start_jitter : float
-        Added to a fixed initial displacement [m], for exact-against-exact floors.
-    law_code : str, optional
-        Key of a user's own law.
-    structure : Structure or OscillatorStructure
-        The arrays of systems are among the numbers.
-    contacts : tuple of str
-        Label of every contact's law.
-    own : OwnLaw, optional
-        The law of that key; None in a kind that was read from a cache.
-    """
-
-    representation: str
+    representation: str  # canonical label, without a protocol
     solver: Solver
     steady: Steady
-    fit_range: float = FIT_RANGE
+    fit_range: float = FIT_RANGE  # half-width [m] of the range of fitted laws
+    # ``"fixed"``, or ``"sweep_up"`` or ``"sweep_down"``: from where the point before it ended, the
+    # first one from the state in the table.
     start: str = FIXED
+    # Added to a fixed initial displacement [m], for exact-against-exact floors.
     start_jitter: float = 0.0
-    law_code: str | None = None
-    contacts: tuple[str, ...]
-    structure: AnyStructure = _OSCILLATOR
+    law_code: str | None = None  # key of a user's own law
+    contacts: tuple[str, ...]  # label of every contact's law
+    structure: AnyStructure = _OSCILLATOR  # the arrays of systems are among the numbers
+    # The law of that key; None in a kind that was read from a cache.
     own: OwnLaw | None = field(default=None, compare=False, repr=False)
 
     @property
@@ -135,16 +116,11 @@ def _identity(kind: Kind) -> str:
 
 @dataclass(frozen=True, slots=True)
 class Points:
-    """Sweep points of one kind.
-
-    Attributes
-    ----------
-    kind : Kind
-    numbers : ndarray, shape (n, number of columns)
-        Columns as in `Kind.numbers`: N/m, m, m, 1, Hz, then the oscillator's, m, m/s.
-    """
+    """Sweep points of one kind."""
 
     kind: Kind
+    # Shape (n, number of columns); columns as in `Kind.numbers`: N/m, m, m, 1, Hz, then the
+    # oscillator's, m, m/s.
     numbers: NDArray[np.float64]
 
     def __len__(self) -> int:

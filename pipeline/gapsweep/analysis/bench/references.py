@@ -29,24 +29,13 @@ LARGEST_GROWTH = math.exp(3.0)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ScenarioRun:
-    """One motion at its period ends, with its contact times and counts.
-
-    Attributes
-    ----------
-    status : Status
-    section : ndarray, shape (n, 2)
-        ``(x, v)`` at the ends of the forcing periods that it lasted [m], [m/s].
-    t_contacts : ndarray
-        Times of its wall crossings since its start [s].
-    reach : float
-        Largest displacement [m], of both signs.
-    n_contacts, n_steps, n_rejected, nfev : int
-    """
+    """One motion at its period ends, with its contact times and counts."""
 
     status: Status
+    # Shape (n, 2): ``(x, v)`` at the ends of the forcing periods that it lasted [m], [m/s].
     section: Array
-    t_contacts: Array
-    reach: float
+    t_contacts: Array  # times of its wall crossings since its start [s]
+    reach: float  # largest displacement [m], of both signs
     n_contacts: int = 0
     n_steps: int = 0
     n_rejected: int = 0

@@ -25,43 +25,20 @@ _GAP = COORDINATES["gap"][1]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Scenario:
-    """One motion that every method computes.
-
-    Attributes
-    ----------
-    name : str
-    oscillator : Oscillator
-    K_c : float
-        Contact stiffness [N/m].
-    gap : Gap
-    omega : float
-        Forcing frequency [Hz].
-    x_0, v_0 : float
-        Initial state [m], [m/s].
-    n_periods : int
-        Forcing periods of the motion.
-    expected : str or None
-        How the right answer is known; None for work-precision.
-    fit_range : float
-        Half-width of the range of fits [m].
-    without : tuple of str
-        Labels of methods that do not compute it.
-    own : mapping of str to OwnLaw
-        User laws by label.
-    """
+    """One motion that every method computes."""
 
     name: str
     oscillator: Oscillator
-    K_c: float
+    K_c: float  # contact stiffness [N/m]
     gap: Gap
-    omega: float
-    x_0: float
+    omega: float  # forcing frequency [Hz]
+    x_0: float  # initial state [m], [m/s]
     v_0: float
-    n_periods: int
-    expected: str | None
-    fit_range: float
-    without: tuple[str, ...]
-    own: Mapping[str, OwnLaw] = field(default_factory=dict, compare=False)
+    n_periods: int  # forcing periods of the motion
+    expected: str | None  # how the right answer is known; None for work-precision
+    fit_range: float  # half-width of the range of fits [m]
+    without: tuple[str, ...]  # labels of methods that do not compute it
+    own: Mapping[str, OwnLaw] = field(default_factory=dict, compare=False)  # user laws by label
 
     def law(self, representation: str) -> ContactLaw:
         """The contact law of a label without protocol.

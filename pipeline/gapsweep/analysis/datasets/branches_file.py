@@ -53,19 +53,10 @@ OF_STUDY = {
 
 @dataclass(slots=True, kw_only=True)
 class _SceneBranches:
-    """A scene of a study.
+    """A scene of a study."""
 
-    Attributes
-    ----------
-    at : mapping of str to int
-        Its place on the axes.
-    numbers : ndarray of int, shape (n_attractors, 2)
-        Of its periodic attractors: along the parameter, and in ``attractors.nc``.
-    scene : BranchScene
-    found : Followed
-    """
-
-    at: Mapping[str, int]
+    at: Mapping[str, int]  # its place on the axes
+    # Shape (n, 2): of its n attractors, numbers along the parameter and in ``attractors.nc``.
     numbers: NDArray[np.intp]
     scene: BranchScene
     found: Followed
