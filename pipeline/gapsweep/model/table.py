@@ -114,6 +114,8 @@ class ForceTable(ContactLaw):
             raise ModelError(f"{path}: cannot be read: {error}") from None
         rows: list[tuple[float, float]] = []
         for number, line in enumerate(lines, 1):
+            if re.match(r"\s*[-+]?\d+,\d+(\s*;|\s+[^\s,])", line):
+                raise ModelError(f"{path}: line {number}: {line:.60}: write 0.3 in place of 0,3")
             first, *others = re.split(r"[,;\s]+", line.strip())
             try:
                 rows.append((float(first) * _LENGTHS[x], float(others[0]) * _FORCES[force]))
