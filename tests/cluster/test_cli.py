@@ -245,9 +245,12 @@ def test_cache_commands(gapsweep, finished):
     damaged_row(shutil.copytree(finished / "data" / "cache", finished / "copy"))
     copy = ("--cache", "copy")
     done = gapsweep(finished, "cache", "verify", *copy)
-    assert (done.returncode, done.stdout) == (1, "2 intact points, 1 damaged segments\n")
+    # Runs begin at a random point, so segments hold one to three of the four points.
+    n = int(done.stdout.split()[0])
+    assert 0 < n < 4
+    assert (done.returncode, done.stdout) == (1, f"{n} intact points, 1 damaged segments\n")
     again = gapsweep(finished, "run", "tiny.toml", *copy)
-    assert again.stdout.startswith("4 points: 2 from the cache, 2 computed\n")
+    assert again.stdout.startswith(f"4 points: {n} from the cache, {4 - n} computed\n")
     assert again.stderr.count(".seg: damaged, ") == 1
     assert gapsweep(finished, "cache", "verify", *copy).returncode == 0
 
