@@ -3,8 +3,10 @@
 import os
 import subprocess
 import sys
+import tempfile
 import threading
 import time
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -326,7 +328,7 @@ gs.run(study, out="out", cache="cache", workers=1).close()
 
 def test_a_run_serves_no_page_and_leaves_no_temporary_file(tables, tmp_path):
     """Though its processes end with a kill, and the code of the study has a folder of its own."""
-    (tmp_path / "temporary").mkdir()
+    temporary = Path(tempfile.mkdtemp())  # short: sockets have paths of 107 characters at most
     (tmp_path / "own.py").write_text("def soft(x):\n    return 1e4 * x\n")
     (tmp_path / "own.toml").write_text(
         '[study]\nname = "own"\n'
@@ -336,7 +338,7 @@ def test_a_run_serves_no_page_and_leaves_no_temporary_file(tables, tmp_path):
     )
     done = subprocess.run(
         [sys.executable, "-c", _LEFTOVERS], cwd=tmp_path, capture_output=True, text=True,
-        env=os.environ | {"TMPDIR": str(tmp_path / "temporary")}, timeout=120,
+        env=os.environ | {"TMPDIR": str(temporary)}, timeout=120,
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
     answers = [line.split() for line in done.stdout.splitlines()]
@@ -344,6 +346,7 @@ def test_a_run_serves_no_page_and_leaves_no_temporary_file(tables, tmp_path):
     assert off == [["404", "404"]] * 4, done.stdout
     assert ["True", "/status", "200"] in [line[:3] for line in answers], done.stdout
     deadline = time.monotonic() + 10.0
-    while left := sorted(path.name for path in (tmp_path / "temporary").iterdir()):
+    while left := sorted(path.name for path in temporary.iterdir()):
         assert time.monotonic() < deadline, left
         time.sleep(0.05)
+    temporary.rmdir()

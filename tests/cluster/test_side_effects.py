@@ -62,7 +62,9 @@ before = json.loads(json.dumps(state(), default=str))
 import gapsweep as gs
 law = gs.Piecewise(1.4e4, gs.Gap(4e-4, 4e-4))
 block = {"representation": ["piecewise"], "K_c": 1.4e4, "gap": [4e-4, 4e-4], "omega": [9.0, 12.0]}
-study = {"study": {"name": "small"}, "sweep": [block | {"representation": REPRESENTATIONS}]}
+machine = {"mass": 3.0, "omega_n": 5.0, "zeta": 0.03, "forcing": 4.0}
+block |= {"representation": REPRESENTATIONS}
+study = {"study": {"name": "small"}, "oscillator": machine, "sweep": [block]}
 if what != "import":
     gs.respond(gs.systems.paper_oscillator(), law, 9.0)
 if what == "run":

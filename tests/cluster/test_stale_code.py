@@ -52,8 +52,8 @@ def wall(x, gap):
     "late.py": "LATE = 1.0\n",
     "k.csv": "1.0e4\n",
     "made.py": """
-def scaled(function):
-    return lambda x, factor=1.0: factor * function(x)
+def scaled(function, factor=1.0):
+    return lambda x: factor * function(x)
 """,
     "__init__.py": "",
 }

@@ -480,3 +480,29 @@ def test_a_stop_below_only_is_the_mirror_image_of_one_above_only():
     x = np.linspace(-1e-3, 1e-3, 101)
     np.testing.assert_allclose(below.exact.force(x), -above.exact.force(-x), atol=1e-9)
     np.testing.assert_allclose(gs.static_error(below, 1e-3), gs.static_error(above, 1e-3))
+
+
+@pytest.mark.parametrize("line", ["-0,30;-60", "-300,5\t-60", "0,3 60,5"])
+def test_decimal_commas_of_a_file_are_refused_and_not_read_as_separators(line, tmp_path):
+    path = tmp_path / "stop.csv"
+    path.write_text(f"x;F\n{line}\n")
+    with pytest.raises(gs.ModelError, match=r"stop\.csv: line 2: .*decimal points"):
+        gs.ForceTable.from_csv(path)
+
+
+@pytest.mark.parametrize("line", ["-0.3,-60", "-1,-60, 5", "-1 , -60", "-1,-60", "-1; -60"])
+def test_separators_of_columns_are_no_decimal_commas(line, tmp_path):
+    path = tmp_path / "stop.csv"
+    path.write_text(f"{line}\n0.3, 60\n")
+    assert gs.ForceTable.from_csv(path).F[0] == -60.0
+
+
+def test_a_block_of_tables_lacks_no_stiffness_if_something_else_is_wrong(tmp_path):
+    (tmp_path / "stop.csv").write_text("-0.3,-60\n0.3,60\n")
+    (tmp_path / "study.toml").write_text(
+        '[study]\nname = "t"\n[oscillator]\nmass = 1.0\nomega_n = 1.0\nforcing = 1.0\n'
+        '[[sweep]]\nrepresentation = "stop.csv:mm"\nomega = 1.0\n'
+    )
+    with pytest.raises(gs.StudyError, match="zeta") as refused:
+        gs.Study.load(tmp_path / "study.toml")
+    assert "K_c" not in str(refused.value)

@@ -455,7 +455,7 @@ def _missing(tables: Any, source: str) -> list[str]:
     blocks = tables.get("sweep") if given else None
     return [
         f"{source}: sweep[{i}].{name}: missing; write {EXAMPLES[name]}"
-        for i, block in enumerate(blocks if isinstance(blocks, list) else [])
+        for i, block in enumerate(map(_with_walls, blocks if isinstance(blocks, list) else []))
         for name in ("K_c", "omega")
         if isinstance(block, dict) and name not in block
     ]
