@@ -425,3 +425,34 @@ def test_beyond_its_torus_the_two_masses_are_chaotic():
     found = gs.respond(system, law, 0.0966, q_0=[0.5, 0.1])
     assert found.response_class == gs.ResponseClass.CHAOTIC
     assert found.lyapunov > 5.0 * found.lyapunov_error
+
+
+@pytest.mark.parametrize("stiffness", [1.0, 1e-3])
+def test_a_mass_that_walls_hold_has_the_default_tolerance_of_the_same_oscillator(stiffness):
+    """A soft spring alone would let it move 4 m and 4 km."""
+    wall = gs.Piecewise(1e5, gs.Gap(1e-4, 1e-4))
+    system = gs.System(
+        mass=[[1.0]],
+        stiffness=[[stiffness]],
+        damping=[[5.0]],
+        contacts={"stop": [1.0]},
+        forcing=[gs.Harmonic(amplitude=[4.0])],
+    )
+    oscillator = gs.Oscillator(
+        mass=1.0, omega_n=math.sqrt(stiffness) / (2.0 * math.pi), zeta=0.0, c=5.0, forcing=4.0
+    )
+    own = gs.law(held_by_hard_walls, 10.0, gs.Gap(1.0, 1.0))
+    tight = gs.respond(system, wall, omega=20.0, atol=1e-14)
+    assert tight.status == gs.Status.OK
+    for found in (
+        gs.respond(system, wall, omega=20.0),
+        gs.respond(oscillator, wall, omega=20.0),
+        gs.respond(system, own, omega=20.0),
+    ):
+        assert found.status == gs.Status.OK
+        assert found.atol < 1e-12
+        assert found.amplitude == pytest.approx(tight.amplitude, rel=1e-8)
+
+
+def held_by_hard_walls(x):
+    return 1e5 * (x - 1e-4 if x > 1e-4 else x + 1e-4 if x < -1e-4 else 0.0)

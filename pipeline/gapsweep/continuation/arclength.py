@@ -37,7 +37,7 @@ class Half:
     references: list[Reference] = field(default_factory=list)  # of each orbit but the first
     crossings: dict[int, Orbit] = field(default_factory=dict)  # by the orbit before the step
     end: str = ""  # why it ends
-    has_kink: bool = False  # whether it was searched behind a kink
+    kinks: list[Orbit] = field(default_factory=list)  # orbits behind which it was searched
 
     def step(self, i: int) -> Step:
         """From the i-th orbit to the next one."""
@@ -141,9 +141,11 @@ class Continuation:
     def _ahead(self, half: Half, orbit: Orbit | None, reference: Reference) -> Orbit | None:
         """The next orbit where steps are at their smallest; a half without one ends."""
         last = half.orbits[-1]
-        behind = self._behind_kink(half.orbits, reference)
+        # A branch that comes back to a kink has turned round there.
+        is_first = all(_way(last, kink) > limit.SAME_KINK for kink in half.kinks)
+        behind = self._behind_kink(half.orbits, reference) if is_first else None
         if behind is not None:
-            half.has_kink = True
+            half.kinks.append(last)
             return behind
         if (
             orbit is not None
@@ -205,7 +207,7 @@ class Continuation:
             return "window"
         if self.equations.has_period and self._ends_at_equilibrium(half):
             return "equilibrium"
-        if half.has_kink and _is_passed(half.orbits[:-1], last):  # it has turned round at a kink
+        if half.kinks and _is_passed(half.orbits[:-1], last):  # it has turned round at a kink
             del half.orbits[-1], half.references[-1]
             return "step_too_small"
         closing = self._closing(first, half) if len(half.orbits) >= limit.SHORTEST_LOOP else None
@@ -311,6 +313,11 @@ def _between(before: Orbit, orbit: Orbit, last: Orbit) -> float | None:
     ends = [np.array([*o.parameters, o.period, *o.x_max, *o.x_min]) for o in (before, last, orbit)]
     scale = np.maximum(np.abs(ends[0]), np.abs(ends[1])) + np.finfo(float).tiny
     return _share(*(each / scale for each in ends))
+
+
+def _way(one: Orbit, other: Orbit) -> float:
+    """Largest difference of the unknowns of two orbits."""
+    return float(np.abs(one.unknowns - other.unknowns).max())
 
 
 def _is_passed(orbits: Sequence[Orbit], orbit: Orbit) -> bool:

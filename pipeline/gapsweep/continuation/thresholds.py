@@ -49,6 +49,8 @@ CHANGE, INNER, FAST = 0.4, 0.7, 1e-4
 EDGE, NEAR_EDGE = 1e-12, 1e-6
 # Distances at which the branch is searched behind a kink, and how far from there it may be.
 BEHIND, ASTRAY = (1e-7, 1e-6, 1e-5, 1e-4, 1e-3), 3.0
+# Steps stop so near a kink that two which end closer to each other have met the same one.
+SAME_KINK = 1e-5
 # An orbit so near the chord of a step, as a share of it, lies between its ends: a tangent that
 # turns by TURN leaves the chord by a twenty-fifth.
 ON_CHORD = 0.1

@@ -18,6 +18,7 @@ from gapsweep.model.contact import ContactLaw, Piecewise, Tanh, checked_law
 from gapsweep.model.oscillator import Oscillator, checked
 from gapsweep.model.structure import general_form
 from gapsweep.model.system import System
+from gapsweep.model.table import ForceTable
 from gapsweep.model.user_law import UserLaw
 
 Array = NDArray[np.float64]
@@ -128,19 +129,24 @@ class Models:
     def absolute(self, solver: "Solver") -> Array:
         """Absolute tolerances [m], shape (n,): by default `rtol` times the length of each problem.
 
-        That is the static deflection under all loads, of an oscillator held up by its farther wall.
-        Of what is not loaded it is the initial displacement (or the velocity times the time of a
-        radian), else the distance of the farther wall. It does not depend on other rows.
+        That is the static deflection under all loads, of a single coordinate held up by its farther
+        wall or own law. Of what is not loaded it is the initial displacement (or the velocity times
+        the time of a radian), else the distance of the farther wall. Other rows have no effect.
         """
         if solver.atol is not None:
             return np.full(len(self), solver.atol)
         farther = self.of_laws(lambda law: max(law.gap.j_1, law.gap.j_2)).max(axis=1, initial=0.0)
-        softer = self.of_laws(lambda law: law.K_c * min(1.0, law.K_ratio)).max(axis=1, initial=0.0)
-        spring = self.of_systems(
-            lambda one: one.mass * one.omega_n_rad**2 if isinstance(one, Oscillator) else math.inf
-        )
+        softer = self.of_laws(_stiffness).max(axis=1, initial=0.0)
+        spring = self.of_systems(_spring)
         length = self.of_systems(attrgetter("deflection"))
         length = length - np.maximum(length - farther, 0.0) * (softer / (spring + softer))
+        for number, laws in enumerate(self.laws):
+            rows = np.flatnonzero((self.law == number) & np.isfinite(spring) & (length > 0.0))
+            if len(laws) == 1 and isinstance(laws[0], UserLaw | ForceTable) and rows.size:
+                x, load = length[rows], spring[rows] * length[rows]
+                with np.errstate(all="ignore"):  # far from where the law is meant for
+                    force = np.minimum(abs(laws[0].force(x)), abs(laws[0].force(-x)))
+                    length[rows] = np.where(np.isfinite(force), x * load / (load + force), x)
         if not length.all():
             rate = [2.0 * math.pi * (one.slowest or one.fastest or 1.0) for one in self.systems]
             units = np.array([one.unit(w) for one, w in zip(self.systems, rate, strict=True)])
@@ -152,6 +158,18 @@ class Models:
     def with_laws(self, value: Callable[[Laws], Laws]) -> "Models":
         """The same rows with other laws."""
         return replace(self, laws=[value(laws) for laws in self.laws])
+
+
+def _spring(system: Model) -> float:
+    """Linear stiffness [N/m] of a single coordinate; infinite for several, which walls may miss."""
+    if isinstance(system, Oscillator):
+        return system.mass * system.omega_n_rad**2
+    return abs(float(system.stiffness[0, 0])) if system.n == 1 else math.inf
+
+
+def _stiffness(law: ContactLaw) -> float:
+    """Stiffness [N/m] of the softer wall; zero for laws of the user, whose `K_c` says nothing."""
+    return 0.0 if isinstance(law, UserLaw | ForceTable) else law.K_c * min(1.0, law.K_ratio)
 
 
 def _integrated(system: Model) -> Model:

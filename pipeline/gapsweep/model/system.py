@@ -369,14 +369,20 @@ class System:
     def deflection(self) -> float:
         """Largest static displacement under all loads [m], in the scale of `unit`, about.
 
-        Cubic springs are left out; an inertial load moves a free mass.
+        Cubic springs of several coordinates are left out; an inertial load moves a free mass.
         """
         matrices = self.stiffness, self.mass
         places = [
             np.linalg.lstsq(matrices[load.inertial], load.amplitude)[0] for load in self.forcing
         ]
         scale = np.sqrt(np.diag(self.mass).min() / np.diag(self.mass))
-        return sum(float((np.abs(place) / scale).max()) for place in places)
+        length = sum(float((np.abs(place) / scale).max()) for place in places)
+        if self.n == 1 and self.cubic:
+            spring = abs(float(self.stiffness[0, 0]))
+            cubic = sum(abs(each.alpha) * float(each.along[0]) ** 4 for each in self.cubic)
+            whole = spring + math.cbrt(cubic * (spring * length) ** 2)
+            length *= spring / whole if whole else 1.0
+        return length
 
     def unit(self, omega_rad: ArrayLike) -> Array:
         """Return the scale of every state for a motion of one metre, shape (n_states, ...).
