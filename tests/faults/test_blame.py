@@ -69,7 +69,7 @@ def test_only_a_users_law_can_be_one_that_numba_does_not_compile(client, one_poi
     assert ours.message == "LoweringError: out of registers"
     assert compiles.status == gs.Status.ERROR
     one_point["sweep"][0]["representation"] = [*labels, f"{LAWS}:leaving"]
-    with pytest.raises(gs.StudyError, match=f"study: {LAWS}:leaving: numba cannot compile it"):
+    with pytest.raises(gs.StudyError, match=f"{LAWS}:leaving: its process ended with exit code 7"):
         run(one_point, tmp_path, client)
     one_point["sweep"][0]["representation"] = labels[:1]
     ds = run(one_point, tmp_path, client, retry_failed=True)
@@ -106,12 +106,12 @@ def test_no_point_is_timed_out_for_its_machine_code(one_point, tmp_path):
 
 
 def test_no_point_alone_is_timed_out_for_what_it_loads(tmp_path):
-    (tmp_path / "slow_to_load.py").write_text("import time\ntime.sleep(3)\ndef law(x): return x\n")
+    (tmp_path / "slow_to_load.py").write_text("import time\ntime.sleep(7)\ndef law(x): return x\n")
     own, solver = OwnLaw.of("slow_to_load:law", [tmp_path]), Solver.of("scipy", 1e-3)
     given = {"representation": own.label, "law_code": own.key, "own": own}
     settings = {"contacts": (own.label,), "solver": solver, "steady": gs.Steady(t_max=1.0)}
     kind = Kind(**given, **settings)
-    with Isolated(2.0) as isolated:
+    with Isolated(5.0) as isolated:  # an orbit of rtol 1e-3 is confirmed at 1e-9
         response = response_of(isolated, points(1.0, kind=kind), np.zeros(2)).row(0)
     assert response.status < gs.Status.TIMED_OUT
 

@@ -322,6 +322,9 @@ def warm_up(tile: Tile) -> None:
     """Load or compile what the first point of a tile needs, before its time counts."""
     first = slice(1)
     if tile.points.kind.solver.engine != "compiled":  # a law that hangs has the time of a point
+        if tile.points.kind.own is not None:
+            with suppress(ModelError):  # said again with its points
+                tile.points.kind.own.load()
         return
     (rows, models), _ = models_of(tile.points.take(first))
     if rows.size:

@@ -139,7 +139,8 @@ class Models:
         softer = self.of_laws(_stiffness).max(axis=1, initial=0.0)
         spring = self.of_systems(_spring)
         length = self.of_systems(attrgetter("deflection"))
-        length = length - np.maximum(length - farther, 0.0) * (softer / (spring + softer))
+        held = softer / np.maximum(spring + softer, np.finfo(float).tiny)
+        length = length - np.maximum(length - farther, 0.0) * held
         for number, laws in enumerate(self.laws):
             rows = np.flatnonzero((self.law == number) & np.isfinite(spring) & (length > 0.0))
             if len(laws) == 1 and isinstance(laws[0], UserLaw | ForceTable) and rows.size:
