@@ -316,7 +316,7 @@ def gear_study(omega, ratio):
 
 def oscillator_study(omega, ratio):
     block = {"K_c": 1.4e4, "gap": [4e-4, 4e-4], "omega": omega, "K_ratio": ratio}
-    return {"sweep": [{"representation": "piecewise", **block}]}
+    return {"oscillator": PAPER, "sweep": [{"representation": "piecewise", **block}]}
 
 
 @pytest.mark.parametrize("ratio", [0.0, 1.0])
