@@ -129,8 +129,7 @@ class Models:
     def absolute(self, solver: "Solver") -> Array:
         """Absolute tolerances [m], shape (n,): by default `rtol` times the length of each problem.
 
-        That is the static deflection under all loads, of a single coordinate held up by its farther
-        wall or own law. Of what is not loaded it is the initial displacement (or the velocity times
+        That is the static deflection under all loads, held up by the farther wall or an own law. Of what is not loaded it is the initial displacement (or the velocity times
         the time of a radian), else the distance of the farther wall. Other rows have no effect.
         """
         if solver.atol is not None:
@@ -141,6 +140,14 @@ class Models:
         length = self.of_systems(attrgetter("deflection"))
         held = softer / np.maximum(spring + softer, np.finfo(float).tiny)
         length = length - np.maximum(length - farther, 0.0) * held
+        if self.systems[0].n > 1:  # walls may hold what its springs do not
+            for number, kind in {*zip(self.system.tolist(), self.law.tolist(), strict=True)}:
+                system, laws = self.systems[number], self.laws[kind]
+                rows = np.flatnonzero((self.system == number) & (self.law == kind))
+                walls = np.zeros((system.n, system.n))
+                for b, law in zip(system.contacts.values(), laws, strict=True):
+                    walls += _stiffness(law) * np.outer(b, b)
+                length[rows] = np.minimum(length[rows], system.held(walls) + farther[rows])
         for number, laws in enumerate(self.laws):
             rows = np.flatnonzero((self.law == number) & np.isfinite(spring) & (length > 0.0))
             if len(laws) == 1 and isinstance(laws[0], UserLaw | ForceTable) and rows.size:

@@ -367,11 +367,17 @@ class System:
 
     @property
     def deflection(self) -> float:
-        """Largest static displacement under all loads [m], in the scale of `unit`, about.
+        """`held` by no wall [m]."""
+        return self.held(np.zeros_like(self.stiffness))
+
+    def held(self, walls: Array) -> float:
+        """Largest static displacement under all loads [m], with further stiffness [N/m], about.
+
+        In the scale of `unit`.
 
         Cubic springs of several coordinates are left out; an inertial load moves a free mass.
         """
-        matrices = self.stiffness, self.mass
+        matrices = self.stiffness + walls, self.mass
         places = [
             np.linalg.lstsq(matrices[load.inertial], load.amplitude)[0] for load in self.forcing
         ]
