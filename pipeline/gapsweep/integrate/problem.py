@@ -129,8 +129,9 @@ class Models:
     def absolute(self, solver: "Solver") -> Array:
         """Absolute tolerances [m], shape (n,): by default `rtol` times the length of each problem.
 
-        That is the static deflection under all loads, held up by the farther wall or an own law. Of what is not loaded it is the initial displacement (or the velocity times
-        the time of a radian), else the distance of the farther wall. Other rows have no effect.
+        That is the static deflection under all loads, held up by the farther wall or an own law. Of
+        what is not loaded it is the initial displacement (or the velocity times the time of a
+        radian), else the distance of the farther wall. Other rows have no effect.
         """
         if solver.atol is not None:
             return np.full(len(self), solver.atol)
