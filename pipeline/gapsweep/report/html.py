@@ -246,7 +246,7 @@ def _hero(responses: xr.Dataset, found: Sequence[Contact]) -> dict[str, Any] | N
 
 
 def _telling(contact: Contact) -> list[Judged]:
-    """The cheapest approximation of each verdict, firm if any; best and worst if all are alike."""
+    """The first approximation of each verdict, firm if any; best and worst if all are alike."""
     columns = ([one for one in laws if one.is_approximation] for laws in contact.columns.values())
     shown = [next((one for one in laws if one.is_firm), laws[0]) for laws in columns if laws]
     if len(shown) > 1:
