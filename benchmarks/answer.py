@@ -259,7 +259,7 @@ def written(page: Path, name: str, text: str) -> None:
 
 
 def main(folder: Path) -> None:
-    run = Run({path.stem: gs.open(path) for path in folder.glob("*.nc")})
+    run = Run({path.stem: gs.open(path, lazy=True) for path in folder.glob("*.nc")})
     about = run["agreement"].attrs
     (ROOT / "docs" / "answer.md").write_text(page(run).rstrip("\n") + "\n")
     claims = json.loads((folder / "claims.json").read_text())

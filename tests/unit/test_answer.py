@@ -5,11 +5,18 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import xarray as xr
+from benchmarks.answer import finding, page, signs
 from numpy.testing import assert_allclose
 from tests.made import chaotic, datasets, datasets_by_place, failed, periodic, tables, unresolved
+from workflows.paper import scenes
+from workflows.paper.answer import SCIPY_AS_WRITTEN, SCIPY_BY_MODE, answer
+from workflows.paper.answer import judged as judged_of
+from workflows.paper.figures import sections
 
 from gapsweep.analysis.agreement.comparison import agreement
-from gapsweep.analysis.datasets.timing import repeatability, widened
+from gapsweep.analysis.claims import Run
+from gapsweep.analysis.datasets.timing import repeatability, timing, widened
 from gapsweep.report.answer import (
     COLUMNS,
     Contact,
@@ -416,3 +423,153 @@ def test_pairs_are_counted_by_verdict(responses):
     assert "3 pairs of case and approximation: 2 use, 0 with care, 1 no." in found_in(
         responses, contact(*laws)
     )
+
+
+# ---- The paper's answer: README, docs/answer.md and the report from one run ------------------
+
+CASES = (
+    scenes.VERY_SOFT_SYMMETRIC, scenes.SOFT_ASYMMETRIC, scenes.SOFT_SYMMETRIC, scenes.SOFT_LARGE,
+    scenes.HARD_ASYMMETRIC, scenes.HARD_SYMMETRIC,
+)  # fmt: skip
+EXACT_LAWS = ("piecewise", "piecewise@half", "piecewise@jitter", "piecewise-noevents")
+SMOOTH = (*scenes.WEAK, "tanh-1e6", "tanh-1e9")
+# Distances from the true motion after four periods, in gap widths; by location and protocol.
+DISTANCES = {
+    "truth": 0.0,
+    "piecewise-noevents@paper": 4e-3,
+    "piecewise@paper": 2e-3,
+    "piecewise@paper-mode": 2e-4,
+}
+
+
+def papers_tables():
+    """A study like the paper's: every case, and Table 2 with the paper's solver."""
+    sweeps = [
+        ((*EXACT_LAWS, *SMOOTH), case) for case in CASES
+    ] + [
+        (tuple(f"{law}@paper" for law in ("piecewise", *laws)), scenes.TABLE_CASES[grade])
+        for grade, laws in (("weak", scenes.WEAK), ("strong", scenes.STRONG))
+    ]  # fmt: skip
+    blocks = []
+    for labels, (K_c, gap) in sweeps:
+        walls = [1e-3 * float(j) for j in gap.split("/")]
+        blocks += tables(labels, OMEGA, gap=walls)["sweep"]
+        blocks[-1]["K_c"] = [K_c]
+    protocols = {"half": {"rtol": 5e-10}, "jitter": {"start_jitter": 1e-9}, "paper": {"rtol": 1e-4}}
+    return tables(["piecewise"], OMEGA, protocol=protocols) | {"sweep": blocks}
+
+
+@pytest.fixture(scope="module")
+def papers_responses(tmp_path_factory):
+    """Laws err less with their parameter, and more with the stiffness of the wall."""
+    study = Study.from_dict(papers_tables())
+    grid = study.grid
+    rng = np.random.default_rng(3)
+
+    def at(place):
+        label, K_c = grid.representations[place["representation"]], grid.K_c[place["K_c"]]
+        law = label.partition("@")[0]
+        sharpness = {"tanh": 4.0, "arctan": 2.0}.get(law.partition("-")[0], 0.2)
+        error = 0.0
+        if not law.startswith("piecewise"):
+            power = float(law[-1]) if law[-3:-1] == "1e" else 4.0
+            error = 0.02 * K_c / 10.0**power / sharpness
+        size = 1e-3 * (1.0 + error)
+        cost = {"cpu_time": rng.uniform(0.1, 0.3), "nfev": int(100 * (1.0 + error))}
+        return periodic([(size, 0.0)], grid.omega[place["omega"]], **cost)
+
+    return datasets_by_place(tmp_path_factory.mktemp("paper"), study, at)
+
+
+def papers_run(responses, attractors):
+    """A run with these datasets, made-up motions and force errors."""
+    starts, size = list(scenes.STARTS), (2, 9, 4)
+    apart = np.array(list(DISTANCES.values())).reshape(-1, 1, 1, 1) * 8e-4
+    dims = ("representation", "start", "omega", "sample")
+    x = xr.Dataset(
+        {"x": (dims, np.broadcast_to(apart, (len(DISTANCES), *size))), "width": ((), 8e-4)},
+        {"representation": list(DISTANCES), "start": starts},
+    )
+    compared = agreement(responses, attractors)
+    here = compared[["K_c", "gap", "representation"]]
+    sizes = [here.sizes[name] for name in ("representation", "K_c", "gap")]
+    static = xr.Dataset(
+        {
+            "tanh_threshold": (("K_c", "gap"), np.full(sizes[1:], 7e4)),
+            "force_error_ratio": (("representation", "K_c", "gap"), np.full(sizes, 1e-4)),
+        },
+        here.coords,
+    )
+    compared.attrs |= {"study": "paper", "created": "2026-01-01", "machine": "one"}
+    return Run({"responses": responses, "agreement": compared, "motions": x, "static": static})
+
+
+@pytest.fixture(scope="module")
+def papers(papers_responses):
+    return papers_run(*papers_responses)
+
+
+def factors(text):
+    """All numbers in front of a word that makes them factors."""
+    return [float(n) for n in re.findall(r"([\d.]+)(?:-fold| times| by mode| with one)", text)]
+
+
+def test_readme_answer_page_and_report_of_one_run_agree(papers):
+    """Counts and factors of the README follow from the page, whose sentences the report has."""
+    short, (first, second, third, *_), whole = finding(papers), answer(papers), page(papers)
+    assert all(sentence in whole for sentence in answer(papers))
+    assert next(sections(papers)).sentences == answer(papers)
+    assert len(short.split()) <= 60
+    # The table of signs gives the counts.
+    rows = [line.strip("| \n").split(" | ") for line in whole.split("\n") if line.startswith("| `")]
+    rows = rows[: next(i for i, row in enumerate(rows) if "noevents" in row[0])]
+    for words, families in ("tanh", ("tanh",)), ("polynomials", ("poly", "ratpoly")):
+        own = [row for row in rows if row[0].strip("`").startswith(families)]
+        n = sum(any(row[i + 1][:1] in ("✓", "=") for row in own) for i in range(len(CASES)))
+        assert re.search(rf"{words}[^.,]* in {n}\b", short)
+        assert re.search(rf"{words}[^.,]* in {n}\b", third)
+    # From the made-up distances: 20 by mode, 2 with one expression; scipy's are typed in.
+    assert "20 times smaller than without" in first
+    assert "makes it 2.0 times smaller" in first
+    least, most = factors(short)
+    assert least <= min(20.0, *SCIPY_BY_MODE)
+    assert most >= max(2.0, *SCIPY_AS_WRITTEN)
+    for text in (short, second):
+        assert "0.1 %" in text
+        assert "ε ≥ 30 K_c/p" in text
+    for contact in judged_of(papers):
+        for one in contact.laws:
+            said = f"`{one.law}` | {one.verdict}"
+            assert said in whole[whole.index(f"### {contact.place}") :]
+
+
+def test_a_study_without_the_force_as_written_says_less(papers):
+    """As before both settings were computed: the gain by mode, and no gain by location."""
+    old = dict(papers.datasets)
+    old["motions"] = old["motions"].sel(representation=["truth", *list(DISTANCES)[1:3]])
+    first = answer(Run(old))[0]
+    assert "2 times smaller than without" in first
+    assert "Eq. 1b" not in first
+
+
+def test_a_second_run_on_a_busy_machine_changes_no_sentence(papers, papers_responses):
+    """Every processor time is half to twice as long, each law in each case by its own factor."""
+
+    def texts(run):
+        found = judged_of(run)
+        inputs = Inputs(run["responses"], timing(run["responses"]), run["agreement"])
+        without_times = page(run).partition("**(b)")[0]
+        said = (finding(run), *answer(run), *in_words(found), *findings(inputs, found))
+        return *said, signs(found), without_times
+
+    responses, attractors = papers_responses
+    rng = np.random.default_rng(11)
+    for _ in range(3):
+        busy = responses.copy(deep=True)
+        sizes = [busy.sizes[name] for name in ("representation", "K_c", "gap")]
+        slower = xr.DataArray(rng.uniform(0.5, 2.0, sizes), dims=("representation", "K_c", "gap"))
+        busy["cpu_time"] = (busy["cpu_time"] * slower).transpose(*busy["cpu_time"].dims)
+        again = papers_run(busy, attractors)
+        name = "cpu_time_per_period_ratio"
+        assert not np.allclose(again["agreement"][name], papers["agreement"][name], equal_nan=True)
+        assert texts(again) == texts(papers)

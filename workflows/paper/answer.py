@@ -27,7 +27,7 @@ from .scenes import (
 
 # benchmarks/one_method.py, scipy's RK45 from both initial conditions, 55 frequencies: how many
 # times the error falls.
-SCIPY_BY_MODE, SCIPY_AS_WRITTEN = (13.0, 28.0), (1.9, 3.2)
+SCIPY_BY_MODE, SCIPY_AS_WRITTEN = (12.0, 27.0), (1.7, 3.1)
 ENOUGH = 1e-3  # force error over forcing; docs/explanation/rule.md
 SHARPNESS = 30.0  # epsilon of tanh in K_c over the forcing
 FITS = ("poly", "ratpoly")
@@ -60,15 +60,15 @@ def answer(run: Run) -> list[str]:
     by_mode, as_written = gains(run)
     found, shifted = judged(run), f"{EXACT}@jitter"
     fits = ", ".join(one.place for one in found if count([one], *FITS))
-    alone = as_written and (
-        f" Location alone, with the force as one expression of the displacement (the paper's "
+    written = as_written and (
+        f" Location with the force as one expression of the displacement (the paper's "
         f"Eq. 1b), makes it {spread(as_written, '.1f')} times smaller."
     )
     return [
         f"Write the contact force by contact mode, locate every contact and switch the mode there: "
         f"at the paper's tolerance the error after four forcing periods is "
         f"{spread(by_mode, '.0f')} times smaller than without location (hard contact, 0/0.8 mm)."
-        f"{alone or ''} With scipy's RK45 the factors are {spread(SCIPY_BY_MODE, '.0f')} by mode "
+        f"{written or ''} With scipy's RK45 the factors are {spread(SCIPY_BY_MODE, '.0f')} by mode "
         f"and {spread(SCIPY_AS_WRITTEN, '.1f')} with one expression.",
         f"A smooth law is accurate enough if its force error, the root mean square over the "
         f"displacements that occur, is below {percent(ENOUGH)} of the forcing p; for tanh, if "
