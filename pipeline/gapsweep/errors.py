@@ -1,4 +1,4 @@
-"""Every error that gapsweep raises on purpose.
+"""The exception classes of gapsweep.
 
 ::
 
@@ -16,9 +16,9 @@ fails numerically raises nothing: its `Status` is part of the result.
 import signal
 from collections.abc import Sequence
 
-# Ctrl-C, the end of a batch job and that of a terminal: what a run stops at, to be resumed later.
+# Signals of Ctrl-C, of the end of a batch job and of a terminal: a run stops and can be resumed.
 STOPPING = signal.SIGINT, signal.SIGTERM, getattr(signal, "SIGHUP", signal.SIGTERM)
-_LONGEST = 300  # characters of an error that is somebody else's
+_LONGEST = 300  # characters of an error that other code has raised
 _CONTROL = dict.fromkeys({*range(32), *range(127, 160)} - {*b"\t\n"})
 _MOST = 100  # problems of a study that are listed
 
@@ -59,12 +59,12 @@ class ClusterError(GapsweepError, RuntimeError):
 
 
 def printable(text: str) -> str:
-    """A text of anybody's without control characters but tabs and ends of lines."""
+    """The text without control characters, except tabs and line ends."""
     return text.translate(_CONTROL)
 
 
 def described(error: BaseException) -> str:
-    """Kind and first line of an error, whatever the user's code has raised."""
+    """Class name and first line of the message of an error, safe for errors of user code."""
     name = type(error).__name__
     try:
         first = str(error).splitlines()[:1]
