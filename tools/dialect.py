@@ -4,8 +4,8 @@
 
 Read are strings with a space (messages, attributes, help), pages, templates and comments of
 studies; of the package also all docstrings and comments. Code in pages is not read. A docstring
-must begin with what is returned or done: `FIRST` lists beginnings that do not. The exit code is 1
-if a word is found.
+must begin with what is returned or done: `DOCSTRING` lists beginnings that do not. The exit code
+is 1 if a word is found.
 """
 
 import ast

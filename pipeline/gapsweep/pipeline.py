@@ -1,4 +1,4 @@
-"""The calls on a study and on the folders of its runs.
+"""Functions that compute a study, and read or rewrite the files of its runs.
 
 A run goes from the sweep points over a plan to stored responses, and then from file to file; each
 step reads what the one before it stored.
@@ -63,7 +63,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """The result of a run."""
+    """Outcome of a run: its folder, counts of points, failures and warnings."""
 
     folder: Path
     progress: Progress

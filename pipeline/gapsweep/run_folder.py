@@ -184,10 +184,10 @@ def _linked(path: Path) -> Iterator[Path]:
 
 
 def is_of_run(path: Path) -> bool:
-    """Whether a file was made from the responses in its folder, or from their study's settings.
+    """Whether a file belongs to the responses in its folder, and not to an earlier run.
 
-    A file of another study of the same name was not. A file created after the responses counts as
-    made from them: the scenarios of a benchmark may change without a new sweep.
+    If it records their digest, this must be the present one. Otherwise it must be newer than the
+    responses, or of the same study settings: a benchmark may change without a new sweep.
     """
     responses, before = path.with_name(RESPONSES), _recorded(path)
     if RESPONSES in before:

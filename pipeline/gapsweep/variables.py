@@ -127,7 +127,7 @@ def dataset(
     table: Mapping[str, Variable],
     arrays: Mapping[str, NDArray[Any]],
 ) -> "xr.Dataset":
-    """Dataset of the points of a call.
+    """Dataset of the results of one call, with its inputs as coordinates and attributes.
 
     Its dimensions are `omega` and `initial_condition` where one model is computed at every
     frequency from every initial state, otherwise `point`. The other inputs are its attributes.

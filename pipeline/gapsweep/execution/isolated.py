@@ -47,7 +47,7 @@ _CHILD = "from gapsweep.execution.isolated import serve; serve()"
 
 
 class CallError(Exception):
-    """A call that failed; `status` is `KILLED`, `TIMED_OUT`, `MODEL_INVALID` or `ERROR`."""
+    """Failure of a call; its `status` is `KILLED`, `TIMED_OUT`, `MODEL_INVALID` or `ERROR`."""
 
     def __init__(self, status: Status, message: str) -> None:
         super().__init__(status, message)

@@ -78,7 +78,7 @@ class Judged:
 
     @property
     def is_approximation(self) -> bool:
-        """False for the exact force without located contacts, and for ``auto``."""
+        """Whether the law is an approximation: False for ``piecewise-noevents`` and ``auto``."""
         return self.law not in _NO_APPROXIMATIONS
 
     @property

@@ -160,7 +160,7 @@ class Cache:
             yield asked.tobytes() + held["row"][asked].tobytes()
 
     def commit(self, slabs: Sequence[Slab]) -> None:
-        """Store slabs, all or none."""
+        """Write slabs to a new segment, all or none; merge small segments now and then."""
         self._refresh()
         serial = 1 + max((frame.serial for frame in self._frames), default=0)
         with _store_errors(self.path):

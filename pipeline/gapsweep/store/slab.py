@@ -28,7 +28,7 @@ _LEVEL = 1  # of compression: more takes longer and saves little
 
 @dataclass(frozen=True, slots=True)
 class Slab:
-    """Stored results of some points.
+    """Stored results of up to 64 points of one kind.
 
     Attributes
     ----------

@@ -40,7 +40,7 @@ class Jumps:
 
 
 def jumps(table: LawTable, start: int, along: Ints, half_gap: float) -> Jumps:
-    """Jumps of the amplitude from one initial condition along the frequencies `along`."""
+    """Jumps of amplitude between periodic responses at neighbouring frequencies of `along`."""
     amplitude = np.where(table.periodic, table.amplitude, np.nan)[along, start]
     steps = np.diff(amplitude)
     size = np.abs(steps)
