@@ -136,7 +136,7 @@ class Models:
         """
         if solver.atol is not None:
             return np.full(len(self), solver.atol)
-        farther = self.of_laws(lambda law: max(law.gap.j_1, law.gap.j_2)).max(axis=1, initial=0.0)
+        farther = self.of_laws(_farther).max(axis=1, initial=0.0)
         softer = self.of_laws(_stiffness).max(axis=1, initial=0.0)
         spring = self.of_systems(_spring)
         length = self.of_systems(attrgetter("deflection"))
@@ -180,6 +180,11 @@ def _spring(system: Model) -> float:
 def _stiffness(law: ContactLaw) -> float:
     """Stiffness [N/m] of the softer wall; zero for laws of the user, whose `K_c` says nothing."""
     return 0.0 if isinstance(law, UserLaw | ForceTable) else law.K_c * min(1.0, law.K_ratio)
+
+
+def _farther(law: ContactLaw) -> float:
+    """Distance [m] of the farther wall that has stiffness."""
+    return max(law.gap.j_1 if law.K_ratio else 0.0, law.gap.j_2)
 
 
 def _integrated(system: Model) -> Model:
