@@ -110,7 +110,8 @@ def simulate(
         Whether to integrate the variational equations, for ``monodromy``; they also limit the
         steps of smooth laws. Kinks of the force that are not located (``located=False``, a user law
         with corners) add an error that does not depend on the tolerance, 1e-4 to 1e-2 of the
-        matrix in measurements. `respond` computes multipliers with located contacts if possible.
+        matrix in measurements; ``contact_force="as_written"`` adds 1e-5 to 5e-2. `respond`
+        computes multipliers with located contacts and forces by mode if possible.
     time_limit : float
         Time [s], ``> 0``, after which motions under way have the status ``timed_out``; compiling
         does not count. The engine ``"scipy"`` ends a motion before it looks at the time.
