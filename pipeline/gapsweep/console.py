@@ -103,7 +103,7 @@ def busy(stage: str) -> Iterator[None]:
 @contextmanager
 def _on_terminal(console: Console) -> Iterator[OnProgress]:
     """Observer with a progress bar, removed at the end: the command then prints its results."""
-    console.width -= len("^C ")  # which the terminal puts at the end, and must not break the line
+    console.width -= len("^C ")  # which the terminal adds at the end of the line
     text = TextColumn("{task.description}", markup=False, table_column=Column(no_wrap=True))
     rest = BarColumn(bar_width=None, table_column=Column(ratio=1))
     columns = SpinnerColumn(), text, rest, TimeElapsedColumn()

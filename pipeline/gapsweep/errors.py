@@ -68,6 +68,6 @@ def described(error: BaseException) -> str:
     name = type(error).__name__
     try:
         first = str(error).splitlines()[:1]
-    except BaseException:  # its own __str__ may raise anything, SystemExit too
+    except BaseException:  # __str__ of user code may raise any error
         first = []
     return f"{name}: {first[0][:_LONGEST]}" if first and first[0] else name

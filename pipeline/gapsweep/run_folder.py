@@ -191,7 +191,7 @@ def is_of_run(path: Path) -> bool:
     """
     responses, before = path.with_name(RESPONSES), _recorded(path)
     if RESPONSES in before:
-        present = digests(responses) or [sha256(responses)]  # SHA256SUMS may not have come along
+        present = digests(responses) or [sha256(responses)]  # copied without SHA256SUMS
         return before[RESPONSES] == " ".join(present)
     ours, theirs = (netcdf.attributes(file).get("created", "") for file in (path, responses))
     return ours >= theirs or before.get(STUDY) == _recorded(responses).get(STUDY)

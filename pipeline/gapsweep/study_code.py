@@ -127,7 +127,7 @@ def draw_sections(study: Study, datasets: Mapping[str, "xr.Dataset"]) -> dict[st
 def _as_json(study: Study, table: str, path: Path, found: dict[str, Any]) -> dict[str, Any]:
     """Results of a user module with the names of study and file; StudyError if not JSON."""
     with user_errors(path, "claims" if table == "claims" else "sections"):
-        json.dumps(found, ensure_ascii=False, allow_nan=False).encode()  # no half characters
+        json.dumps(found, ensure_ascii=False, allow_nan=False).encode()  # no lone surrogates
     return {"study": study.name, f"{table}_module": path.name, **found}
 
 

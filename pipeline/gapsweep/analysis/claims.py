@@ -153,7 +153,7 @@ class Test:
         Name of the compared quantity.
     """
 
-    __test__ = False  # no test of pytest's
+    __test__ = False  # pytest must not collect it
 
     says: str
     number: Number

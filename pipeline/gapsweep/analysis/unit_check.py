@@ -88,7 +88,7 @@ def doubts_of(study: "Study", far: str = "", own: bool = True) -> Iterator[str]:
     gaps = grid.gaps if {"gap", "j_1"} & grid.axes.keys() else (Gap(0.0, 0.0),)
     laws = []
     for label, gap in product(grid.representations, gaps):
-        with suppress(ModelError):  # of a law that cannot be used: reported where it is used
+        with suppress(ModelError):  # an invalid law is reported at its use
             laws.append(tuple(_laws(study, label, K_c, gap, ratio)))
     omega, starts = grid.axes.get("omega", 0.0), starts_of(grid.axes).states
     found = doubts([model.at(some) for some in points], laws, omega, starts) if laws else ()

@@ -167,5 +167,5 @@ def followed(
             else:
                 yield number, one
     finally:
-        with suppress(Exception):  # Dask may raise anything if the cluster has gone already
+        with suppress(Exception):  # Dask may raise any error if the cluster has ended
             client.cancel(list(in_flight))

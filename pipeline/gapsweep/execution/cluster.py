@@ -85,7 +85,7 @@ def _local(workers: int, dashboard: bool) -> Iterator[Client]:
     with (
         tempfile.TemporaryDirectory(prefix="gapsweep-", ignore_cleanup_errors=True) as folder,
         dask.config.set({"temporary-directory": folder}),
-        _quiet("distributed.batched"),  # of connections to workers that died
+        _quiet("distributed.batched"),  # logger of connections to dead workers
         worker_process(folder) as process,  # which imports while the scheduler starts
         LocalCluster(n_workers=0, **pages, **options) as local,
     ):

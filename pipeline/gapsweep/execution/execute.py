@@ -47,7 +47,7 @@ from gapsweep.study.study import Study
 # A task takes at most this part of a thread's share of the points, so that all end together.
 _PART_OF_SHARE = 0.5
 _MIN_BATCH = 64
-_KNOWN = 0.1  # of the points, from which on the costs of the others are estimated
+_KNOWN = 0.1  # share of the points to compute before the remaining time is estimated
 _WINDOW = 3  # tasks in flight per worker thread
 _COMMIT_SECONDS = 0.5
 _COMMIT_POINTS = 4096
@@ -367,7 +367,7 @@ class _Execution:
         self.last_commit = time.monotonic()
 
     def cancel(self) -> None:
-        with suppress(Exception):  # Dask may raise anything if the cluster has gone already
+        with suppress(Exception):  # Dask may raise any error if the cluster has ended
             self.client.cancel(list(self.in_flight))
         self.in_flight.clear()
 

@@ -75,7 +75,7 @@ def _differing(
     """Fields in which a requested point differs from the most similar point of a slab."""
     differing = _differences(_fields(asked.kind.identity), _fields(slab.identity))
     stored, (numbers,) = contents.numbers, asked.numbers
-    if stored.shape[1] != len(numbers):  # of systems of another structure
+    if stored.shape[1] != len(numbers):  # points of systems of another structure
         return differing
     unlike, is_other = stored != numbers, contents.previous != previous
     row = int(np.argmin(unlike.sum(axis=1) + is_other))

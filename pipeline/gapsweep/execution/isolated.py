@@ -6,7 +6,7 @@ over a private socket, so output of the called code does not mix with them.
 
 import ctypes
 import os
-import pickle  # of a process that we started, over a private connection
+import pickle  # only for data of the process started here, over a private connection
 import signal
 import subprocess
 import sys
@@ -42,7 +42,7 @@ _LEAVE_SECONDS = 2.0
 # A call beyond its time limit on the clock is ended if it used a smaller share of the processor.
 # With a larger share the machine is busy: the call has up to 50 times the limit on the clock.
 _IDLE = 0.02
-_PR_SET_PDEATHSIG = 1  # of Linux's prctl
+_PR_SET_PDEATHSIG = 1  # option of prctl on Linux
 _CHILD = "from gapsweep.execution.isolated import serve; serve()"
 
 
@@ -215,7 +215,7 @@ def _limit(name: str, value: int) -> None:
 
 def _result(call: bytes) -> bytes:
     try:
-        function, arguments = pickle.loads(call)  # of the process that started this one
+        function, arguments = pickle.loads(call)  # sent by the process that started this one
         return pickle.dumps(function(*arguments))
     except ClusterError as error:  # an error of the process, not of its points
         return pickle.dumps(error)

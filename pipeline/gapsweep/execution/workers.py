@@ -9,7 +9,7 @@ is still starting.
 import asyncio
 import multiprocessing
 import os
-import pickle  # of the process that started this one, over its standard input
+import pickle  # only for data of the process that started this one, over standard input
 import shutil
 import signal
 import subprocess
@@ -67,7 +67,7 @@ def start_workers(process: "subprocess.Popen[bytes]", address: str, n: int, opti
     import dask
 
     assert process.stdin is not None, "it is a pipe"
-    with suppress(BrokenPipeError):  # it has ended
+    with suppress(BrokenPipeError):  # the process has ended
         process.stdin.write(pickle.dumps((dask.config.config, address, n, options)))
         process.stdin.flush()
 
@@ -75,7 +75,7 @@ def start_workers(process: "subprocess.Popen[bytes]", address: str, n: int, opti
 def end_workers(process: "subprocess.Popen[bytes]") -> None:
     """End a `worker_process` and its workers; to be called while the scheduler still runs."""
     assert process.stdin is not None, "it is a pipe"
-    if process.returncode is not None:  # it has been ended
+    if process.returncode is not None:  # it has ended already
         return
     with suppress(BrokenPipeError):
         process.stdin.close()
@@ -116,7 +116,7 @@ def serve() -> None:
     import dask  # while the other process imports as well
     from distributed import Nanny
 
-    config, address, n, options = pickle.load(sys.stdin.buffer)  # of the process that started it
+    config, address, n, options = pickle.load(sys.stdin.buffer)  # of the starting process
     dask.config.set(config | {"distributed.worker.multiprocessing-method": method})
 
     async def run() -> None:

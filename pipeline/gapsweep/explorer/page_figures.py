@@ -30,9 +30,9 @@ _ORDERS = 6  # multiples of the forcing frequency in the spectrum
 _FLOOR = 1e-6  # smallest amplitude of the spectrum that is shown, relative to the largest
 _MARKERS = {REST: "circle", UP: "triangle", DOWN: "inverted_triangle"}
 _EXACT_SIZE, _SIZE = 6, 3.5  # pixels: of dots; the exact law behind is larger
-_EXACT_WIDTH, _WIDTH = 3.0, 1.3  # of lines
+_EXACT_WIDTH, _WIDTH = 3.0, 1.3  # pixels: width of lines
 _DASHES = {"-": "solid", "--": "dashed", ":": "dotted", "-.": "dotdash"}
-_PALE = 0.35  # of an approximation's dots where its response is not periodic
+_PALE = 0.35  # opacity of an approximation's dots for responses that are not periodic
 
 _RESPONSE = ("omega", "x_max", "colour", "alpha", "law", "protocol", "kind")
 _LINES = ("x", "y")

@@ -121,7 +121,7 @@ def labels(text: str) -> tuple[str, ...]:
 class Dial:
     """A slider: name, title, unit, range and initial value, in the unit that it shows."""
 
-    name: str  # of the parameter
+    name: str  # name of the parameter
     title: str
     unit: str
     factor: float  # SI units in one of the shown

@@ -74,7 +74,7 @@ class Judged:
     cost_ratio: float
     low: float
     high: float
-    periodic_cost_ratio: float = np.nan  # where the exact law is periodic
+    periodic_cost_ratio: float = np.nan  # at points with a periodic response of the exact law
 
     @property
     def is_approximation(self) -> bool:
@@ -269,7 +269,7 @@ def _worst(exact: Sequence[Values]) -> Values:
 
 def _unjudged(exact: Row) -> str:
     """Reason why no law can be judged in a case; empty if laws can be judged."""
-    if np.isnan(exact[_SHOWN["found"]]):  # of no attractors
+    if np.isnan(exact[_SHOWN["found"]]):  # no attractors
         return "the exact law has no steady response"
     return "" if exact[_CONTACTS] else "the exact law touches no wall"
 

@@ -94,7 +94,7 @@ def _contacts(scene: xr.Dataset) -> Iterator[tuple[float, dict[str, float]]]:
     for name, direction in system["contacts"].items():
         factor, table = float(direction[number]), own.get(name, {})
         if not factor or np.count_nonzero(direction) > 1:
-            continue  # it is not on this coordinate only
+            continue  # not a contact on this coordinate only
         gap = dict(zip(_WALLS, table.get("gap") or (), strict=False))
         ratio = table.get("K_ratio")
         yield factor, gap | ({} if ratio is None else {"K_ratio": ratio})

@@ -116,7 +116,7 @@ def of_scene(
 
 
 def in_scene(found: xr.Dataset, here: xr.Dataset, dim: str, prefix: str = "") -> NDArray[np.bool_]:
-    """Mask of entries along `dim` of the parameter sets in `here`; `prefix` is of coordinates."""
+    """Mask of entries along `dim` at the values of `here`; `prefix` begins their coordinates."""
     inside = np.ones(found.sizes[dim], bool)
     for name in [*places(here), REPRESENTATION]:
         if prefix + name in found.coords and name in here.coords:
@@ -127,7 +127,7 @@ def in_scene(found: xr.Dataset, here: xr.Dataset, dim: str, prefix: str = "") ->
 def label(variable: xr.DataArray) -> str:
     """The label of an axis; parameters have the same names as in other datasets."""
     words = scales.long_name(variable).removesuffix(" along the branch")
-    is_known = words in COORDINATES and words != "gap"  # that name is of both walls
+    is_known = words in COORDINATES and words != "gap"  # the name of "gap" is of both walls
     return scales.axis_label(variable, COORDINATES[words][1].long_name if is_known else words)
 
 
@@ -190,7 +190,7 @@ def draw(
     for entry, own in {entry: own for own, entry in look if entry}.items():
         axes.plot([], [], "-", color=own, label=entry, **style)
     dashed = [line for line in axes.lines if str(line.get_label()) == f"_{BRANCH} unstable"]
-    if shade and dashed:  # one of them in a legend
+    if shade and dashed:  # one legend entry
         dashed[0].set_label(f"{BRANCH} unstable")
     elif (branches["stable"] == 0).any():
         axes.plot([], [], "--", color=_COLOURS[-1], label="unstable", **style)
@@ -242,7 +242,7 @@ def lines(branches: xr.Dataset, along: str, height: str) -> Iterator[tuple[int, 
     is_loop = np.broadcast_to(branches.coords.get(_LOOP, False), n)
     for number, (x, y, stable, special) in enumerate(zip(*columns, strict=True)):
         there = np.isfinite(x) & np.isfinite(y)
-        # At a bifurcation rounding decides whether a multiplier exceeds 1: its neighbour says more.
+        # At a bifurcation rounding decides whether a multiplier exceeds 1: take the neighbour's.
         is_at = (special > 0) & (special != Special.GRAZING)
         of_step = np.where(is_at[:-1], stable[1:], stable[:-1])
         for is_stable in (False, True):

@@ -50,7 +50,7 @@ def impacts(
         must select one.
     """
     along = axis_of(dataset, along, wanted)
-    needed = {"force_max": CURVES, "response_class": CURVES}  # one contact is left in the first
+    needed = {"force_max": CURVES, "response_class": CURVES}  # force_max requires one contact
     shown = scene_along(dataset, along, needed, wanted)
     dims = ("representation", along, START)
     found = {at: _impacts(run, shown) for at, run in motions(dataset, dims, wanted, n_periods)}

@@ -77,10 +77,10 @@ def curves(
                 np.insert(sets[start, there], gaps, False),
                 linestyle=styles[label],
                 color=colour(label),
-                label=label if start == 0 else f"_{label}",  # one of each in a legend
+                label=label if start == 0 else f"_{label}",  # one legend entry per law
                 linewidth=2.2 if exact else 1.2,
                 zorder=1 if exact else 2,
-                marker=".",  # also of a value between two jumps
+                marker=".",  # shows single values between two jumps
                 markersize=5 if exact else 3,
             )
 
@@ -177,7 +177,7 @@ def frame(scene: xr.Dataset, lowest: str, exact: str) -> tuple[float, float]:
     if not np.isfinite(top[is_exact]).any():
         is_exact[:] = True
     low, high = np.nanmin(bottom, initial=np.inf), np.nanmax(top, initial=-np.inf)
-    if not low <= high:  # there is no result at all
+    if not low <= high:  # without any result
         return -1.0, 1.0
     own_low, own_high = np.nanmin(bottom[is_exact]), np.nanmax(top[is_exact])
     spare = _SPARE * (own_high - own_low)

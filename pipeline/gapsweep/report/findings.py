@@ -107,7 +107,7 @@ def outcomes(responses: xr.Dataset) -> str:
     of_laws = zip(labels_of(responses), left.sum(others_than).values, strict=True)
     n_left = Counter[bool]()
     for label, n in of_laws:
-        n_left[":" in label] += int(n)  # only tables of the user's laws have ends
+        n_left[":" in label] += int(n)  # among user laws, only tables have ends
     beyond = "".join(
         f"; {n_left[is_table]} with a steady response beyond {words}"
         for is_table, words in ((False, "the range of their fit"), (True, "the table's ends"))

@@ -56,7 +56,7 @@ _WORDS = {
 
 
 def is_wide(responses: xr.Dataset) -> bool:
-    """Whether there are too many parameter sets, points or parameters for figures of every set.
+    """Whether an overview replaces figures of every set: for systems, many sets, points or axes.
 
     Parameters
     ----------

@@ -183,7 +183,7 @@ def shown(figure: Mapping[str, str]) -> dict[str, Any]:
     """A stored figure with its size, its files, and the data of its page (may be empty)."""
     files = {"svg": figure["svg"].encode()}
     for kind in PACKED:
-        with suppress(KeyError, ValueError, zlib.error):  # not there, or not as it was packed
+        with suppress(KeyError, ValueError, zlib.error):  # absent, or not in packed form
             files[kind] = unpacked(figure[kind])
     data = files.pop("json", b"").decode()
     return {**figure, **size(figure["svg"]), "data": data, "files": files}

@@ -43,7 +43,7 @@ def pictures(figure: Figure) -> dict[str, str]:
     for text in texts:
         text.set_fontsize(max(_SMALLEST, text.get_fontsize()))
     picture = svg(figure)
-    figure.clear()  # its cycles would keep every figure's data until the collector comes by
+    figure.clear()  # reference cycles would keep the data of every figure in memory
     files = {kind: packed(h) for kind, h in zip(PACKED, numbers, strict=True) if h}
     return {"svg": picture, **files}
 

@@ -19,7 +19,7 @@ from gapsweep.report.scales import drawn
 Row = dict[str, Any]
 
 _COUNTS = ("nfev", "n_steps", "n_rejected", "n_contacts")
-_MOST_ROWS = 40  # of special points
+_MOST_ROWS = 40  # rows of special points
 # Verdicts, the worst first.
 VERDICTS = ("refuted", "partly", "confirmed", "undecidable")
 

@@ -95,7 +95,7 @@ def recording(path: Path, is_ours: Callable[[Path], bool]) -> Iterator[Path]:
         remove_leftovers(path.parent)
         yield temporary
         new = sha256(temporary)
-        # At no moment may the file that is there lack its digest: a kill may come between.
+        # Record both digests first: a kill may happen before or after the replacement.
         _record(path, [*known, new])
     _record(path, [new])
 
@@ -171,10 +171,10 @@ def digests(path: Path) -> list[str]:
 def _sums(folder: Path) -> list[tuple[str, str]]:
     try:
         lines = text_of(folder / SUMS).splitlines()
-    except OSError:  # not there, or something else in its place
+    except OSError:  # absent, or not a regular file
         return []
     pairs = (line.partition("  ") for line in lines)
-    return [(digest, name) for digest, _, name in pairs if name]  # none in a line that was cut
+    return [(digest, name) for digest, _, name in pairs if name]  # a truncated line has no name
 
 
 @contextmanager
@@ -228,7 +228,7 @@ def alone_in(folder: Path) -> Iterator[None]:
     network file systems) there is no lock; each file is still replaced atomically.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    if fcntl is None:  # nor can folders be opened there
+    if fcntl is None:  # folders cannot be opened there either
         yield
         return
     descriptor = os.open(folder, os.O_RDONLY)

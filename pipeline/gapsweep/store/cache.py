@@ -39,7 +39,7 @@ class Found:
     at: NDArray[np.intp]  # shape (n,); positions of these keys in the request, ascending
     responses: Responses
     host: NDArray[np.str_]  # shape (n,); machine that computed each
-    versions: frozenset[str]  # of Python and the libraries, as text
+    versions: frozenset[str]  # versions of Python and the libraries, as text
 
 
 class Cache:
@@ -75,9 +75,9 @@ class Cache:
                 self.path.mkdir(parents=True, exist_ok=True)
         self.damaged: set[Path] = set()
         self._index = Index()
-        self._frames: list[Frame] = []  # by number of the slab in the index
+        self._frames: list[Frame] = []  # index: number of the slab
         self._numbers: dict[bytes, int] = {}
-        self._scanned: dict[Path, bool] = {}  # and whether anything was found
+        self._scanned: dict[Path, bool] = {}  # scanned segments, and whether they have frames
         self._n_commits = 0
         self._contents = lru_cache(maxsize=_KEPT)(self._decoded)
         self._refresh()
@@ -86,7 +86,7 @@ class Cache:
         return self
 
     def __exit__(self, *_: object) -> None:
-        del self._contents  # it holds us: the index would stay until the garbage collector runs
+        del self._contents  # a reference cycle, which would keep the index in memory
 
     @property
     def n_points(self) -> int:
@@ -232,7 +232,7 @@ class Cache:
                     self._warn(path)
                 for frame, entry in found:
                     number = self._numbers.setdefault(frame.digest, len(self._frames))
-                    if number < len(self._frames):  # there already, or moved to this file
+                    if number < len(self._frames):  # known already, or moved to this file
                         self._frames[number] = frame
                     else:
                         self._frames.append(frame)

@@ -16,7 +16,7 @@ MISSING = -1  # status of a key that is not stored
 HELD = np.dtype([("slab", "i4"), ("row", "u1"), ("status", "i1"), ("rank", "i8")])
 _COUNTS = 2**32  # added to the rank of results that replace any failure
 
-Held = NDArray[Any]  # of HELD
+Held = NDArray[Any]  # array of dtype HELD
 # Words of the keys of a slab, their status, whether its points are of sweeps, its serial number.
 Entry = tuple[NDArray[np.uint64], bytes, bool, int]
 

@@ -78,7 +78,7 @@ def clean(cache: Cache, numerics: str, *, apply: bool) -> tuple[int, int]:
         paths = {frame.path for frame in gone} | cache.damaged
         cache.rewrite(paths, {frame.digest for frame in gone})
         cache.merge()
-        for path in cache.path.glob(".*.seg.*"):  # of writers that were killed
+        for path in cache.path.glob(".*.seg.*"):  # temporary files of killed writers
             if path.stat().st_mtime < time.time() - _ABANDONED:
                 path.unlink(missing_ok=True)
     return sum(gone.values()), n_damaged

@@ -76,7 +76,7 @@ def loaded(dataset: netCDF4.Dataset) -> "xr.Dataset":
     variables = {}
     for name, variable in dataset.variables.items():
         found = _plain(variable[:])
-        along = variable.dimensions[: found.ndim]  # of texts without that of their characters
+        along = variable.dimensions[: found.ndim]  # texts lose the dimension of characters
         variables[name] = xr.Variable(along, found, _attributes(variable))
     named = [getattr(each, "coordinates", "").split() for each in dataset.variables.values()]
     names = dict.fromkeys([*dataset.dimensions, *(name for each in named for name in each)])

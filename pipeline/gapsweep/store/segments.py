@@ -78,7 +78,7 @@ def scan(path: Path) -> tuple[list[tuple[Frame, Entry]], bool]:
                 at, is_checked = one[0].end, False
                 continue
             is_whole = False
-            # If bytes have gone from the frame in front, the next one begins before its end.
+            # If bytes are lost from the preceding frame, the next one begins before its end.
             if not is_checked and read(found[-1][0]) is None:
                 at = found.pop()[0].at
             is_checked = True

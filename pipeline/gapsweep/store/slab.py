@@ -21,9 +21,9 @@ from gapsweep.study.points import KEY, Kind
 
 # Points in a slab: few, so that damage loses little and reading one point reads little.
 SLAB = 64
-_MOST_BYTES = 2**24  # of one point: 65,536 extrema of 16 coordinates, their kinds, the section
+_MOST_BYTES = 2**24  # bytes of a point: 65,536 extrema of 16 coordinates, kinds, the section
 MOST_COLUMNS = SLAB * _MOST_BYTES  # bytes of the columns of a slab
-_LEVEL = 1  # of compression: more takes longer and saves little
+_LEVEL = 1  # level of compression: higher levels take longer and save little
 
 
 @dataclass(frozen=True, slots=True)

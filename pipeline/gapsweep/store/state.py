@@ -45,7 +45,7 @@ class RunState:
     hits: int
     computed: int = 0
     failed: int = 0
-    message: str = ""  # why it failed, else empty
+    message: str = ""  # reason of a failure, else empty
     # Machine and process; the creation time distinguishes processes with the same number.
     host: str = field(default_factory=platform.node)
     pid: int = field(default_factory=lambda: psutil.Process().pid)

@@ -72,7 +72,7 @@ def load_for_law(snapshot: Snapshot, label: str) -> ModuleType:
     """Load a snapshot; errors of its code become a `ModelError` of one line."""
     try:
         return load(snapshot)
-    except ModelError as error:  # of a table in it, say
+    except ModelError as error:  # as of an invalid table in it
         raise ModelError(f"{label!r}: {error}") from None
     except (KeyboardInterrupt, MemoryError, ClusterError):
         raise

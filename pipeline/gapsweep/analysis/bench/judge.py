@@ -36,7 +36,7 @@ from gapsweep.status import Status
 
 
 class CellOutcome(IntEnum):
-    """Outcome of a run; the order is part of the file."""
+    """Outcome of a method's run on a scenario; files store its number."""
 
     NOT_REQUESTED = -1
     RIGHT = 0

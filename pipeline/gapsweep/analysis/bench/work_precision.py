@@ -229,7 +229,7 @@ class Measurements:
                     seconds, simulated = found
                     times[(n, *cell)] = seconds / simulated
         with warnings.catch_warnings():
-            warnings.filterwarnings("ignore", "All-NaN slice")  # no such rung, no such law
+            warnings.filterwarnings("ignore", "All-NaN slice")  # cells without a rung or a law
             for name, share in (("cpu_time_q25", 0.25), ("cpu_time", 0.5), ("cpu_time_q75", 0.75)):
                 self.arrays[name] = np.nanquantile(times, share, axis=0)
             self.arrays["first_call_time"] = np.nanmax(first, axis=(0, 2))

@@ -110,7 +110,7 @@ def branches(
 
 
 def _parts(study: Study, attractors: xr.Dataset) -> Iterator[_SceneBranches]:
-    """The cases of a study."""
+    """The computed cases of a study whose branches can be followed, with their attractors."""
     table, grid = study.spec.branches, study.grid
     assert table is not None
     along, axes = table.along, grid.axes

@@ -106,7 +106,7 @@ def tanh_threshold(
     if not predicted > 0.0:
         return float("nan")
 
-    points = search_points(Tanh(K_c, gap, predicted), x_max)  # of any sharpness and ratio
+    points = search_points(Tanh(K_c, gap, predicted), x_max)  # the same for any sharpness and ratio
 
     def single(epsilon: float) -> bool:
         """Whether the restoring force has one rising zero, that is, one stable equilibrium."""

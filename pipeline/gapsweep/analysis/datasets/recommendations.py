@@ -69,7 +69,7 @@ def advice(study: Study, error: float | None = None) -> xr.Dataset:
     cells = np.flatnonzero(asked)
     for first in range(0, len(cells), _PART):
         part = cells[first : first + _PART]
-        found = study.advice(part, error)  # cells of the first representation, which says nothing
+        found = study.advice(part, error)  # cells of the first representation; it has no effect
         model.flat[part] = [one.model for one in found]
         rtol.flat[part] = [one.rtol for one in found]
         bound.flat[part] = [one.bound for one in found]
