@@ -6,12 +6,14 @@ from itertools import product
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from gapsweep.errors import ModelError
 from gapsweep.model.contact import ContactLaw
 from gapsweep.model.doubts import doubts
 from gapsweep.model.labels import AUTO, EXACT, is_fitted, law_of
 from gapsweep.model.oscillator import Gap
+from gapsweep.status import Status
 from gapsweep.study.grid import START, starts_of
 
 if TYPE_CHECKING:
@@ -53,6 +55,18 @@ def never_reached(values: Callable[[str], Any], dims: Sequence[str], labels: Seq
     )
 
 
+def out_of_range(status: NDArray[Any], labels: Sequence[str]) -> Iterator[str]:
+    """A sentence for each representation all of whose points left the range of its law."""
+    for label, some in zip(labels, status, strict=False):  # none if the file cannot be read
+        asked = some[some != Status.NOT_REQUESTED]
+        if asked.size and (asked == Status.OUT_OF_FIT_RANGE).all():
+            remedy = "write range = 8e-3 in [fit]" if is_fitted(label) else "extend its table"
+            yield (
+                f"{label}: all {asked.size} points are out_of_fit_range: motions leave the range "
+                f"of the contact law, where its force is extrapolated; {remedy}"
+            )
+
+
 def bounded(study: "Study") -> str:
     """The same of a study of oscillators before it is run, from the bounds of `advise`."""
     grid = study.grid
@@ -71,7 +85,7 @@ def bounded(study: "Study") -> str:
 def doubts_of(study: "Study", far: str = "", own: bool = True) -> Iterator[str]:
     """Warnings of numbers of a study that are probably in another unit: the rules of calls.
 
-    A sentence `far` on walls out of reach replaces that on the gap. Without `own` no code of the
+    A sentence `far` on walls out of reach comes last. Without `own` no code of the
     user is run: systems of functions have no warnings, force tables count as exact laws.
     """
     grid, model = study.grid, study.model
@@ -89,8 +103,7 @@ def doubts_of(study: "Study", far: str = "", own: bool = True) -> Iterator[str]:
         with suppress(ModelError):  # of a law that cannot be used: reported where it is used
             laws.append(tuple(_laws(study, label, K_c, gap, ratio, own)))
     omega, starts = grid.axes.get("omega", 0.0), starts_of(grid.axes).states
-    found = doubts([model.at(some) for some in points], laws, omega, starts) if laws else ()
-    yield from (each for each in found if not (far and each.startswith("gap")))
+    yield from doubts([model.at(some) for some in points], laws, omega, starts) if laws else ()
     yield from [far] * bool(far)
 
 

@@ -168,8 +168,12 @@ def digests(path: Path) -> list[str]:
 def _sums(folder: Path) -> list[tuple[str, str]]:
     try:
         lines = text_of(folder / SUMS).splitlines()
-    except OSError:  # not there, or something else in its place
+    except FileNotFoundError:
         return []
+    except OSError as error:
+        raise StoreError(
+            f"{folder / SUMS}: cannot be read: {error.strerror}; remove it, gapsweep rewrites it"
+        ) from None
     pairs = (line.partition("  ") for line in lines)
     return [(digest, name) for digest, _, name in pairs if name]  # none in a line that was cut
 
