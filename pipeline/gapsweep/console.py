@@ -1,4 +1,4 @@
-"""What a terminal shows: tables that fit it, and the progress of a run.
+"""Output to a terminal: tables that fit it, and the progress of a run.
 
 Progress is a bar on a terminal, one line that is replaced in a notebook, and lines in a log.
 """

@@ -155,7 +155,7 @@ def read_json(path: Path) -> dict[str, Any] | None:
 
 
 def as_text(made_from: MadeFrom) -> str:
-    """What a file was made from, for its attribute or meta element."""
+    """Sources of a file, for its attribute or meta element."""
     return json.dumps(dict(made_from), sort_keys=True)
 
 
@@ -198,7 +198,7 @@ def is_of_run(path: Path) -> bool:
 
 
 def _recorded(path: Path) -> MadeFrom:
-    """What a file says it was made from; nothing if it cannot be made out."""
+    """Sources that a file names; none if they cannot be read."""
     try:
         if path.suffix == ".nc":
             return dict(json.loads(netcdf.attributes(path).get("made_from", "{}")))

@@ -72,7 +72,7 @@ def _ignore(stage: str) -> None:
 
 @dataclass(frozen=True, slots=True)
 class RunContext:
-    """What the stages of a run are made with.
+    """The inputs that the stages of a run have in common.
 
     Attributes
     ----------
@@ -160,7 +160,7 @@ class Stage:
     is_drawn: bool = False
 
     def made_from(self, folder: Path, run: RunContext | None = None) -> MadeFrom:
-        """What the file would be made from now, if the files it is made from are up to date.
+        """The sources of the file as they are now, if they are up to date.
 
         Parameters
         ----------
@@ -413,7 +413,7 @@ def _compares(study: Study) -> bool:
 
 
 def _bench_scenes(study: Study) -> list[bool]:
-    """Of every benchmark scene, whether its right answer is stated."""
+    """Whether the right answer of each benchmark scene is stated."""
     scenes = study.spec.bench.scene if study.spec.bench else []
     return [scene.expected is not None for scene in scenes]
 

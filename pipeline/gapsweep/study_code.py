@@ -1,4 +1,4 @@
-"""What the Python files that a study names make of its run: datasets, verdicts, report sections.
+"""Datasets, verdicts and report sections that the Python files of a study make of its run.
 
 xarray and matplotlib are imported by what needs them: a run that finds everything up to date ends
 before they would be loaded.
@@ -125,7 +125,7 @@ def draw_sections(study: Study, datasets: Mapping[str, "xr.Dataset"]) -> dict[st
 
 
 def _as_json(study: Study, table: str, path: Path, found: dict[str, Any]) -> dict[str, Any]:
-    """What a module found, with where it comes from, if it can be written as JSON."""
+    """Results of a module with their sources, if JSON can hold them."""
     with user_errors(path, "claims" if table == "claims" else "sections"):
         json.dumps(found, ensure_ascii=False, allow_nan=False).encode()  # no half characters
     return {"study": study.name, f"{table}_module": path.name, **found}

@@ -1,1 +1,1 @@
-"""What the results say: datasets in, datasets out."""
+"""Evaluation of results: datasets in, datasets out."""

@@ -234,7 +234,7 @@ class Claim:
 
 
 def _checked(found: Any) -> Found:
-    """What a claim's function has returned.
+    """The value that a claim's function has returned.
 
     Raises
     ------

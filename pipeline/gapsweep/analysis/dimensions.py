@@ -73,7 +73,7 @@ def scenes(dataset: xr.Dataset, dims: Iterable[str]) -> Iterator[dict[str, int]]
 
 
 def cells(dims: Iterable[str], at: At) -> tuple[int | slice, ...]:
-    """Where in an array over the dimensions the values at a position lie."""
+    """Place of the values at a position in an array over the dimensions."""
     return tuple(at.get(dim, slice(None)) for dim in dims)
 
 
@@ -116,7 +116,7 @@ def with_rate(dataset: xr.Dataset, rate: float) -> xr.Dataset:
 
 
 def section_rate(responses: xr.Dataset) -> float:
-    """How often per second unforced periodic responses pass their section."""
+    """Rate [1/s] at which unforced periodic responses pass their section."""
     with np.errstate(divide="ignore", invalid="ignore"):
         rates = responses["period_multiple"].values / responses["period"].values
     known = rates[np.isfinite(rates)]

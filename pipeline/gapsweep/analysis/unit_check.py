@@ -1,4 +1,4 @@
-"""Which cases of a study (stiffness, gap and further parameters) touch no wall."""
+"""Checks of units: cases that touch no wall, laws that all motions leave, and doubtful numbers."""
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress

@@ -1,1 +1,1 @@
-"""How a study is carried out on a Dask cluster."""
+"""Execution of a study on a Dask cluster."""

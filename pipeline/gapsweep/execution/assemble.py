@@ -112,7 +112,7 @@ def attributes_of(study: Study) -> dict[str, str]:
 
 
 def _tables(study: Study) -> dict[str, str]:
-    """What the measured laws of the sweeps are: to those who read files, these are but names."""
+    """Points and ranges of the measured laws of the sweeps, by label."""
     labels = {law_of(label) for label in study.grid.representations}
     laws = {n: own.load() for n in sorted(labels) if (own := study.own_law(n)) is not None}
     found = {
@@ -133,7 +133,7 @@ def _numbers(plan: Plan, grid: Grid, selection: Selection | None) -> NDArray[np.
 
 
 class _PieceResults:
-    """What the cache has of a piece, some of its starts at a time.
+    """Cached results of a piece, some of its starts at a time.
 
     It is asked more than once, to group the responses and to write them. Most pieces have but one
     part, and it is kept; of others only what was there the first time is taken again, for other
@@ -147,7 +147,7 @@ class _PieceResults:
         self._kept: tuple[slice, tuple[Found, NDArray[np.intp]]] | None = None
 
     def of(self, starts: slice) -> tuple[Found, NDArray[np.intp]]:
-        """What there is of some starts, and the place of each point among their cells."""
+        """Cached results of some starts, and the place of each point among their cells."""
         if self._kept is not None and self._kept[0] == starts:
             return self._kept[1]
         self._kept = None
@@ -237,7 +237,7 @@ def _attractor_arrays(
 def _sections(
     study: Study, layout: Layout, piece: Piece, stored: _PieceResults, requested: NDArray[np.bool_]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """What the sections of the scenes of a piece are measured by, as `Study.sections`."""
+    """Scales of the sections of the scenes of a piece, as `Study.sections`."""
     rates = np.full(requested.shape[:-1], np.nan)
     if "omega" not in layout.grid.axes:
         for starts in layout.starts():

@@ -36,7 +36,7 @@ from gapsweep.study.spec import BranchesTable
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BranchScene:
-    """What the branches of one scene depend on."""
+    """Inputs of the branches of one scene."""
 
     point: Points  # one sweep point, whose model, laws and frequency are those of the scene
     # Where the parameter is one of a system: the system as its function.

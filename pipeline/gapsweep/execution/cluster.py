@@ -179,5 +179,5 @@ def _refusal(answer: Mapping[str, str] | BaseException) -> str:
 
 
 def first_line(error: BaseException) -> str:
-    """What an error says, short enough for a message."""
+    """First line of an error, or its kind."""
     return (str(error) or type(error).__name__).splitlines()[0]

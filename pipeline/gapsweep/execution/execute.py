@@ -60,7 +60,7 @@ _CLUSTER_LOST = "the cluster was lost; run again to resume"
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Job:
-    """What one task computes, how often its worker died of it, and its result with a worker."""
+    """Points of one task, the number of workers that died of it, and its result with a worker."""
 
     rows: Rows  # shape (n,); all of one representation
     claimed: tuple[int, int]  # first and last number claimed
@@ -246,7 +246,7 @@ class _Execution:
         np.add.at(self.n_left, (representation[rows], is_swept[rows]), sign)
 
     def _take_back(self) -> None:
-        """What other runs gave up of their claims is drawn again."""
+        """Take back the points whose claims other runs gave up."""
         held = []
         for rows in self.elsewhere:
             ends = int(rows[0]), int(rows[-1])
@@ -288,7 +288,7 @@ class _Execution:
 
     def _receive(self, future: Future, job: _Job) -> None:
         if is_gone(future):
-            self._compute_anew(job)
+            self._recompute(job)
             return
         try:
             result = future.result()
@@ -296,7 +296,7 @@ class _Execution:
             raise
         except Exception as error:  # a task's own, of any type, becomes the failure of its points
             if is_gone(future) or future.status != "error":  # there again, perhaps, by now
-                self._compute_anew(job)
+                self._recompute(job)
             else:
                 if not isinstance(error, KilledWorker):
                     check_workers(self.client)  # one with other code may have joined
@@ -306,9 +306,9 @@ class _Execution:
                 self._keep(job, result)
                 return
             check_workers(self.client)  # one with other code has joined
-            self._compute_anew(job)
+            self._recompute(job)
 
-    def _compute_anew(self, job: _Job) -> None:
+    def _recompute(self, job: _Job) -> None:
         if job.losses == _MAX_LOSSES:
             raise ClusterError(
                 f"a result was lost {_MAX_LOSSES} times because workers died before it was "

@@ -23,7 +23,7 @@ Differences = dict[str, tuple[str, str]]
 
 @dataclass(frozen=True, slots=True)
 class Explanation:
-    """What is stored of one sweep point.
+    """Stored results of one sweep point.
 
     Attributes
     ----------

@@ -92,7 +92,7 @@ class Isolated:
         return self.within(self.timeout, function, *arguments)
 
     def within(self, timeout: float, function: Callable[..., Result], *arguments: Any) -> Result:
-        """A call with a time limit [s] of its own."""
+        """Return the result of a call with another time limit [s]."""
         if self._process is not None and self._process.poll() is not None:
             self._end()  # not by this call
         try:
@@ -128,7 +128,7 @@ class Isolated:
         return process
 
     def _answer(self, process: "subprocess.Popen[bytes]", timeout: float) -> Any:
-        """What the process sends next."""
+        """The next object that the process sends."""
         began, spent = time.monotonic(), _processor_seconds(process.pid)
         try:
             while not self._pipe.poll(_LOOK_SECONDS) and process.poll() is None:
@@ -170,7 +170,7 @@ def _too_long(timeout: float) -> CallError:
 
 
 def _lost(process: "subprocess.Popen[bytes]", timeout: float) -> CallError:
-    """How a process ended that has closed its connection."""
+    """The error of a process that has closed its connection."""
     try:
         code = process.wait(_LEAVE_SECONDS)
     except subprocess.TimeoutExpired:

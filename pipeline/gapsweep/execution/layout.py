@@ -1,4 +1,4 @@
-"""Where in the files of a run the points of a grid belong, and what these files hold."""
+"""Layout of the files of a run: their variables, and the places of the points of a grid."""
 
 import math
 from collections.abc import Collection, Iterator, Mapping
@@ -39,7 +39,7 @@ Piece = tuple[slice, ...]
 
 @dataclass(frozen=True)
 class Layout:
-    """How the points of a grid lie in the files.
+    """Layout of the points of a grid in the files.
 
     Attributes
     ----------
@@ -59,17 +59,17 @@ class Layout:
 
     @classmethod
     def of(cls, grid: Grid, steady: Steady, **symmetry: Any) -> "Layout":
-        """Of a grid; `symmetry` are `uneven` and `mean_load`."""
+        """Layout of a grid; `symmetry` are `uneven` and `mean_load`."""
         return cls(grid, sizes_of(grid.structure, steady), **symmetry)
 
     @property
     def variables(self) -> dict[str, Variable]:
-        """Of `responses.nc`."""
+        """Layout of `responses.nc`."""
         return self._described(VARIABLES)
 
     @property
     def attractor_variables(self) -> dict[str, Variable]:
-        """Of `attractors.nc`, over its attractors."""
+        """Layout of `attractors.nc`, over its attractors."""
         return self._described(ATTRACTOR_VARIABLES)
 
     def coordinates(self, dims: Collection[str]) -> Found:
@@ -129,7 +129,7 @@ class Layout:
         return self.grid.coordinates()
 
     def places(self, piece: Piece) -> dict[str, NDArray[np.intp]]:
-        """Where on every axis but the starts' the scenes of a piece lie, flat."""
+        """Flat places of the scenes of a piece on all axes but that of the starts."""
         dims = self.grid.dims[:-1]
         return {dim: self._over(piece, dim, np.arange(len(self.grid.axes[dim]))) for dim in dims}
 

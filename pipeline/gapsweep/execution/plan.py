@@ -1,4 +1,4 @@
-"""What a run has to do: decided here, without doing any of it."""
+"""Plan of a run: the points to compute."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -137,7 +137,7 @@ def _parts(follows: NDArray[np.bool_]) -> Iterator[slice]:
 def _started_elsewhere(
     cache: Cache, keys: NDArray[np.void], status: NDArray[np.int8], follows: NDArray[np.bool_]
 ) -> NDArray[np.bool_]:
-    """Which stored points did not start where they would start now."""
+    """Stored points whose start would be another one now."""
     rows = np.flatnonzero(follows | np.append(follows[1:], False))
     is_first = ~follows[rows]
     started, has_end = cache.origins(keys[rows])

@@ -1,4 +1,4 @@
-"""Which missing points make a task: in what order they come, and how many of them fill one."""
+"""Tasks of missing points: their order, and the number of points in a task."""
 
 import random
 import time
@@ -28,7 +28,7 @@ Rows = NDArray[np.intp]
 
 
 def repeated(plan: Plan) -> NDArray[np.bool_]:
-    """Which points a study names under several labels."""
+    """Points that a study names under several labels."""
     # By the first eight bytes: numbers are sorted faster than whole keys, and in less memory.
     heads = plan.keys.view(np.uint64)[:: plan.keys.itemsize // 8]
     _, number, counts = np.unique(heads, return_inverse=True, return_counts=True)
@@ -36,7 +36,7 @@ def repeated(plan: Plan) -> NDArray[np.bool_]:
 
 
 def once(plan: Plan, is_repeated: NDArray[np.bool_]) -> Rows:
-    """What is missing; of fixed starts that are named under several labels, the first."""
+    """Missing points; of fixed starts that are named under several labels, the first."""
     in_sweep = plan.follows | np.append(plan.follows[1:], False)
     alone = np.flatnonzero(plan.is_missing & is_repeated & ~in_sweep)
     _, first = np.unique(plan.keys[alone], return_index=True)
@@ -46,7 +46,7 @@ def once(plan: Plan, is_repeated: NDArray[np.bool_]) -> Rows:
 
 
 def is_first_of_sweep(rows: Rows, follows: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Which points begin a sweep, or go on with one of which the part before is not among them."""
+    """Points that begin a sweep, or continue one whose previous part is not among them."""
     is_next = np.diff(rows, prepend=-2) == 1
     return np.asarray(~(is_next & follows[rows]))
 
@@ -122,7 +122,7 @@ class Costs:
 
 
 def shuffled(plan: Plan, missing: Rows) -> Iterator[Rows]:
-    """What is missing, in random order of blocks of neighbours, which cost alike.
+    """Missing points in random order of blocks of neighbours, which have similar costs.
 
     A block is as large as a task may be, of one representation, and made of whole sweeps. One of
     each representation leads, in the study's order: the exact law is mostly the first, and its

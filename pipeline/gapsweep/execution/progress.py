@@ -1,4 +1,4 @@
-"""What a run tells while it goes on."""
+"""Progress of a run."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace

@@ -57,7 +57,7 @@ class Recorder:
         self.written = time.monotonic()
 
     def _store(self, state: RunState) -> None:
-        """Where another run of the study goes on in the same folder, that is what is told."""
+        """Write a state, unless another run of the study goes on in the same folder."""
         if not state.is_hidden_in(self.folder):
             state.write(self.folder)
 

@@ -1,4 +1,4 @@
-"""Which approximation is adequate in which case, and its cost: the head of the report.
+"""Adequate approximations of each case and their cost: the head of the report.
 
 A case is a stiffness and a gap. Verdicts follow from ``agreement.nc``:
 
@@ -309,7 +309,7 @@ def _threshold(static: xr.Dataset | None, here: xr.Dataset) -> str:
 
 
 def in_words(found: Sequence[Contact]) -> list[str]:
-    """Which law to use, the cost of approximations, and where no law can be judged."""
+    """The law to use, the cost of approximations, and the cases in which no law can be judged."""
     judged = [contact for contact in found if not contact.unjudged]
     said = _said(judged) if judged else []
     for reason, n in Counter(c.unjudged for c in found if c.unjudged).items():
@@ -354,7 +354,7 @@ def _adequate(found: Sequence[Contact]) -> str:
 
 
 def _picked(found: Sequence[Contact]) -> str:
-    """Which approximations for which cases, cases with the same ones together."""
+    """Approximations of the cases; cases with the same ones are listed together."""
     groups: dict[tuple[str, ...], list[Contact]] = {}
     for contact in found:
         groups.setdefault(tuple(sorted(one.name for one in contact.picks)), []).append(contact)

@@ -77,7 +77,7 @@ def _one(name: str, scene: xr.Dataset, own: Mapping[str, float]) -> float:
 
 
 def _contacts(scene: xr.Dataset) -> Iterator[tuple[float, dict[str, float]]]:
-    """Of every contact on the drawn coordinate: the factor of the coordinate, and its own settings.
+    """The factor of the coordinate and the settings of each contact on the drawn coordinate.
 
     Directions are those at the values in ``[parameters]``; files hold no others.
     """

@@ -116,7 +116,7 @@ def of_scene(
 
 
 def in_scene(found: xr.Dataset, here: xr.Dataset, dim: str, prefix: str = "") -> NDArray[np.bool_]:
-    """Which entries of a dimension are of what a figure shows, by coordinates with a prefix."""
+    """Entries of a dimension that a figure shows, by coordinates with a prefix."""
     inside = np.ones(found.sizes[dim], bool)
     for name in [*places(here), REPRESENTATION]:
         if prefix + name in found.coords and name in here.coords:

@@ -91,7 +91,7 @@ def contact_map(
     ax: "Axes | None" = None,
     **wanted: Any,
 ) -> "Axes":
-    """Which walls each steady response touches, over two parameters.
+    """Walls that each steady response touches, over two parameters.
 
     Found from the stored extrema of the relative displacement: no wall (free motion within the
     freeplay), one, both, or never off one of them (no loss of contact). ``map("contact_share")``

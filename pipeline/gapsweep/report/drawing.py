@@ -387,7 +387,7 @@ def with_setting(scene: xr.Dataset, name: str) -> xr.Dataset:
 
 
 def sets_axis(values: xr.DataArray, kinds: xr.DataArray) -> xr.DataArray:
-    """Which values set the axis: those of steady responses, and all if there are none.
+    """Values that set the axis: those of steady responses, and all if there are none.
 
     A motion that was still growing when it was left is larger than any that is steady.
     """

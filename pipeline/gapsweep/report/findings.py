@@ -58,8 +58,7 @@ def _doubtful(responses: xr.Dataset) -> list[str]:
     if "oscillator" not in tables:
         return []
     study = Study.from_dict({k: v for k, v in tables.items() if k not in ("claims", "report")})
-    said = doubts_of(study, own=False)
-    return [f"{each[0].upper()}{each[1:]}." for each in said if not each.startswith("gap")]
+    return [f"{each[0].upper()}{each[1:]}." for each in doubts_of(study, own=False)]
 
 
 _CURVE = 10  # values that make a curve
@@ -126,7 +125,7 @@ def outcomes(responses: xr.Dataset) -> str:
 
 
 def _tried(responses: xr.Dataset) -> str:
-    """How many initial conditions were tried, and what these cannot show."""
+    """Number of initial conditions tried, and the limits of such a search."""
     n = int((responses["status"] != Status.NOT_REQUESTED).sum(START).max())
     several = "1 initial condition was" if n == 1 else f"At most {n} initial conditions were"
     remedy = " Sweeps do not show coexisting attractors: add states to initial_condition."
@@ -135,13 +134,13 @@ def _tried(responses: xr.Dataset) -> str:
 
 
 def _counted(values: NDArray[np.integer]) -> Counter[int]:
-    """How often each number is there."""
+    """Frequency of each number."""
     numbers, counts = np.unique(values, return_counts=True)
     return Counter(dict(zip(numbers.tolist(), counts.tolist(), strict=True)))
 
 
 def _along(responses: xr.Dataset) -> Iterator[str]:
-    """Where on the only curve of a run a response is not periodic, for the exact law if any."""
+    """Intervals of the only curve of a run, of the exact law if any, without a period."""
     kinds = responses["response_class"]
     long = [dim for dim in kinds.dims if kinds.sizes[dim] > 1]
     dims = [dim for dim in long if dim not in (REPRESENTATION, START)]
@@ -227,7 +226,7 @@ def _costs(found: Sequence[Contact]) -> Iterator[str]:
 
 
 def _choices(advice: xr.Dataset) -> str:
-    """Which laws representation ``auto`` uses."""
+    """Laws that representation ``auto`` uses."""
     flags = advice["model"].attrs
     names = dict(zip(np.ravel(flags["flag_values"]), flags["flag_meanings"].split(), strict=True))
     chosen, counts = np.unique(advice["model"].values, return_counts=True)

@@ -321,7 +321,7 @@ def _mark_whole_numbers(made: MapImage, values: xr.DataArray) -> None:
 
 
 def _norm(numbers: NDArray[np.float64]) -> tuple[Any, str]:
-    """How numbers become colours, a few far ones left out, and at which ends some are."""
+    """Mapping of numbers to colours without outliers, and the ends that have outliers."""
     from matplotlib.colors import LogNorm, Normalize
 
     low, high = (float(end) for end in (numbers.min(), numbers.max()))

@@ -242,7 +242,7 @@ def claim_rows(decided: Mapping[str, Any]) -> Iterator[Row]:
 
 
 def _open(tests: Sequence[Mapping[str, Any]]) -> str:
-    """How many tests of a claim are undecided, if no other test fails."""
+    """Number of undecided tests of a claim, if no other test fails."""
     outcomes = [test["holds"] for test in tests]
     if {None, True} != set(outcomes):
         return ""

@@ -1,7 +1,7 @@
 """Files of a run: complete or absent, never torn, never silently damaged.
 
 A file is written under a temporary name in its own folder, flushed to disk and only then
-renamed into place. Its SHA-256 stands in ``SHA256SUMS`` beside it, in the form that
+renamed into place. Its SHA-256 stands in ``SHA256SUMS`` of that folder, in the form that
 ``sha256sum --check`` reads; while a file is replaced, the old and the new one stand there.
 """
 
@@ -89,7 +89,7 @@ def _flush(path: Path) -> None:
 
 @contextmanager
 def recording(path: Path, is_ours: Callable[[Path], bool]) -> Iterator[Path]:
-    """`replacing`, the SHA-256 of the new file recorded beside it."""
+    """`replacing`, with the SHA-256 of the new file recorded in its folder."""
     known = digests(path)
     with replacing(path, is_ours) as temporary:
         remove_leftovers(path.parent)

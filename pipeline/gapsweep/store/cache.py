@@ -149,7 +149,7 @@ class Cache:
         return np.asarray(seconds[self._index.find(keys)["slab"]])
 
     def checksums(self, keys: NDArray[np.void]) -> Iterator[bytes]:
-        """What an export of these keys is made of: checksums of slabs, and which are whose."""
+        """Sources of an export of these keys: checksums of slabs, and the slab of each key."""
         self._refresh()
         held = self._index.find(keys)
         for number, asked in _grouped(held["slab"]):
@@ -298,7 +298,7 @@ def _store_errors(path: Path) -> Iterator[None]:
 
 
 def _grouped(numbers: NDArray[np.integer]) -> Iterator[tuple[int, NDArray[np.intp]]]:
-    """Where each number that is not negative stands."""
+    """Places of the numbers that are not negative."""
     order = np.argsort(numbers, kind="stable")
     order = order[np.searchsorted(numbers[order], 0) :]
     if order.size:

@@ -1,4 +1,4 @@
-"""Where in the cache the result of a point stands: an index of content keys, in memory."""
+"""Index of content keys in memory: the place of each result in the cache."""
 
 from collections.abc import Sequence
 from typing import Any, NamedTuple
@@ -86,7 +86,7 @@ class Index:
             self._levels[-2:] = [_Level.of(self._levels[-2:])]
 
     def find(self, keys: NDArray[np.void]) -> Held:
-        """Where the results of keys stand; slab -1 and status `MISSING` of those not stored."""
+        """Places of the results of keys; slab -1 and status `MISSING` if not stored."""
         held = np.full(len(keys), np.array((-1, 0, MISSING, -1), HELD))
         for level in self._levels:
             level.add_to(held, words(np.ascontiguousarray(keys)))

@@ -160,7 +160,7 @@ def _uninterrupted() -> Iterator[None]:
 
 @contextmanager
 def _errors(path: Path) -> Iterator[None]:
-    """What the netCDF library raises, as `StoreError`; a full disk is a RuntimeError there."""
+    """Errors of the netCDF library as `StoreError`; it raises RuntimeError for a full disk."""
     try:
         yield
     except GapsweepError:

@@ -30,7 +30,7 @@ _BLOCK = 2**20  # bytes in which a mark is looked for at a time
 
 
 class Frame(NamedTuple):
-    """Where a slab stands in which file, and what its head says of it."""
+    """File and place of a slab, and the contents of its head."""
 
     path: Path
     at: int
@@ -115,7 +115,7 @@ def _parts(head: bytes, n_points: int) -> tuple[bytes, bytes, bytes]:
 
 
 def _next_mark(file: BinaryIO, at: int, size: int) -> int:
-    """Where the next mark stands; the size of the file if there is none."""
+    """Place of the next mark; the size of the file if there is none."""
     while at < size:
         file.seek(at)
         here = file.read(_BLOCK).find(_MARK)

@@ -107,7 +107,7 @@ def slabs(
 
 
 def stored(slab: Slab) -> Stored:
-    """What is in a slab.
+    """Contents of a slab.
 
     Raises
     ------

@@ -36,7 +36,7 @@ def _now() -> str:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RunState:
-    """What a run is doing, or how it ended."""
+    """Activity or outcome of a run."""
 
     state: str  # ``running``, ``finished``, ``interrupted``, ``failed`` or ``died``
     study: str  # name of the study

@@ -1,4 +1,4 @@
-"""What may stand for an axis of a sweep in a study file: one value, a list, or a grid."""
+"""Axes of a sweep in a study file: one value, a list, or a grid."""
 
 from collections.abc import Sequence
 from typing import Annotated, Any, Generic, Literal, TypeVar

@@ -19,7 +19,7 @@ _MANY, _ENDS = 8, 3  # values in a message, and of more those at either end
 def positions(
     name: str, held: ArrayLike, wanted: Any, of: str = "this dataset"
 ) -> NDArray[np.int64]:
-    """Where on an axis the wanted values lie.
+    """Places of the wanted values on an axis.
 
     Parameters
     ----------
@@ -96,7 +96,7 @@ def _within(name: str, axis: NDArray[Any], wanted: slice, of: str) -> NDArray[np
 
 
 def _key(name: str, axis: NDArray[Any], value: Any) -> Any:
-    """What is equal for values that are one; None for what the axis cannot hold."""
+    """A key that is equal for equal values; None for values that the axis cannot hold."""
     try:
         if is_numeric(axis):
             return canonical(value)

@@ -58,7 +58,7 @@ class BenchSceneTable(TomlTable):
         return oscillator.model_copy(update=self.oscillator.model_dump(exclude_none=True))
 
     def contradictions(self, oscillator: OscillatorTable) -> list[str]:
-        """What keeps the expected answer from being one, for the study's oscillator."""
+        """Problems of the expected answer for the study's oscillator."""
         own, touching = self.merged(oscillator), self.gap == [0.0, 0.0]
         needs = {
             "energy": ("zeta = 0 and forcing = 0", own.zeta == 0.0 and own.forcing == 0.0),

@@ -49,7 +49,7 @@ def union(blocks: Sequence[Axes]) -> Axes:
 
 
 def requested_of(blocks: Sequence[Axes], axes: Axes) -> NDArray[np.bool_]:
-    """Which cells over the axes some block asks for."""
+    """Mask of cells over the axes that some block requests."""
     requested = np.zeros([len(axis) for axis in axes.values()], dtype=bool)
     for block in blocks:
         at = [_places(axis, block[name]) for name, axis in axes.items()]
@@ -58,7 +58,7 @@ def requested_of(blocks: Sequence[Axes], axes: Axes) -> NDArray[np.bool_]:
 
 
 def _places(axis: Sequence[Any], some: Sequence[Any]) -> Sequence[int] | NDArray[np.intp]:
-    """Where values lie on an axis that has them."""
+    """Places of values on an axis that has them."""
     if isinstance(axis, Starts) and isinstance(some, Starts):
         return axis.places(some)
     places = {value: i for i, value in enumerate(axis)}

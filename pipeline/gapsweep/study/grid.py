@@ -73,7 +73,7 @@ class Starts(Sequence[tuple[str, tuple[float, ...]]]):
         return np.asarray(self.kind == 0)
 
     def places(self, some: "Starts") -> NDArray[np.intp]:
-        """Where some of these starts are."""
+        """Places of some of these starts."""
         rows = self._rows
         order = np.argsort(rows)
         return order[np.searchsorted(rows[order], some._rows)]

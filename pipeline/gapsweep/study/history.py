@@ -1,4 +1,4 @@
-"""Of which oscillator and walls the time histories of a study are."""
+"""Oscillator and walls of the time histories of a study."""
 
 from collections.abc import Iterator, Mapping, Sequence
 
@@ -18,7 +18,7 @@ def setting(history: HistoryTable, model: Mapping[str, float], axes: Axes) -> di
 def undecided(
     histories: Sequence[HistoryTable], model: Mapping[str, float], axes: Axes
 ) -> Iterator[str]:
-    """What is wrong with those that could be of several values that the study sweeps."""
+    """Problems of histories that could have several swept values."""
     for number, table in enumerate(histories):
         for name in (*model, "K_ratio"):
             axis = axes.get(name, ())

@@ -42,7 +42,7 @@ _DECADES = range(2, 13)
 
 
 class Model(IntEnum):
-    """What a scene needs; the order is part of the schema."""
+    """Model that a scene needs; the order is part of the schema."""
 
     EXACT = 0
     DUFFING = 1
@@ -76,7 +76,7 @@ class Advice:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Approximation:
-    """How a smooth law would do in a scene.
+    """Predicted errors of a smooth law in a scene.
 
     Attributes
     ----------

@@ -80,7 +80,7 @@ class ParametricModel:
 
     @cached_property
     def _make(self) -> Callable[[Mapping[str, float]], Model]:
-        """What makes a model of parameters: one code for the whole study."""
+        """The code that makes a model of parameters: one for the whole study."""
         table = self.spec.system
         if table is None:
             return self._oscillator
@@ -115,7 +115,7 @@ class ParametricModel:
 
     @property
     def json(self) -> str:
-        """That as JSON: what a function made cannot be read off its name."""
+        """The default model as JSON: the name of a function does not show its result."""
         return json.dumps(asdict(self.default), default=lambda array: array.tolist())
 
     @cached_property
@@ -133,7 +133,7 @@ class ParametricModel:
         return self.default.parts
 
     def labels(self, representation: str) -> tuple[str, ...]:
-        """Of every contact the label of its law, where all others have this one."""
+        """Label of the law of each contact, where all others have this one."""
         return tuple(self._own(name, "representation") or representation for name in self.contacts)
 
     def numbers(self, axes: Axes, places: Places, n: int) -> Array:
@@ -143,7 +143,7 @@ class ParametricModel:
         return np.concatenate([*parts, starts_of(axes).states[places[START]]], axis=1)
 
     def sections(self, axes: Axes, places: Places, rate: Array) -> tuple[Array, Array]:
-        """What the sections of n scenes are measured by.
+        """Scales of the sections of n scenes.
 
         Parameters
         ----------
@@ -322,7 +322,7 @@ class ParametricModel:
         return np.array([self.structure.row(model) for model in models])[number]
 
     def _models(self, axes: Axes, places: Places, n: int) -> tuple[NDArray[np.intp], list[Model]]:
-        """Which model each point has, and the models."""
+        """Number of the model of each point, and the models."""
         names = [name for name in self.spec.model if name in axes]
         if not names:
             return np.zeros(n, np.intp), [self.default]
@@ -332,7 +332,7 @@ class ParametricModel:
 
 
 def _out_of_range(others: Mapping[str, float], name: str, axis: Any) -> Iterator[str]:
-    """What is wrong with an axis of a parameter of the oscillator: its ends, as ranges go."""
+    """Errors of an oscillator at the ends of a swept parameter."""
     several = values(axis)
     for value in {min(several), max(several)} if name in others else ():  # others are of laws
         try:
@@ -342,7 +342,7 @@ def _out_of_range(others: Mapping[str, float], name: str, axis: Any) -> Iterator
 
 
 def _form(model: Model) -> tuple[Any, ...]:
-    """What all models of a study share: all but numbers."""
+    """Structure that all models of a study share: all but numbers."""
     return model.coordinates, tuple(model.contacts), structure_of(model)
 
 

@@ -1,4 +1,4 @@
-"""What is wrong in a study file, in words: a line per problem, with what is allowed."""
+"""Problems of a study file in words: a line per problem, with the allowed values."""
 
 import difflib
 from collections.abc import Collection
@@ -108,7 +108,7 @@ def _problem(source: str, error: Any, spec: type[BaseModel], names: Collection[s
 
 
 def _message(error: Any, spec: type[BaseModel], names: Collection[str]) -> str:
-    """What is wrong with a value, and what is allowed."""
+    """The problem of a value, and the allowed values."""
     kind, loc, value = error["type"], error["loc"], error["input"]
     if kind in _SHAPES and (field := _form_at(loc)):
         return _FORMS[field]
@@ -141,7 +141,7 @@ def _in_units(loc: Loc) -> str:
 
 
 def _instead(loc: Loc, value: Any) -> str:
-    """How to write what must have been meant by what is no number."""
+    """Remedy for a value that is no number, if a form of it is known."""
     if loc[0] == "oscillator" and isinstance(value, list | dict):
         return "; write swept values in [[sweep]]"
     if isinstance(value, str) and ":" in value:
@@ -150,13 +150,13 @@ def _instead(loc: Loc, value: Any) -> str:
 
 
 def _form_at(loc: Loc) -> str:
-    """Which of `_FORMS` a place is in, if nothing but tags and numbers follow it; empty if none."""
+    """The entry of `_FORMS` that holds a place, if only tags and numbers follow; empty if none."""
     names = [part for part in loc if isinstance(part, str) and part not in _TAGS - {"sweep"}]
     return names[-1] if names and names[-1] in _FORMS else ""
 
 
 def _likely(loc: Loc, spec: type[BaseModel], parameters: Collection[str]) -> str:
-    """Which key of the same table is meant, if one is alike, else all of them."""
+    """The key of the same table that is alike, else all of them."""
     keys = [key for table in _tables(loc[:-1], spec) for key in table.model_fields]
     is_swept = _PARAMETERS in keys
     keys += [*parameters] * is_swept

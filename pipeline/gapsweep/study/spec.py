@@ -197,7 +197,7 @@ class BranchesTable(TomlTable):
     atol: Positive | None = None
 
     def problems(self, axes: Axes, contacts: Mapping[str, ContactTable]) -> Iterator[str]:
-        """What is wrong with the parameter, for the axes of a study."""
+        """Problems of the parameter, for the axes of a study."""
         names = [name for name in axes if name not in _NO_PARAMETERS and len(axes[name]) > 1]
         if self.along not in names:
             swept = ", ".join(names) or "none; write several values in [[sweep]]"
@@ -450,7 +450,7 @@ def check(tables: dict[str, Any], source: str = "study") -> StudySpec:
 
 
 def _missing(tables: Any, source: str) -> list[str]:
-    """What blocks of an oscillator lack, in a study in which something else is wrong, too."""
+    """Numbers that blocks of an oscillator lack, in a study with other problems too."""
     given = isinstance(tables, dict) and tables.get("system") is None
     blocks = tables.get("sweep") if given else None
     return [

@@ -94,7 +94,7 @@ class Study:
         )
 
     def plan(self, **options: Any) -> Any:
-        """Which points are in the cache and which are missing: `gapsweep.plan` of this study."""
+        """Cached and missing points: `gapsweep.plan` of this study."""
         from gapsweep import plan
 
         return plan(self, **options)
@@ -396,7 +396,7 @@ class Study:
         return tuple(found)
 
     def _starts_in_words(self) -> str:
-        """What the numbers of the starts stand for."""
+        """Meaning of the numbers of the starts."""
         states = [
             kind if kind in SWEEPS else f"[{', '.join(f'{value:g}' for value in state)}]"
             for kind, state in self.grid.starts
@@ -473,7 +473,7 @@ class Study:
         )
 
     def _adequate(self, table: Points) -> list[tuple[NDArray[np.intp], Points]]:
-        """What ``auto`` chooses for each point, in tables of one tolerance each."""
+        """Laws that ``auto`` chooses for the points, in tables of one tolerance each."""
         numbers, rtol = table.numbers.copy(), np.empty(len(table))
         for row, least in enumerate(advised(table, self.spec.auto.error)):
             rtol[row] = least.rtol

@@ -120,7 +120,7 @@ class ContactTable(TomlTable):
 
 @dataclass(frozen=True)
 class Maker:
-    """What makes the system of a study at some values of its parameters; it can be pickled.
+    """The code that makes the system of a study at some values of its parameters; picklable.
 
     Attributes
     ----------
@@ -154,7 +154,7 @@ class Maker:
 
 
 def maker(table: SystemTable, source: str, folders: Iterable[Path] = ()) -> Maker:
-    """What makes the system of a study, of the code as it is now.
+    """Return the code that makes the system of a study, as it is now.
 
     Parameters
     ----------
@@ -180,7 +180,7 @@ def maker(table: SystemTable, source: str, folders: Iterable[Path] = ()) -> Make
 
 
 def wrong_matrices(tables: Any, source: str) -> list[str]:
-    """What is wrong with a system of matrices, for a study in which something else is wrong too."""
+    """Problems of a system of matrices, for a study with other problems too."""
     try:
         table = SystemTable.model_validate(tables["system"])
         if table.function is None:  # no code is run for that
@@ -198,7 +198,7 @@ def said(parameters: Mapping[str, float]) -> str:
 
 
 def _made(name: str, function: Any, parameters: Mapping[str, float]) -> System:
-    """What a function makes of named numbers."""
+    """The system that a function makes of named numbers."""
     try:
         with chdir("."):  # wherever it goes, cache and results stay here
             found = function(**parameters)

@@ -144,7 +144,7 @@ class _Package:
     def _import(
         self, name: str, globals: Any = None, locals: Any = None, fromlist: Any = (), level: int = 0
     ) -> Any:
-        """What an import statement of the user's code calls."""
+        """The function that import statements of the user's code call."""
         top = name.partition(".")[0]
         if level:
             absolute = resolve_name("." * level + name, globals["__package__"])
@@ -185,7 +185,7 @@ def _folder() -> Path:
 
 
 def _placed(key: str, source: Module) -> Path:
-    """Where a module stands in this process: in a private folder, with its data files alone."""
+    """Path of a module in this process: in a private folder with its data files only."""
     path = Path(source.path)
     number = _numbers.setdefault((key, str(path.parent)), len(_numbers))
     folder = _folder() / str(number)

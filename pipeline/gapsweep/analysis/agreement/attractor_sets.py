@@ -110,7 +110,7 @@ def _mirror_classes(found: AttractorTable) -> Ints:
 
 
 def _present(table: LawTable, classes: Ints, common: Bools) -> Bools:
-    """Which classes some common start ends on."""
+    """Classes on which some common start ends."""
     present = np.zeros(classes.shape, dtype=bool)
     w, s = np.nonzero(common & (table.attractor != NONE))
     present[w, classes[w, table.attractor[w, s]]] = True
@@ -212,7 +212,7 @@ def _mean_at(w: Ints, values: Array, size: int) -> Array:
 
 
 def basin_metrics(found: Matching, ours: LawTable, theirs: LawTable) -> dict[str, Array]:
-    """Which starts end on the matching attractor, and how far basin shares differ (A11, A12).
+    """Starts that end on the matching attractor, and differences of basin shares (A11, A12).
 
     Returns
     -------

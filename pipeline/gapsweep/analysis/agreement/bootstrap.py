@@ -119,7 +119,7 @@ def ratio(sums: Array) -> Array:
 
 @lru_cache(maxsize=64)
 def _draws(n: int) -> NDArray[np.int32]:
-    """How often each of `n` blocks is drawn, shape (N_DRAWS, n)."""
+    """Number of times that each of `n` blocks is drawn, shape (N_DRAWS, n)."""
     counts = np.random.default_rng(_SEED).multinomial(n, np.full(n, 1.0 / n), size=N_DRAWS)
     return np.asarray(counts, dtype=np.int32)
 

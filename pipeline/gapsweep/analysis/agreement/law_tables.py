@@ -117,7 +117,7 @@ class LawTable:
 
     @property
     def exists(self) -> Bools:
-        """Where there is a response, resolved or not."""
+        """Mask of points with a response, resolved or not."""
         return np.asarray(self.requested & np.isfinite(self.amplitude))
 
     @property

@@ -1,4 +1,4 @@
-"""What `agreement.nc` holds: every metric, its unit, its formula, and how it is summed up.
+"""Metrics of `agreement.nc`: unit, formula and summary of each.
 
 ``docs/reference/metrics.md`` explains them to readers. A4 to A14 are the numbers of the metrics
 there; A1 to A3 compare forces and need no responses.

@@ -91,7 +91,7 @@ def motion(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Scale:
-    """What a difference of states is divided by: a length [m] and a speed [m/s]."""
+    """Scales of a difference of states: a length [m] and a speed [m/s]."""
 
     length: float
     speed: float

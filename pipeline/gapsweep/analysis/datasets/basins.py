@@ -127,7 +127,7 @@ def basins(
 
 
 def _dataset(found: Attractors, scene: Scene, starts_x: Array, starts_v: Array) -> xr.Dataset:
-    """What `basins` returns."""
+    """The dataset that `basins` returns."""
     (law,), columns = scene.laws, found.leaders.columns
     dataset = xr.Dataset(
         {

@@ -135,7 +135,7 @@ def sampled(omega: float, t_end: float) -> tuple[Array, Array]:
 
 
 def _leading(value: Any) -> Any:
-    """Where a value lies in an array that is padded along its last axis."""
+    """Place of a value in an array that is padded along its last axis."""
     return (..., slice(np.shape(value)[-1])) if np.ndim(value) else ...
 
 

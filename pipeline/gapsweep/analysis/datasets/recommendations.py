@@ -136,7 +136,7 @@ def _each(
 
 
 def sentences(found: xr.Dataset) -> list[dict[str, Any]]:
-    """What `advice` found, by scene and start, in words.
+    """Results of `advice` by scene and start, in words.
 
     Returns
     -------

@@ -203,7 +203,7 @@ def displacements(gaps: tuple[Gap, ...], x_max: float) -> Array:
 
 
 def _unless_refused(label: str, measured: Callable[..., Values], *given: Any) -> Values:
-    """What is measured of a law, or why it is refused."""
+    """Measurements of a law, or the reason why it is refused."""
     try:
         return measured(*given)
     except ModelError as error:
