@@ -557,9 +557,7 @@ def _check_call(
     if timeout != math.inf:
         checked("timeout", timeout, low=0.0, strict=True)
     if not isinstance(scheduler, str | None):
-        raise ClusterError(
-            f"scheduler = {scheduler!r:.80}: must be an address, as 'tcp://127.0.0.1:8786'"
-        )
+        raise ClusterError(f"scheduler = {scheduler!r:.80}: must be an address, as tcp://host:8786")
     if client is not None and not hasattr(client, "nthreads"):
         raise ClusterError(
             f"client = {client!r:.80}: must be a distributed.Client; select by name, as omega=9.0"

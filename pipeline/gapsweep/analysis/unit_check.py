@@ -13,6 +13,7 @@ from gapsweep.model.contact import ContactLaw
 from gapsweep.model.doubts import doubts
 from gapsweep.model.labels import AUTO, EXACT, is_fitted, law_of
 from gapsweep.model.oscillator import Gap
+from gapsweep.model.table import ForceTable
 from gapsweep.status import Status
 from gapsweep.study.grid import START, starts_of
 
@@ -58,13 +59,10 @@ def never_reached(values: Callable[[str], Any], dims: Sequence[str], labels: Seq
 def out_of_range(status: NDArray[Any], labels: Sequence[str]) -> Iterator[str]:
     """A sentence for each representation all of whose points left the range of its law."""
     for label, some in zip(labels, status, strict=False):  # none if the file cannot be read
-        asked = some[some != Status.NOT_REQUESTED]
-        if asked.size and (asked == Status.OUT_OF_FIT_RANGE).all():
-            remedy = "write range = 8e-3 in [fit]" if is_fitted(label) else "extend its table"
-            yield (
-                f"{label}: all {asked.size} points are out_of_fit_range: motions leave the range "
-                f"of the contact law, where its force is extrapolated; {remedy}"
-            )
+        n = np.count_nonzero(some != Status.NOT_REQUESTED)
+        if 0 < n == np.count_nonzero(some == Status.OUT_OF_FIT_RANGE):
+            remedy = "increase range in [fit]" if is_fitted(label) else "extend its table"
+            yield f"{label}: all {n} points leave its range (out_of_fit_range); {remedy}"
 
 
 def bounded(study: "Study") -> str:
@@ -85,8 +83,8 @@ def bounded(study: "Study") -> str:
 def doubts_of(study: "Study", far: str = "", own: bool = True) -> Iterator[str]:
     """Warnings of numbers of a study that are probably in another unit: the rules of calls.
 
-    A sentence `far` on walls out of reach comes last. Without `own` no code of the
-    user is run: systems of functions have no warnings, force tables count as exact laws.
+    A sentence `far` on walls out of reach comes last. Functions for contact laws, which may never
+    return, are not called; without `own` neither are those for systems, which have no warnings.
     """
     grid, model = study.grid, study.model
     axes = {name: grid.axes[name] for name in study.spec.model if name in grid.axes}
@@ -101,20 +99,20 @@ def doubts_of(study: "Study", far: str = "", own: bool = True) -> Iterator[str]:
     laws = []
     for label, gap in product(grid.representations, gaps):
         with suppress(ModelError):  # of a law that cannot be used: reported where it is used
-            laws.append(tuple(_laws(study, label, K_c, gap, ratio, own)))
+            laws.append(tuple(_laws(study, label, K_c, gap, ratio)))
     omega, starts = grid.axes.get("omega", 0.0), starts_of(grid.axes).states
     yield from doubts([model.at(some) for some in points], laws, omega, starts) if laws else ()
     yield from [far] * bool(far)
 
 
-def _laws(
-    study: "Study", label: str, K_c: float, gap: Gap, ratio: float, own: bool
-) -> Iterator[ContactLaw]:
-    """The laws of all contacts; in place of fits the exact law, which has their numbers."""
+def _laws(study: "Study", label: str, K_c: float, gap: Gap, ratio: float) -> Iterator[ContactLaw]:
+    """The laws of all contacts; the exact law in place of fits and of laws in the user's code."""
     for name, one in zip(study.model.contacts, study.model.labels(law_of(label)), strict=True):
         given: dict[str, Any] = {"K_c": K_c, "gap": (gap.j_1, gap.j_2), "K_ratio": ratio}
         if name in study.spec.contact:
             given |= study.spec.contact[name].model_dump(exclude_none=True)
-        is_exact = one == AUTO or is_fitted(one) or (":" in one and not own)
+        own = study.own_law(one)
+        is_code = own is not None and not isinstance(own.source, ForceTable)
+        is_exact = one == AUTO or is_fitted(one) or is_code
         walls = Gap(*given["gap"])
         yield study.law(EXACT if is_exact else one, given["K_c"], walls, given["K_ratio"])

@@ -24,8 +24,6 @@ from gapsweep.status import Status
 from gapsweep.study.study import Study
 from gapsweep.study.system_tables import said
 
-Ends = tuple[float, float]  # of a swept parameter
-
 _LONGEST = 60.0  # s
 _SHORTEST = 10.0  # s, for imports and compilers, which count in no time limit of points
 _MOST_GAPS = 100  # between whose walls jumps are searched for
@@ -82,7 +80,7 @@ def try_out(study: Study, timeout: float, say: Callable[[str], None]) -> None:
     swept, axes = study.grid.representations, study.grid.axes
     compiled = {law_of(label) for label in swept if study.solver(label).engine == "compiled"}
     gaps = study.grid.gaps[:_MOST_GAPS] if {"gap", "j_1"} & axes.keys() else (Gap(0.0, 0.0),)
-    ends = {n: (min(axes[n]), max(axes[n])) for n in study.spec.parameters if n in axes}
+    ends = {n: {min(axes[n]), max(axes[n])} for n in study.spec.parameters if n in axes}
     with Isolated(limit) as isolated:
         for label in study.own_laws:
             try:
@@ -92,8 +90,8 @@ def try_out(study: Study, timeout: float, say: Callable[[str], None]) -> None:
             for step, function in (("importing {}", _imports), ("calling {}", _calls)):
                 say(f"{step.format(label)} (timeout {limit:g} s)")
                 try:
-                    searched = gaps if label in compiled else ()
-                    isolated(function, own, study.model.default, searched, ends)
+                    some = gaps if label in compiled else ()
+                    isolated(function, own, study.model.default, some, ends)
                 except CallError as lost:
                     if lost.status is Status.MODEL_INVALID and label in compiled:
                         raise StudyError([f"{study.source}: {lost.message}"]) from None
@@ -110,13 +108,12 @@ def _imports(own: OwnLaw, *_: Any) -> None:
     own.load()
 
 
-def _calls(own: OwnLaw, model: Model, gaps: Sequence[Gap], ends: Mapping[str, Ends]) -> None:
+def _calls(own: OwnLaw, model: Model, gaps: Sequence[Gap], ends: Mapping[str, Any]) -> None:
     named = dict(checked(own).parameters)
     if gaps:
         laws = (own.law(0.0, Gap(0.0, 0.0)),) * len(model.contacts)
         loaded("compiled")(Models.of([model], [laws], np.ones(1)), Solver.of())
-    swept = [name for name in named if name in ends]
-    for values in product(*(ends[name] for name in swept)):
-        some = named | dict(zip(swept, values, strict=True))
+    for values in product(*(ends.get(name, (value,)) for name, value in named.items())):
+        some = replace(own, parameters=tuple(zip(named, values, strict=True)))
         for gap in gaps:  # of what compiles, which neither ends a process nor raises
-            replace(own, parameters=tuple(some.items())).law(0.0, gap)
+            some.law(0.0, gap)

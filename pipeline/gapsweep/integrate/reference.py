@@ -101,7 +101,8 @@ def prepared(models: Models, solver: Solver) -> Integrate:
         runs: list[_ReferenceMotion] = []
         for i in range(len(problems)):
             before = runs[-1] if problems.follows is not None and problems.follows[i] else None
-            given = solver.rtol, float(atol[problems.which[i]])
+            tolerances = solver.rtol, float(atol[problems.which[i]])
+            given = *tolerances, problems.tangent, solver.contact_force
             runs.append(_run(models, problems, i, given, before))
         columns = {name: np.array([getattr(run, name) for run in runs]) for name in SCALARS}
 
@@ -168,7 +169,7 @@ def _run(
     models: Models,
     problems: Problems,
     i: int,
-    tolerances: tuple[float, float],
+    given: tuple[float, float, bool, str],
     before: "_ReferenceMotion | None",
 ) -> _ReferenceMotion:
     """Problem i, from where the run before it ended, if it follows one."""
@@ -186,8 +187,7 @@ def _run(
         models.laws[models.law[model]],
         omega,
         theta_0,
-        *tolerances,
-        problems.tangent,
+        *given,
     )
     run = _Record()
     start: State = before.state if before else tuple(problems.start[i].tolist())
@@ -309,9 +309,8 @@ def _solve(
         run.status = Status.DIVERGED
     elif solution.status < 0:
         lost = _is_undefined_ahead(scene.rhs(modes), solution.t[-1], solution.y[:, -1])
-        is_users = any(isinstance(law, UserLaw) for law in scene.laws)
-        reason = Status.MODEL_INVALID if is_users else Status.DIVERGED
-        run.status = reason if lost else Status.STEP_UNDERFLOW
+        why = Status.MODEL_INVALID if UserLaw in map(type, scene.laws) else Status.DIVERGED
+        run.status = why if lost else Status.STEP_UNDERFLOW
     hits = [
         (contact, scene.wall(contact, side))
         for (contact, side), times in zip(exits, contacts, strict=True)

@@ -56,10 +56,9 @@ def called_as(example: str) -> Callable[[C], C]:
                     ) from None
                 raise
 
-        if not is_class:
-            return cast(C, called)
-        cast(Any, kind).__init__ = called
-        return kind
+        if is_class:
+            cast(Any, kind).__init__ = called
+        return kind if is_class else cast(C, called)
 
     return decorated
 

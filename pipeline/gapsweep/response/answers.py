@@ -199,10 +199,9 @@ def _why_unresolved(
         "noise": float(windows.noise(max(int(shooting.n[point]), 1))[point]),
         "atol": 0.01 * windows.ensemble.atol[point],
         "rtol": CONFIRMING_RTOL,
+        "damping": remedy,
     }
-    return reason.format(
-        largest=largest, n=n, exponent=number, time=_TIME, damping=remedy, **precision
-    )
+    return reason.format(largest=largest, n=n, exponent=number, time=_TIME, **precision)
 
 
 def _precision(

@@ -171,9 +171,7 @@ def _sums(folder: Path) -> list[tuple[str, str]]:
     except FileNotFoundError:
         return []
     except OSError as error:
-        raise StoreError(
-            f"{folder / SUMS}: cannot be read: {error.strerror}; remove it, gapsweep rewrites it"
-        ) from None
+        raise StoreError(f"{folder / SUMS}: {error.strerror}; remove it") from None
     pairs = (line.partition("  ") for line in lines)
     return [(digest, name) for digest, _, name in pairs if name]  # none in a line that was cut
 

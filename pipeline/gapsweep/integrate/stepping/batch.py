@@ -269,9 +269,8 @@ def _drained(
     )
     pieces: list[list[Array]] = [[] for _ in kept]
     LOADED.add(at.of_motion)
-    outcome, step_on, budget = BUDGET_SPENT, advance, _BUDGET
-    if method.is_users:
-        step_on, budget = advance_users, _USERS_BUDGET
+    users, ours = (advance_users, _USERS_BUDGET), (advance, _BUDGET)
+    outcome, (step_on, budget) = BUDGET_SPENT, users if method.is_users else ours
     while outcome != FINISHED:
         began = time.monotonic()
         outcome = step_on(layout, run, limits, budget)
