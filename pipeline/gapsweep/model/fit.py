@@ -33,7 +33,7 @@ _N_STARTS = 48
 _SEED = 20260
 _SAME_RMSE = 1.0 + 1e-6
 # Half-ranges: a pole this little beyond an end counts as inside, as the law is evaluated at it.
-_BESIDE = 1e-6
+_OUTSIDE = 1e-6
 
 
 @dataclass(frozen=True, slots=True)
@@ -139,7 +139,7 @@ def poles(denominator: tuple[float, ...], fit_range: float) -> list[float]:
     # Vanishing leading coefficients would put spurious roots at infinity.
     roots = chebyshev.chebroots(chebyshev.chebtrim(np.asarray(denominator), tol=1e-14))
     real = roots.real[np.abs(roots.imag) < 1e-7]
-    return [float(r) * fit_range for r in np.sort(real) if abs(r) <= 1.0 + _BESIDE]
+    return [float(r) * fit_range for r in np.sort(real) if abs(r) <= 1.0 + _OUTSIDE]
 
 
 def _is_odd(gap: Gap, K_ratio: float) -> bool:
