@@ -106,7 +106,7 @@ PARTS = {
 
 
 def members(kind: type[IntEnum], numbers: NDArray[np.integer]) -> Any:
-    """Return an array of the members of an enumeration with these numbers, which start at 0."""
+    """Return the members with these numbers, counted from 0; a single member for a 0-d array."""
     return np.array([*kind], dtype=object)[numbers]
 
 
@@ -154,7 +154,7 @@ def dataset(
         axes = {"omega": np.reshape(inputs["omega"], (*shape, 1))} | axes
 
     def spans(dims: tuple[str, ...]) -> bool:
-        """Whether every input is constant along the dimensions of the others."""
+        """Whether the points are a grid over `dims`: each input is constant along the others."""
         others = ((i, axes[x]) for i, dim in enumerate(dims) for x in axes if x != dim)
         return all(bool((values == values.take([0], i)).all()) for i, values in others)
 

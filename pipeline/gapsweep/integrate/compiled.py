@@ -153,7 +153,7 @@ def _scenes(models: Models, solver: Solver, is_taylor: bool) -> SceneTable:
 
 
 def _events(n: int, turns: Columns, sections: Columns, contacts: Columns) -> Events:
-    """Events of n motions.
+    """Return the `Events` of n motions, from columns of the recorded ones.
 
     Parameters
     ----------

@@ -385,7 +385,7 @@ def _hidden_contacts(
 
 
 def _hidden_springs(points: Numbers, windows: RecordedWindows, half: Array) -> Mask:
-    """Points with a cubic spring that moves so little, but whose stiffness is not negligible.
+    """Points with a relevant cubic spring that moves less than errors of the other coordinates.
 
     Parameters
     ----------

@@ -157,7 +157,7 @@ class Ensemble:
     def bounded_transient(
         self, transient: NDArray[np.int64], n_periods: NDArray[np.int64]
     ) -> NDArray[np.int64]:
-        """Return the periods of the next transient, limited for motions of `n_periods` so far."""
+        """Return the periods of the next transient, after `n_periods`; unchanged if forced."""
         return transient
 
     def stays_bounded(self, scenes: NDArray[np.intp], y: Array) -> NDArray[np.bool_]:

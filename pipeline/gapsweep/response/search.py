@@ -268,7 +268,7 @@ class Search:
         return after
 
     def _restore_orbit(self, points: Numbers) -> States:
-        """Return to the longer orbit if no shorter one is stable."""
+        """Restore the longer orbit if no shorter one is stable."""
         return np.where(self._shooting.restore(points), State.BASIN_CHECK, State.NO_REPEAT)
 
     def _check_basin(self, points: Numbers) -> States:
@@ -454,7 +454,7 @@ class Search:
         return is_zero, may_be & (len(self._windows.y) > 2)
 
     def _test_exponent(self, points: Numbers) -> States:
-        """Double the measurement until the exponent is surely not zero, with the standard error
+        """Double the measurement until the exponent is surely not zero and has the standard error
         that the user requested, or until the time is over.
         """
         exponents, steady = self._exponents, self._steady

@@ -18,7 +18,7 @@ def setting(history: HistoryTable, model: Mapping[str, float], axes: Axes) -> di
 def undecided(
     histories: Sequence[HistoryTable], model: Mapping[str, float], axes: Axes
 ) -> Iterator[str]:
-    """Yield a problem for every parameter of a history that the study sweeps but it leaves open."""
+    """Yield a problem for every parameter that the study sweeps and a history does not set."""
     for number, table in enumerate(histories):
         for name in (*model, "K_ratio"):
             axis = axes.get(name, ())

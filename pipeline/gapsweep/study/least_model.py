@@ -142,12 +142,12 @@ def advise(
 
 
 def check_error(error: float) -> float:
-    """Return the allowed error as a float.
+    """Return `error` as a float, if it is within 1e-9..0.1.
 
     Raises
     ------
     ModelError
-        If it is not within 1e-9..0.1.
+        If `error` is out of this range.
     """
     error = checked("error", error)
     if not SMALLEST_ERROR <= error <= LARGEST_ERROR:

@@ -192,7 +192,7 @@ def isolate(degree, h, end_value, slack, work):
 
 @internal
 def _halve(coefficients, ends, top, degree, a, b):
-    """Replace entry `top` by its right and left part, the left one uppermost."""
+    """Replace interval `top` of the stack by its halves, the left one on top; return the size."""
     left, right, whole = (
         coefficients[top + 1],
         coefficients[top],

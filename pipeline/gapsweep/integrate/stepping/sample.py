@@ -10,7 +10,7 @@ from .roots import polynomial
 
 @entry
 def sample_steps(at, steps, first, last, times):
-    """Evaluate recorded steps.
+    """Return the states at some times, from the series of recorded steps.
 
     Parameters
     ----------

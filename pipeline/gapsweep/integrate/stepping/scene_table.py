@@ -208,14 +208,14 @@ def set_modes_on_walls(at: RowLayout, points: Array) -> None:
 
 
 def _slopes(at: RowLayout, points: Array, contact: int) -> Iterator[Array]:
-    """Yield the Taylor coefficients of a contact's gap from degree 1 on, without its force."""
+    """Yield the Taylor coefficients of a contact's gap from degree 1 on, as if out of contact."""
 
     def matrix(name: str, *shape: int) -> Array:
         block = slice(at.first[name], at.first[name] + at.blocks[name])
         return points[:, block].reshape(len(points), *shape)
 
     def series(name: str, size: int, multiple: str, phase: str, k: int) -> Array:
-        """Coefficient k of a sum of harmonics, with amplitudes in block `name`."""
+        """Taylor coefficient k of a sum of harmonics, with amplitudes in block `name`."""
         amplitudes = matrix(name, -1, size)
         multiples = matrix(multiple, -1) if at.blocks[multiple] else np.ones(amplitudes.shape[:2])
         turns = multiples * points[:, [at.tau]]

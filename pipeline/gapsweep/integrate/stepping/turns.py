@@ -149,7 +149,7 @@ def _turns_of(speed):
 
 
 def _gap_speed(state, contact):
-    """Rate of a contact's gap, bit by bit as the next step's series begins with."""
+    """Rate of a contact's gap at the step's end, bit-equal to that in the next step's series."""
     layout = state.layout
     if layout.is_plain:
         return None  # its gap is its coordinate
