@@ -31,6 +31,7 @@ DEFAULT_RTOL = {"compiled": 1e-9, "scipy": 1e-4}  # by engine
 ENGINES = tuple(DEFAULT_RTOL)
 DEFAULT_ENGINE = "compiled"
 CONTROLLERS = ("native", "ode45")
+CONTACT_FORCES = ("by_mode", "as_written")
 
 # Tighter than this all methods only add rounding.
 SMALLEST_RTOL = 1e-13
@@ -329,6 +330,10 @@ class Solver:
     restart : bool
         Whether the solver restarts at every located contact, with a new first step size, as the
         paper's solver. The reference engine always restarts.
+    contact_force : str
+        Force of a located contact inside a step: ``"by_mode"`` keeps the contact mode until the
+        step ends at the wall; ``"as_written"`` evaluates the piecewise force at every stage, so
+        that a step passes its kink before it is cut at the wall.
 
     Raises
     ------
@@ -341,10 +346,12 @@ class Solver:
     atol: float | None = None
     controller: str = "native"
     restart: bool = False
+    contact_force: str = "by_mode"
 
     def __post_init__(self) -> None:
         _one_of("engine", self.engine, ENGINES)
         _one_of("controller", self.controller, CONTROLLERS)
+        _one_of("contact_force", self.contact_force, CONTACT_FORCES)
         if self.engine == "scipy" and self.controller != "native":
             raise ModelError("controller = 'ode45': needs engine = 'compiled'")
         object.__setattr__(self, "rtol", checked("rtol", self.rtol, low=SMALLEST_RTOL))
@@ -361,11 +368,19 @@ class Solver:
         atol: float | None = None,
         controller: str = "native",
         restart: bool = False,
+        contact_force: str = "by_mode",
     ) -> "Solver":
         """Return solver settings; `rtol` None means the engine's default."""
         default = DEFAULT_RTOL[_one_of("engine", engine, ENGINES)]
         rtol = default if rtol is None else rtol
-        return cls(engine=engine, rtol=rtol, atol=atol, controller=controller, restart=restart)
+        return cls(
+            engine=engine,
+            rtol=rtol,
+            atol=atol,
+            controller=controller,
+            restart=restart,
+            contact_force=contact_force,
+        )
 
     def with_rtol(self, rtol: float) -> "Solver":
         """Return the solver with another relative tolerance, `atol` scaled by the same factor."""
