@@ -22,7 +22,7 @@ from gapsweep.model.oscillator import Gap
 from gapsweep.model.own_law import OwnLaw, checked
 from gapsweep.status import Status
 from gapsweep.study.study import Study
-from gapsweep.study.system_tables import said
+from gapsweep.study.system_tables import in_words
 
 _LONGEST = 60.0  # s
 _SHORTEST = 10.0  # s, for imports and compilers, which count in no time limit of points
@@ -42,7 +42,7 @@ def try_out_system(function: str, path: Path) -> None:
         at = ""
         try:
             for some in isolated(_loads, path):
-                at = f" at {said(some)}"
+                at = f" at {in_words(some)}"
                 isolated(_makes, some)
         except CallError as lost:
             if lost.status in (Status.KILLED, Status.TIMED_OUT):

@@ -15,12 +15,11 @@ from typing import Any, ClassVar, TypeVar, cast
 
 from gapsweep.errors import ModelError
 
-# Within these bounds no product or quotient that a model is prepared with overflows, not even the
-# frequencies' squares times its ratios; no machine comes near them.
+# Within these bounds no product or quotient of model parameters overflows, not even squared
+# frequencies times ratios; they are far beyond any machine.
 SMALLEST, LARGEST = 1e-50, 1e50
 
-# The numbers of an oscillator, in the order that they have in every table, those first that a
-# classic one has.
+# The numbers of an oscillator in the order of every table: first those of a classic oscillator.
 CLASSIC = ("zeta", "omega_n", "mass", "alpha", "forcing")
 OSCILLATOR = (*CLASSIC, "mean_load", "c")
 
@@ -33,7 +32,7 @@ NO_LOSS = "contact that loses energy (damping, restitution, friction) is not cov
 
 
 def called_as(example: str) -> Callable[[C], C]:
-    """Decorator: a call with wrong arguments is a `ModelError` that shows this example."""
+    """Decorator: a call with wrong arguments raises a `ModelError` that shows this example."""
 
     def decorated(kind: C) -> C:
         is_class = isinstance(kind, type)
@@ -64,16 +63,16 @@ def called_as(example: str) -> Callable[[C], C]:
 
 
 def is_number(value: Any) -> bool:
-    """Whether it may be taken for a number: Python makes one of text and of truth values too."""
+    """Whether a value is a number; text and booleans, which `float` would accept, are none."""
     kind: str = getattr(getattr(value, "dtype", None), "kind", "O")
     return kind in "iufO" and not isinstance(value, str | bytes | bool)
 
 
 def checked(name: str, value: float, *, low: float = -math.inf, strict: bool = False) -> float:
-    """`value` as a finite float above `low`, or a `ModelError` that names it.
+    """Return `value` as a finite float above `low`; raise a `ModelError` that names it otherwise.
 
-    What must be positive (``low=0.0, strict=True``) must be at least `SMALLEST`, and nothing may be
-    larger than `LARGEST`.
+    A strictly positive number (``low=0.0, strict=True``) must be at least `SMALLEST`, and no number
+    may be larger than `LARGEST`.
     """
     try:
         number = float(value) if is_number(value) else None
@@ -93,7 +92,7 @@ def checked(name: str, value: float, *, low: float = -math.inf, strict: bool = F
 
 
 def whole(name: str, value: int, low: int, high: int) -> int:
-    """`value` as an int in ``low..high``, or a `ModelError` that names it."""
+    """Return `value` as an int in ``low..high``; raise a `ModelError` that names it otherwise."""
     try:
         number = index(value) if is_number(value) else low - 1
     except TypeError:
@@ -140,7 +139,7 @@ class Oscillator:
     'ok'
     """
 
-    # What it has as a `System` of one coordinate has it. Without numpy, which takes time to import.
+    # Properties of a `System` of one coordinate; without numpy, which takes time to import.
     n: ClassVar[int] = 1
     n_lags: ClassVar[int] = 0
     n_states: ClassVar[int] = 2
@@ -172,17 +171,17 @@ class Oscillator:
 
     @property
     def is_classic(self) -> bool:
-        """Whether it has a spring and no mean load, as kernels for one coordinate assume."""
+        """Whether the oscillator has a spring and no mean load, as the classic kernels assume."""
         return self.omega_n > 0.0 and self.mean_load == 0.0
 
     @property
     def damping_ratio(self) -> float:
-        """Damping ratio of `zeta` and `c` together [-]."""
+        """Damping ratio due to `zeta` and `c` together [-]."""
         return self.zeta + (0.5 * self.c / (self.mass * self.omega_n_rad) if self.omega_n else 0.0)
 
     @property
     def is_held(self) -> bool:
-        """Whether it has a linear spring."""
+        """Whether the mass has a linear spring."""
         return self.omega_n > 0.0
 
     @property
@@ -207,7 +206,7 @@ class Oscillator:
 
     @property
     def deflection(self) -> float:
-        """Static displacement under the forcing [m], about: linear and cubic stiffness add up."""
+        """Estimate of the static displacement under the forcing [m], with the cubic stiffness."""
         stiffness = self.mass * self.omega_n_rad**2 + math.cbrt(abs(self.alpha) * self.forcing**2)
         return abs(self.forcing) / stiffness if stiffness else 0.0
 
