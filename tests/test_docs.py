@@ -83,15 +83,15 @@ def test_python_blocks_run_in_order(page, folder, monkeypatch):
     mpl.use("Agg")
     for data in page.parent.glob("*.csv"):  # which the page reads
         shutil.copy(data, folder)
-    quick = Path(
-        "quick.toml"
-    )  # what `gapsweep init quick` leaves there, which refuses to overwrite
+    quick = Path("quick.toml")  # left by `gapsweep init quick`, which refuses to overwrite it
     is_new = not quick.exists()
     shutil.copy("workflows/quick.toml", quick)
-    exec(compile("".join(blocks(page, "python")), page.name, "exec"), {})  # the pages are ours
-    plt.close("all")
-    if is_new:
-        quick.unlink()
+    try:
+        exec(compile("".join(blocks(page, "python")), page.name, "exec"), {})  # the pages are ours
+    finally:
+        plt.close("all")
+        if is_new:
+            quick.unlink()
 
 
 @pytest.mark.packaging

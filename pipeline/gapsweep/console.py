@@ -68,7 +68,7 @@ def _is_number(text: str) -> bool:
 def sentence(progress: Progress) -> str:
     """The stage of a run, or its counts and the time left if it is known."""
     if progress.stage:
-        return progress.stage
+        return printable(progress.stage)
     if progress.n_hits == progress.n_done < progress.n_points:
         return "loading kernels (the first run compiles them, up to a minute)"
     left = ""

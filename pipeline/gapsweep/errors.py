@@ -15,11 +15,12 @@ fails numerically raises nothing: its `Status` is part of the result.
 
 import signal
 from collections.abc import Sequence
+from unicodedata import category
 
 # Signals of Ctrl-C, of the end of a batch job and of a terminal: a run stops and can be resumed.
 STOPPING = signal.SIGINT, signal.SIGTERM, getattr(signal, "SIGHUP", signal.SIGTERM)
 _LONGEST = 300  # characters of an error that other code has raised
-_CONTROL = dict.fromkeys({*range(32), *range(127, 160)} - {*b"\t\n"})
+_UNSEEN = "Cc", "Cf"  # Unicode categories: control characters, and those that reorder a text
 _MOST = 100  # problems of a study that are listed
 
 
@@ -59,8 +60,8 @@ class ClusterError(GapsweepError, RuntimeError):
 
 
 def printable(text: str) -> str:
-    """The text without control characters, except tabs and line ends."""
-    return text.translate(_CONTROL)
+    """The text without invisible characters, except tabs and line ends."""
+    return "".join(each for each in text if each in "\t\n" or category(each) not in _UNSEEN)
 
 
 def described(error: BaseException) -> str:

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from gapsweep.analysis.unit_check import doubts_of, never_reached
+from gapsweep.analysis.unit_check import doubts_of, never_reached, out_of_range
 from gapsweep.console import progress_bar
 from gapsweep.errors import ClusterError, StoreError, StudyError
 from gapsweep.execution.assemble import attributes_of, fill
@@ -30,7 +30,7 @@ from gapsweep.execution.plan import plan as make_plan
 from gapsweep.execution.progress import DEFAULT_TIMEOUT, OnProgress, Progress, tell
 from gapsweep.execution.recorder import Recorder
 from gapsweep.model.doubts import warn_of
-from gapsweep.model.oscillator import checked, whole
+from gapsweep.model.oscillator import called_as, checked, whole
 from gapsweep.run_folder import (
     CLAIMS,
     RESPONSES,
@@ -74,6 +74,7 @@ class Outcome:
     doubts: tuple[str, ...]
 
 
+@called_as("gs.run(study, workers=2)")
 def run(
     study: Study | str | os.PathLike[str],
     client: Client | None = None,
@@ -174,7 +175,7 @@ def carry_out(
     dashboard: bool = False,
 ) -> Outcome:
     """Compute a study as `run` does, and return the `Outcome` instead of the dataset."""
-    _check_call(client, workers=workers, batch=batch, timeout=timeout)
+    _check_call(client, scheduler, workers=workers, batch=batch, timeout=timeout)
     folder, path = run_folder(study, out), cache_path(cache)
     check_writable(folder)
     check_owner(study, folder)
@@ -225,16 +226,16 @@ def carry_out(
                 recorder.state = replace(recorder.state, failed=n_failed, message=why)
             del planned, store  # a tenth of a gigabyte of keys at a million points
             make([stage for stage in stages if POINTS not in stage.sources], run)
-    far = ""
+    far, values, grid = "", partial(netcdf.values, folder / RESPONSES), study.grid
     if study.spec.oscillator:
-        values, grid = partial(netcdf.values, folder / RESPONSES), study.grid
         far = never_reached(values, grid.dims, grid.representations)
-    doubts = tuple(doubts_of(study, far))
+    doubts = *doubts_of(study, far), *out_of_range(values("status"), grid.representations)
     motions = {stage.file: stage.failed_motions(folder) for stage in stages}
     failed = {file: counts for file, counts in motions.items() if counts}
     return Outcome(folder, progress, failures, failed, doubts)
 
 
+@called_as("gs.plan(study)")
 def plan(
     study: Study | str | os.PathLike[str],
     cache: str | Path | None = None,
@@ -521,7 +522,7 @@ def query(
     (1, 1)
     """
     study = Study.of(study)
-    _check_call(client, workers=workers)
+    _check_call(client, scheduler, workers=workers)
     selection, path = study.select(**wanted), cache_path(cache)
     with progress_bar() if on_progress is None else nullcontext(on_progress) as observer:
         _try_out_own_laws(study, DEFAULT_TIMEOUT, partial(tell, observer, Progress(0, 0)))
@@ -542,7 +543,12 @@ def query(
 
 
 def _check_call(
-    client: Any = None, *, workers: int = 1, batch: int | None = None, timeout: float = math.inf
+    client: Any = None,
+    scheduler: str | None = None,
+    *,
+    workers: int = 1,
+    batch: int | None = None,
+    timeout: float = math.inf,
 ) -> None:
     """Raise an error for invalid arguments of a call, even if it would compute nothing."""
     whole("workers", workers, 1, 1024)
@@ -550,6 +556,8 @@ def _check_call(
         whole("batch", batch, 1, MAX_POINTS)
     if timeout != math.inf:
         checked("timeout", timeout, low=0.0, strict=True)
+    if not isinstance(scheduler, str | None):
+        raise ClusterError(f"scheduler = {scheduler!r:.80}: must be an address, as tcp://host:8786")
     if client is not None and not hasattr(client, "nthreads"):
         raise ClusterError(
             f"client = {client!r:.80}: must be a distributed.Client; select by name, as omega=9.0"

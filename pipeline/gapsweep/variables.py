@@ -48,12 +48,12 @@ class Variable:
 
     @property
     def of_systems(self) -> "Variable":
-        """The variable for a system: no units, unless they hold for any kind of coordinate."""
+        """The variable of a system: without unit if that depends on the meaning of coordinates."""
         return self if self.units in _OWN_UNITS else replace(self, units="")
 
 
 def canonical(value: float) -> float:
-    """The value rounded to 12 significant digits.
+    """Return the value rounded to 12 significant digits.
 
     Grids reach the same coordinate by different arithmetic; after rounding they agree to the last
     bit. Studies round when they are read: they compute, key and store these values. Datasets of a
@@ -62,12 +62,12 @@ def canonical(value: float) -> float:
     return float(f"{value:.11e}") + 0.0  # -0.0 becomes 0.0
 
 
-# Dimensions and metadata of variables by name.
+# Dimensions and description of every variable.
 Described = Mapping[str, tuple[tuple[str, ...], Variable]]
 
 
 def empty(table: Described, sizes: Mapping[str, int]) -> dict[str, Any]:
-    """Arrays of a table's variables, filled with their missing values."""
+    """Return arrays of the variables of a table, filled with missing values."""
     return {
         name: np.full([sizes[dim] for dim in dims], variable.missing, variable.dtype)
         for name, (dims, variable) in table.items()
@@ -75,21 +75,21 @@ def empty(table: Described, sizes: Mapping[str, int]) -> dict[str, Any]:
 
 
 def with_attributes(table: Described, arrays: Mapping[str, Any]) -> dict[str, Any]:
-    """Arrays with their dimensions and attributes, as a dataset takes them."""
+    """Return dimensions, values and attributes of every variable, as for `xarray.Dataset`."""
     return {
         name: (dims, arrays[name], variable.attributes) for name, (dims, variable) in table.items()
     }
 
 
 STATUS_FLAGS = tuple((status.label, int(status)) for status in Status)
-# Variables of every motion.
+# Counts of every motion.
 COUNTS = {
     "n_contacts": Variable("i8", "1", "wall crossings of the motion, in and out", 0),
     "n_steps": Variable("i8", "1", "accepted steps of the motion", 0),
     "n_rejected": Variable("i8", "1", "rejected steps of the motion", 0),
     "nfev": Variable("i8", "1", "right-hand-side evaluations of the motion", 0),
 }
-# Coordinates of the points of a call: frequency and initial state.
+# Forcing frequency and initial condition of a point of a call.
 INPUTS = {
     "omega": Variable("f8", "Hz", "forcing frequency"),
     START: Variable("i4", "1", "number of the initial condition"),
@@ -106,14 +106,12 @@ PARTS = {
 
 
 def members(kind: type[IntEnum], numbers: NDArray[np.integer]) -> Any:
-    """Array of the members of an enumeration with these numbers, counted from 0; a 0-d array
-    gives one member.
-    """
+    """Return the members with these numbers, counted from 0; a single member for a 0-d array."""
     return np.array([*kind], dtype=object)[numbers]
 
 
 def objects(value: Any) -> NDArray[Any]:
-    """Array of the objects of a list, tuple or array; a single object gives a 0-d array."""
+    """Return a list, tuple or array of objects as an array; one object as a 0-d array."""
     if isinstance(value, list | tuple | np.ndarray):
         return np.array(value, dtype=object)
     found = np.empty((), object)
@@ -127,10 +125,10 @@ def dataset(
     table: Mapping[str, Variable],
     arrays: Mapping[str, NDArray[Any]],
 ) -> "xr.Dataset":
-    """Dataset of the results of one call, with its inputs as coordinates and attributes.
+    """Return the dataset of the points of a call.
 
-    Its dimensions are `omega` and `initial_condition` where one model is computed at every
-    frequency from every initial state, otherwise `point`. The other inputs are its attributes.
+    Its dimensions are `omega` and `initial_condition` if one model is computed at every frequency
+    from every initial state, otherwise `point`. The other inputs are its attributes.
 
     Parameters
     ----------
@@ -140,7 +138,7 @@ def dataset(
     table : mapping of str to Variable
         The variables.
     arrays : mapping of str to ndarray, shape (n, ...)
-        Their values: of all points, flat, along their dimensions.
+        Values of the variables for all points (flattened), along their dimensions.
     """
     import xarray as xr  # takes half a second, which no computation needs
 
@@ -156,7 +154,7 @@ def dataset(
         axes = {"omega": np.reshape(inputs["omega"], (*shape, 1))} | axes
 
     def spans(dims: tuple[str, ...]) -> bool:
-        """Whether every input varies along its own dimension only."""
+        """Whether the points are a grid over `dims`: each input is constant along the others."""
         others = ((i, axes[x]) for i, dim in enumerate(dims) for x in axes if x != dim)
         return all(bool((values == values.take([0], i)).all()) for i, values in others)
 
@@ -168,7 +166,7 @@ def dataset(
     described = {**INPUTS, **table}
 
     def variable(name: str, along: tuple[str, ...], values: NDArray[Any]) -> tuple[Any, ...]:
-        """A variable as xarray takes it, without dimensions that such a model does not have."""
+        """Return a variable as for xarray, without dimensions that the model does not have."""
         form = described[name].of_systems if is_system else described[name]
         along += tuple(dim for dim in form.dims if dim in parts or dim not in PARTS)
         return along, values.reshape([sizes.get(dim, -1) for dim in along]), form.attributes
@@ -194,21 +192,21 @@ def dataset(
 
 
 def to_dataframe(dataset: "xr.Dataset", *more: str) -> Any:
-    """Table of a dataset's points, as a `pandas.DataFrame`.
+    """Return the points of a dataset as a `pandas.DataFrame`.
 
     Parameters
     ----------
     dataset : Dataset
         As ``responses.nc``, or a part of it.
     *more : str
-        Dimensions that have a row for each entry, too.
+        Further dimensions with a row for each entry.
 
     Returns
     -------
     DataFrame
-        Columns are dimensions, then variables with one value in a row; values of every coordinate
-        or contact of a system have their own, as ``x_max[h]``. Flags are words. Cells that are no
-        sweep point are left out.
+        Columns are dimensions, then variables with one value in a row, with a column for every
+        coordinate or contact of a system, as ``x_max[h]``. Flags are words. Cells that are no sweep
+        point are left out.
     """
     rows, columns = (*dataset["status"].dims, *more), dict[str, Any]()
     if not rows:
@@ -225,7 +223,7 @@ def to_dataframe(dataset: "xr.Dataset", *more: str) -> Any:
 
 
 def as_html(dataset: "xr.Dataset") -> str:
-    """HTML table of a dataset's points, a row each; a single point has a row for each value."""
+    """Return the points of a dataset as an HTML table; a single point with a row per value."""
     shown = to_dataframe(dataset)
     return str((shown if dataset["status"].dims else shown.T)._repr_html_())
 

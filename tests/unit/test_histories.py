@@ -147,7 +147,7 @@ def test_failures_are_statuses():
 def test_raising_and_undefined_laws_are_statuses():
     labels = ["tests.laws:raising", "tests.laws:undefined"]
     found = histories(study_of(SCENE | {"t_end": 1.0, "representation": labels}))
-    assert_array_equal(found["status"], [[Status.ERROR, Status.DIVERGED]])
+    assert_array_equal(found["status"], [[Status.ERROR, Status.MODEL_INVALID]])
 
 
 def test_study_without_histories_has_none():

@@ -1,4 +1,4 @@
-"""Warnings of probable unit errors, and of parameter sets in which no wall is touched."""
+"""Warnings of probable unit errors, of laws that all motions leave, and of untouched walls."""
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
@@ -6,6 +6,7 @@ from itertools import product
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from gapsweep.errors import ModelError
 from gapsweep.model.contact import ContactLaw
@@ -13,6 +14,7 @@ from gapsweep.model.doubts import doubts
 from gapsweep.model.labels import AUTO, EXACT, is_fitted, law_of
 from gapsweep.model.oscillator import Gap
 from gapsweep.model.table import ForceTable
+from gapsweep.status import Status
 from gapsweep.study.grid import START, starts_of
 
 if TYPE_CHECKING:
@@ -54,6 +56,15 @@ def never_reached(values: Callable[[str], Any], dims: Sequence[str], labels: Seq
     )
 
 
+def out_of_range(status: NDArray[Any], labels: Sequence[str]) -> Iterator[str]:
+    """A sentence for each representation all of whose points left the range of its law."""
+    for label, some in zip(labels, status, strict=False):  # none if the file cannot be read
+        n = np.count_nonzero(some != Status.NOT_REQUESTED)
+        if 0 < n == np.count_nonzero(some == Status.OUT_OF_FIT_RANGE):
+            remedy = "increase range in [fit]" if is_fitted(label) else "extend its table"
+            yield f"{label}: all {n} points leave its range (out_of_fit_range); {remedy}"
+
+
 def bounded(study: "Study") -> str:
     """Sentence of `never_reached` before the run of a study, from the bounds of `advise`."""
     grid = study.grid
@@ -72,9 +83,9 @@ def bounded(study: "Study") -> str:
 def doubts_of(study: "Study", far: str = "", own: bool = True) -> Iterator[str]:
     """Warnings of numbers of a study that are probably in another unit, by the rules of calls.
 
-    A sentence `far` on walls that are not reached replaces the warning of the gap. User functions
-    of contact laws, which may never return, are not called; without `own` functions of systems are
-    not called either, and such systems have no warnings.
+    A sentence `far` on walls that are not reached comes last. User functions of contact laws, which
+    may never return, are not called; without `own` functions of systems are not called either, and
+    such systems have no warnings.
     """
     grid, model = study.grid, study.model
     axes = {name: grid.axes[name] for name in study.spec.model if name in grid.axes}
@@ -91,8 +102,7 @@ def doubts_of(study: "Study", far: str = "", own: bool = True) -> Iterator[str]:
         with suppress(ModelError):  # an invalid law is reported at its use
             laws.append(tuple(_laws(study, label, K_c, gap, ratio)))
     omega, starts = grid.axes.get("omega", 0.0), starts_of(grid.axes).states
-    found = doubts([model.at(some) for some in points], laws, omega, starts) if laws else ()
-    yield from (each for each in found if not (far and each.startswith("gap")))
+    yield from doubts([model.at(some) for some in points], laws, omega, starts) if laws else ()
     yield from [far] * bool(far)
 
 

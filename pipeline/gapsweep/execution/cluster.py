@@ -1,6 +1,7 @@
 """The Dask cluster of a run: a local one, or one that runs already."""
 
 import logging
+import os
 import tempfile
 import time
 import warnings
@@ -19,6 +20,7 @@ from gapsweep.study.software import software
 _CONNECT_SECONDS = 10
 _WAIT_SECONDS = 0.1
 _LOOK_SECONDS = 0.01
+_LONGEST_PLACE = 71  # characters: multiprocessing adds 32, and macOS allows 103 in all
 # Errors on a worker become the status of its points; its log only repeats them.
 _SILENT = logging.CRITICAL
 _LOCAL_SETTINGS = {
@@ -77,6 +79,12 @@ def cluster(
 
 @contextmanager
 def _local(workers: int, dashboard: bool) -> Iterator[Client]:
+    place = tempfile.gettempdir()
+    if os.name == "posix" and len(os.fsencode(place)) > _LONGEST_PLACE:
+        raise ClusterError(
+            f"TMPDIR = {place}: must have <= {_LONGEST_PLACE} characters (of the names of workers' "
+            "sockets); write TMPDIR=/tmp gapsweep run ..."
+        )
     # Free ports on the loopback, so that no other cluster is disturbed. Temporary TLS keys, so that
     # no other process of the machine can run code in the workers or in this process.
     options: dict[str, Any] = {"host": "127.0.0.1", "security": True, "silence_logs": _SILENT}

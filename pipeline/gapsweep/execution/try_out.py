@@ -5,7 +5,9 @@ after an isolated process has survived them with the same snapshot. The isolated
 compiles the law, if its points need that, and searches for jumps between the walls.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +22,7 @@ from gapsweep.model.oscillator import Gap
 from gapsweep.model.own_law import OwnLaw, checked
 from gapsweep.status import Status
 from gapsweep.study.study import Study
-from gapsweep.study.system_tables import said
+from gapsweep.study.system_tables import in_words
 
 _LONGEST = 60.0  # s
 _SHORTEST = 10.0  # s, for imports and compilation, which no time limit of points includes
@@ -41,7 +43,7 @@ def try_out_system(function: str, path: Path) -> None:
         at = ""
         try:
             for some in isolated(_loads, path):
-                at = f" at {said(some)}"
+                at = f" at {in_words(some)}"
                 isolated(_makes, some)
         except CallError as lost:
             if lost.status in (Status.KILLED, Status.TIMED_OUT):
@@ -79,6 +81,7 @@ def try_out(study: Study, timeout: float, say: Callable[[str], None]) -> None:
     swept, axes = study.grid.representations, study.grid.axes
     compiled = {law_of(label) for label in swept if study.solver(label).engine == "compiled"}
     gaps = study.grid.gaps[:_MOST_GAPS] if {"gap", "j_1"} & axes.keys() else (Gap(0.0, 0.0),)
+    ends = {n: {min(axes[n]), max(axes[n])} for n in study.spec.parameters if n in axes}
     with Isolated(limit) as isolated:
         for label in study.own_laws:
             try:
@@ -88,7 +91,8 @@ def try_out(study: Study, timeout: float, say: Callable[[str], None]) -> None:
             for step, function in (("importing {}", _imports), ("calling {}", _calls)):
                 say(f"{step.format(label)} (timeout {limit:g} s)")
                 try:
-                    isolated(function, own, study.model.default, gaps if label in compiled else ())
+                    some = gaps if label in compiled else ()
+                    isolated(function, own, study.model.default, some, ends)
                 except CallError as lost:
                     if lost.status is Status.MODEL_INVALID and label in compiled:
                         raise StudyError([f"{study.source}: {lost.message}"]) from None
@@ -105,10 +109,12 @@ def _imports(own: OwnLaw, *_: Any) -> None:
     own.load()
 
 
-def _calls(own: OwnLaw, model: Model, gaps: Sequence[Gap]) -> None:
-    checked(own)
+def _calls(own: OwnLaw, model: Model, gaps: Sequence[Gap], ends: Mapping[str, Any]) -> None:
+    named = dict(checked(own).parameters)
     if gaps:
         laws = (own.law(0.0, Gap(0.0, 0.0)),) * len(model.contacts)
         loaded("compiled")(Models.of([model], [laws], np.ones(1)), Solver.of())
-    for gap in gaps:  # for compiled laws, which neither end a process nor raise
-        own.law(0.0, gap)
+    for values in product(*(ends.get(name, (value,)) for name, value in named.items())):
+        some = replace(own, parameters=tuple(zip(named, values, strict=True)))
+        for gap in gaps:  # for compiled laws, which neither end a process nor raise
+            some.law(0.0, gap)

@@ -58,8 +58,7 @@ def _doubtful(responses: xr.Dataset) -> list[str]:
     if "oscillator" not in tables:
         return []
     study = Study.from_dict({k: v for k, v in tables.items() if k not in ("claims", "report")})
-    warnings = doubts_of(study, own=False)
-    return [f"{each[0].upper()}{each[1:]}." for each in warnings if not each.startswith("gap")]
+    return [f"{each[0].upper()}{each[1:]}." for each in doubts_of(study, own=False)]
 
 
 _CURVE = 10  # values that make a curve

@@ -171,8 +171,10 @@ def digests(path: Path) -> list[str]:
 def _sums(folder: Path) -> list[tuple[str, str]]:
     try:
         lines = text_of(folder / SUMS).splitlines()
-    except OSError:  # absent, or not a regular file
+    except FileNotFoundError:
         return []
+    except OSError as error:
+        raise StoreError(f"{folder / SUMS}: {error.strerror}; remove it") from None
     pairs = (line.partition("  ") for line in lines)
     return [(digest, name) for digest, _, name in pairs if name]  # a truncated line has no name
 

@@ -15,7 +15,7 @@ from gapsweep.execution.cluster import check_workers
 from gapsweep.integrate.problem import DEFAULT_ENGINE, Solver
 from gapsweep.model.contact import ContactLaw
 from gapsweep.model.doubts import doubts, warn_of
-from gapsweep.model.oscillator import Oscillator, checked
+from gapsweep.model.oscillator import Oscillator, called_as, checked
 from gapsweep.model.system import floats
 from gapsweep.model.user_law import UserLaw
 from gapsweep.response.attractors import Attractors, Grouping
@@ -38,6 +38,7 @@ _ATTRIBUTES = {
 }
 
 
+@called_as("gs.basins(oscillator, law, 9.0, x=[0.0, 1e-3], v=[0.0]), in Hz, m and m/s")
 def basins(
     oscillator: Oscillator,
     law: ContactLaw,

@@ -14,7 +14,7 @@ from gapsweep.model.equilibria import (
     search_points,
     sign_changes,
 )
-from gapsweep.model.oscillator import Gap, Oscillator
+from gapsweep.model.oscillator import Gap, Oscillator, called_as
 
 Array = NDArray[np.float64]
 
@@ -33,6 +33,7 @@ def largest_in_gap(law: ContactLaw, x_max: float) -> float:
     return float(np.max(np.abs(law.force(np.append(points, peaks)))))
 
 
+@called_as("gs.static_error(law)")
 def static_error(law: ContactLaw, fit_range: float = FIT_RANGE) -> tuple[float, float]:
     """RMSE [N] and R² [-] of any law against the exact force, integrated over ``±fit_range`` [m].
 
