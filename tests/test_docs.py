@@ -39,7 +39,7 @@ def blocks(page, *kinds):
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
-    """Where the pages are read: a clone in which the quick study has been run."""
+    """Folder in which the pages' code runs: with the quick study and its results."""
     folder = tmp_path_factory.mktemp("clone")
     shutil.copytree(ROOT / "workflows", folder / "workflows")
     with pytest.MonkeyPatch.context() as patch:

@@ -1,4 +1,4 @@
-"""What a run shows while it goes on."""
+"""Display of a run's progress."""
 
 import time
 from dataclasses import replace

@@ -1,4 +1,4 @@
-"""What cannot be used is refused in one line that names the value and what to do."""
+"""Invalid input gives an error of one line with the value and the remedy."""
 
 import math
 import tempfile

@@ -1,1 +1,1 @@
-"""Evaluation of results: datasets in, datasets out."""
+"""Analysis of results: functions from datasets to datasets."""

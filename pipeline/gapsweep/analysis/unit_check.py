@@ -1,4 +1,4 @@
-"""Checks of units: cases that touch no wall, laws that all motions leave, and doubtful numbers."""
+"""Warnings of probable unit errors, and of parameter sets in which no wall is touched."""
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
@@ -20,12 +20,12 @@ from gapsweep.study.grid import START, starts_of
 if TYPE_CHECKING:
     from gapsweep.study.study import Study
 
-_IN_CASE = ("representation", "omega", START)  # all other dimensions are of cases
-_SAMPLED = 16  # every so many points of a study show for most cases that a wall may be reached
+_IN_CASE = ("representation", "omega", START)  # dimensions within a parameter set
+_SAMPLED = 16  # every 16th point shows for most parameter sets that a wall may be reached
 
 
 def never_reached(values: Callable[[str], Any], dims: Sequence[str], labels: Sequence[str]) -> str:
-    """In which cases the exact law touches no wall, as one sentence; empty if in none.
+    """Sentence on the cases in which the exact law touches no wall; empty if there are none.
 
     Parameters
     ----------
@@ -66,7 +66,7 @@ def out_of_range(status: NDArray[Any], labels: Sequence[str]) -> Iterator[str]:
 
 
 def bounded(study: "Study") -> str:
-    """The same of a study of oscillators before it is run, from the bounds of `advise`."""
+    """Sentence of `never_reached` before the run of a study, from the bounds of `advise`."""
     grid = study.grid
     asked = grid.requested.any(axis=0)
     within = tuple(i for i, dim in enumerate(grid.dims[1:]) if dim in _IN_CASE)
@@ -81,10 +81,11 @@ def bounded(study: "Study") -> str:
 
 
 def doubts_of(study: "Study", far: str = "", own: bool = True) -> Iterator[str]:
-    """Warnings of numbers of a study that are probably in another unit: the rules of calls.
+    """Warnings of numbers of a study that are probably in another unit, by the rules of calls.
 
-    A sentence `far` on walls out of reach comes last. Functions for contact laws, which may never
-    return, are not called; without `own` neither are those for systems, which have no warnings.
+    A sentence `far` on walls that are not reached replaces the warning of the gap. User functions
+    of contact laws, which may never return, are not called; without `own` functions of systems are
+    not called either, and such systems have no warnings.
     """
     grid, model = study.grid, study.model
     axes = {name: grid.axes[name] for name in study.spec.model if name in grid.axes}
@@ -98,7 +99,7 @@ def doubts_of(study: "Study", far: str = "", own: bool = True) -> Iterator[str]:
     gaps = grid.gaps if {"gap", "j_1"} & grid.axes.keys() else (Gap(0.0, 0.0),)
     laws = []
     for label, gap in product(grid.representations, gaps):
-        with suppress(ModelError):  # of a law that cannot be used: reported where it is used
+        with suppress(ModelError):  # an invalid law is reported at its use
             laws.append(tuple(_laws(study, label, K_c, gap, ratio)))
     omega, starts = grid.axes.get("omega", 0.0), starts_of(grid.axes).states
     yield from doubts([model.at(some) for some in points], laws, omega, starts) if laws else ()
@@ -106,7 +107,7 @@ def doubts_of(study: "Study", far: str = "", own: bool = True) -> Iterator[str]:
 
 
 def _laws(study: "Study", label: str, K_c: float, gap: Gap, ratio: float) -> Iterator[ContactLaw]:
-    """The laws of all contacts; the exact law in place of fits and of laws in the user's code."""
+    """The laws of all contacts; the exact law in place of fits and of user functions."""
     for name, one in zip(study.model.contacts, study.model.labels(law_of(label)), strict=True):
         given: dict[str, Any] = {"K_c": K_c, "gap": (gap.j_1, gap.j_2), "K_ratio": ratio}
         if name in study.spec.contact:

@@ -1,4 +1,4 @@
-"""Basins of attraction: which attractor a grid of starts ends on."""
+"""Basins of attraction: the attractor of every initial condition on a grid."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from gapsweep.response.scene import Scene
 from gapsweep.response.section import unit_of
 
 _MAX_STARTS = 10**6
-_PART = 4096  # starts that are answered together
+_PART = 4096  # initial conditions computed in one call
 _ATTRIBUTES = {
     "attractor": ("1", "number of the attractor, -1: none"),
     "x_max": ("m", "peak displacement of the attractor"),
@@ -127,7 +127,7 @@ def basins(
 
 
 def _dataset(found: Attractors, scene: Scene, starts_x: Array, starts_v: Array) -> xr.Dataset:
-    """The dataset that `basins` returns."""
+    """The dataset that `basins` returns, from the grouped attractors."""
     (law,), columns = scene.laws, found.leaders.columns
     dataset = xr.Dataset(
         {
@@ -157,7 +157,7 @@ def _dataset(found: Attractors, scene: Scene, starts_x: Array, starts_v: Array) 
 def _answers(
     parts: list[tuple[Array, Array]], scene: Scene, steady: Steady, client: Any
 ) -> Iterator[Responses]:
-    """Responses of all parts in their order, each let go as it is taken."""
+    """Responses of all parts in order; each is released when the next is requested."""
     if client is None:
         yield from (_answer(part, scene, steady) for part in parts)
         return
