@@ -291,7 +291,7 @@ class _Execution:
 
     def _receive(self, future: Future, job: _Job) -> None:
         if is_gone(future):
-            self._recompute(job)
+            self._retry_lost(job)
             return
         try:
             result = future.result()
@@ -299,7 +299,7 @@ class _Execution:
             raise
         except Exception as error:  # any error of a task is the failure of its points
             if is_gone(future) or future.status != "error":  # lost, perhaps being recomputed
-                self._recompute(job)
+                self._retry_lost(job)
             else:
                 if not isinstance(error, KilledWorker):
                     check_workers(self.client)  # a worker with other code may have joined
@@ -309,9 +309,9 @@ class _Execution:
                 self._keep(job, result)
                 return
             check_workers(self.client)  # a worker with other code has joined
-            self._recompute(job)
+            self._retry_lost(job)
 
-    def _recompute(self, job: _Job) -> None:
+    def _retry_lost(self, job: _Job) -> None:
         if job.losses == _MAX_LOSSES:
             raise ClusterError(
                 f"a result was lost {_MAX_LOSSES} times because workers died before it was "

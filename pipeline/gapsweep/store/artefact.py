@@ -171,7 +171,7 @@ def digests(path: Path) -> list[str]:
 def _sums(folder: Path) -> list[tuple[str, str]]:
     try:
         lines = text_of(folder / SUMS).splitlines()
-    except FileNotFoundError:
+    except FileNotFoundError:  # nothing is recorded
         return []
     except OSError as error:
         raise StoreError(f"{folder / SUMS}: {error.strerror}; remove it") from None
