@@ -102,7 +102,7 @@ class Judged:
 
     @property
     def said(self) -> str:
-        """Whether it is accurate enough, and the numbers that decide, as a sentence."""
+        """Sentence: whether the law is accurate enough, and the numbers that decide."""
         numbers = (float(self.values[name][0]) for name in ("p95", "found"))
         return consequence(self.name, self.verdict, *numbers)
 
@@ -385,7 +385,7 @@ def _pick(laws: tuple[str, ...], some: Sequence[Contact]) -> str:
 
 
 def consequence(name: str, verdict: str, p95: float, found: float) -> str:
-    """Whether a law is accurate enough, and the two numbers that decide, as a sentence."""
+    """Sentence: whether a law is accurate enough, and the two numbers that decide."""
     if verdict == "exact here":
         return f"{name} is not distinguishable from the exact law with other settings."
     means = {"use": "is accurate enough", "with care": "may be accurate enough, check it"}

@@ -216,7 +216,7 @@ def _agreeing(agreement: xr.Dataset) -> Iterator[str]:
 
 
 def _judged(found: Sequence[Contact]) -> Iterator[str]:
-    """How many approximations have which verdict; no cost, since costs differ from run to run."""
+    """Counts of approximations by verdict; no cost, since costs differ from run to run."""
     laws = [one for contact in found for one in contact.laws if one.is_approximation]
     counts = Counter(one.column for one in laws)
     if laws:
