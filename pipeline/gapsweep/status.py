@@ -37,5 +37,5 @@ class Status(IntEnum):
 
     @property
     def failed(self) -> bool:
-        """Whether the point has no result; False for ``unresolved`` and ``out_of_fit_range``."""
+        """Whether the point has no result; ``unresolved`` and ``out_of_fit_range`` have one."""
         return self > Status.OUT_OF_FIT_RANGE

@@ -25,7 +25,7 @@ _OWN_UNITS = {"1", "s", "s-1", "Hz"}
 
 @dataclass(frozen=True, slots=True)
 class Variable:
-    """One dataset variable."""
+    """Metadata of a dataset variable: type, units, long name, missing value, flags."""
 
     dtype: str  # type code of NumPy, or ``"str"``
     units: str  # UDUNITS text, ``"1"`` if nondimensional; empty if only the user knows
@@ -48,7 +48,7 @@ class Variable:
 
     @property
     def of_systems(self) -> "Variable":
-        """The variable of a system: without unit if that depends on the meaning of coordinates."""
+        """The variable for a system: no units, unless they hold for any kind of coordinate."""
         return self if self.units in _OWN_UNITS else replace(self, units="")
 
 
@@ -62,12 +62,12 @@ def canonical(value: float) -> float:
     return float(f"{value:.11e}") + 0.0  # -0.0 becomes 0.0
 
 
-# Dimensions and description of every variable.
+# Dimensions and metadata of variables by name.
 Described = Mapping[str, tuple[tuple[str, ...], Variable]]
 
 
 def empty(table: Described, sizes: Mapping[str, int]) -> dict[str, Any]:
-    """Return arrays of the variables of a table, filled with missing values."""
+    """Arrays of a table's variables, filled with their missing values."""
     return {
         name: np.full([sizes[dim] for dim in dims], variable.missing, variable.dtype)
         for name, (dims, variable) in table.items()
@@ -82,14 +82,14 @@ def with_attributes(table: Described, arrays: Mapping[str, Any]) -> dict[str, An
 
 
 STATUS_FLAGS = tuple((status.label, int(status)) for status in Status)
-# Counts of every motion.
+# Variables of every motion.
 COUNTS = {
     "n_contacts": Variable("i8", "1", "wall crossings of the motion, in and out", 0),
     "n_steps": Variable("i8", "1", "accepted steps of the motion", 0),
     "n_rejected": Variable("i8", "1", "rejected steps of the motion", 0),
     "nfev": Variable("i8", "1", "right-hand-side evaluations of the motion", 0),
 }
-# Forcing frequency and initial condition of a point of a call.
+# Coordinates of the points of a call: frequency and initial state.
 INPUTS = {
     "omega": Variable("f8", "Hz", "forcing frequency"),
     START: Variable("i4", "1", "number of the initial condition"),
@@ -106,12 +106,14 @@ PARTS = {
 
 
 def members(kind: type[IntEnum], numbers: NDArray[np.integer]) -> Any:
-    """Return the members with these numbers, counted from 0; a single member for a 0-d array."""
+    """Array of the members of an enumeration with these numbers, counted from 0; a 0-d array
+    gives one member.
+    """
     return np.array([*kind], dtype=object)[numbers]
 
 
 def objects(value: Any) -> NDArray[Any]:
-    """Return a list, tuple or array of objects as an array; one object as a 0-d array."""
+    """Array of the objects of a list, tuple or array; a single object gives a 0-d array."""
     if isinstance(value, list | tuple | np.ndarray):
         return np.array(value, dtype=object)
     found = np.empty((), object)
@@ -125,7 +127,7 @@ def dataset(
     table: Mapping[str, Variable],
     arrays: Mapping[str, NDArray[Any]],
 ) -> "xr.Dataset":
-    """Return the dataset of the points of a call.
+    """Dataset of the results of one call, with its inputs as coordinates and attributes.
 
     Its dimensions are `omega` and `initial_condition` if one model is computed at every frequency
     from every initial state, otherwise `point`. The other inputs are its attributes.
@@ -154,7 +156,7 @@ def dataset(
         axes = {"omega": np.reshape(inputs["omega"], (*shape, 1))} | axes
 
     def spans(dims: tuple[str, ...]) -> bool:
-        """Whether the points are a grid over `dims`: each input is constant along the others."""
+        """Whether every input varies along its own dimension only."""
         others = ((i, axes[x]) for i, dim in enumerate(dims) for x in axes if x != dim)
         return all(bool((values == values.take([0], i)).all()) for i, values in others)
 
@@ -223,7 +225,7 @@ def to_dataframe(dataset: "xr.Dataset", *more: str) -> Any:
 
 
 def as_html(dataset: "xr.Dataset") -> str:
-    """Return the points of a dataset as an HTML table; a single point with a row per value."""
+    """HTML table of a dataset's points, a row each; a single point has a row for each value."""
     shown = to_dataframe(dataset)
     return str((shown if dataset["status"].dims else shown.T)._repr_html_())
 

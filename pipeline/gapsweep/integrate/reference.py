@@ -43,6 +43,7 @@ from gapsweep.integrate.reference_scenes import (
     State,
     scene_of,
 )
+from gapsweep.model.user_law import UserLaw
 from gapsweep.status import DIVERGED_AT, Status
 
 Array = NDArray[np.float64]
@@ -308,7 +309,8 @@ def _solve(
         run.status = Status.DIVERGED
     elif solution.status < 0:
         lost = _is_undefined_ahead(scene.rhs(modes), solution.t[-1], solution.y[:, -1])
-        run.status = Status.DIVERGED if lost else Status.STEP_UNDERFLOW
+        why = Status.MODEL_INVALID if UserLaw in map(type, scene.laws) else Status.DIVERGED
+        run.status = why if lost else Status.STEP_UNDERFLOW
     hits = [
         (contact, scene.wall(contact, side))
         for (contact, side), times in zip(exits, contacts, strict=True)

@@ -25,7 +25,7 @@ from gapsweep.integrate.problem import (
 from gapsweep.integrate.trajectory import SystemTrajectory, Trajectory
 from gapsweep.model.contact import ContactLaw, checked_law
 from gapsweep.model.doubts import doubts, warn_of
-from gapsweep.model.oscillator import LARGEST, SMALLEST, Oscillator, checked
+from gapsweep.model.oscillator import LARGEST, SMALLEST, Oscillator, called_as, checked
 from gapsweep.model.system import System, floats
 from gapsweep.variables import objects
 
@@ -54,6 +54,7 @@ def loaded(engine: str) -> Callable[[Models, Solver], Integrate]:
     return prepared
 
 
+@called_as("gs.simulate(oscillator, law, omega=9.0, t_end=2.0), in Hz and s")
 def simulate(
     oscillator: Several[AnyModel],
     law: Several[AnyLaw],
@@ -373,7 +374,7 @@ def _laws(system: System, law: AnyLaw) -> tuple[ContactLaw, ...]:
         return (checked_law(law),) * len(system.contacts)
     if set(law) != set(system.contacts):
         raise ModelError(f"law: of {list(law)}: must name {list(system.contacts)}")
-    return tuple(law[name] for name in system.contacts)
+    return tuple(checked_law(law[name]) for name in system.contacts)
 
 
 def _system_starts(

@@ -417,9 +417,8 @@ def checked_law(law: ContactLaw) -> ContactLaw:
     """Return `law`; raise a `ModelError` if it is no contact law."""
     if not isinstance(law, ContactLaw):
         label = law if isinstance(law, str) else "tanh-1e4"
-        raise ModelError(
-            f"law = {law!r}: must be a contact law, as gapsweep.contact_law({label!r}, K_c, gap) is"
-        )
+        remedy = "law(function" if callable(law) else f"contact_law({label!r}"
+        raise ModelError(f"law = {law!r}: must be a contact law, as gs.{remedy}, K_c, gap)")
     return law
 
 

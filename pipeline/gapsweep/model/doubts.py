@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gapsweep.model.contact import ContactLaw
-from gapsweep.model.oscillator import Oscillator
+from gapsweep.model.oscillator import Oscillator, called_as
 from gapsweep.model.system import System, first_order
 from gapsweep.model.table import ForceTable
 from gapsweep.model.user_law import UserLaw
@@ -23,6 +23,7 @@ Array = NDArray[np.float64]
 _FAST, _SOFT = 30.0, 1e-3  # times the natural frequency, and the stiffness of the spring
 _FAR = 10.0  # times the amplitude of the linear resonance
 _OWN = UserLaw, ForceTable  # their K_c is no force
+_BETWEEN = "gapsweep.study.study", called_as.__module__  # study.run(), and checks of arguments
 
 
 def doubts(
@@ -72,8 +73,8 @@ def doubts(
 def warn_of(found: Iterable[str]) -> None:
     """Issue one `UserWarning` with all warnings of a user's call; none for calls in the package."""
     level = 2
-    while (caller := sys._getframe(level).f_globals.get("__name__", "")) == "gapsweep.study.study":
-        level += 1  # of study.run()
+    while (caller := sys._getframe(level).f_globals.get("__name__", "")) in _BETWEEN:
+        level += 1
     if not str(caller).startswith("gapsweep.") and (text := "; ".join(found)):
         warnings.warn(text, stacklevel=level + 1)
 

@@ -31,7 +31,7 @@ from gapsweep.model.contact import (
     Tanh,
 )
 from gapsweep.model.fitted import Fitted, Polynomial, RationalPolynomial
-from gapsweep.model.oscillator import Gap
+from gapsweep.model.oscillator import Gap, called_as
 from gapsweep.model.own_law import OwnLaw
 from gapsweep.model.user_law import UserLaw
 
@@ -114,6 +114,7 @@ def is_fitted(label: str) -> bool:
     return law is not None and issubclass(law, Fitted)
 
 
+@called_as("gs.contact_law('tanh-1e4', K_c=1.4e4, gap=gs.Gap(4e-4, 4e-4)), in N/m and m")
 def contact_law(
     label: str, K_c: float, gap: Gap, fit_range: float = FIT_RANGE, *, K_ratio: float = 1.0
 ) -> ContactLaw:
@@ -148,6 +149,7 @@ def contact_law(
     return chosen(K_c, gap, K_ratio=K_ratio, **numbers)
 
 
+@called_as("gs.law(function, K_c=1.4e4, gap=gs.Gap(4e-4, 4e-4)), in N/m and m")
 def law(
     function: Callable[..., float],
     K_c: float,

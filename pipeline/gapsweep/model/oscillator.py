@@ -11,7 +11,7 @@ from dataclasses import dataclass, fields
 from functools import wraps
 from inspect import signature
 from operator import index
-from typing import Any, ClassVar, TypeVar
+from typing import Any, ClassVar, TypeVar, cast
 
 from gapsweep.errors import ModelError
 
@@ -24,29 +24,30 @@ CLASSIC = ("zeta", "omega_n", "mass", "alpha", "forcing")
 OSCILLATOR = (*CLASSIC, "mean_load", "c")
 
 
-T = TypeVar("T")
+C = TypeVar("C", bound=Callable[..., Any])
 
 
 _LOSSES = frozenset(("damping", "restitution", "friction"))
 NO_LOSS = "contact that loses energy (damping, restitution, friction) is not covered"
 
 
-def called_as(example: str) -> Callable[[type[T]], type[T]]:
-    """Class decorator: wrong arguments of a constructor raise a `ModelError` with this example."""
+def called_as(example: str) -> Callable[[C], C]:
+    """Decorator: a call with wrong arguments raises a `ModelError` that shows this example."""
 
-    def decorated(kind: type[T]) -> type[T]:
-        construct: Callable[..., None] = kind.__init__
+    def decorated(kind: C) -> C:
+        is_class = isinstance(kind, type)
+        function: Any = kind.__init__ if is_class else kind
 
-        @wraps(construct)
-        def __init__(self: T, *values: Any, **named: Any) -> None:  # noqa: N807 (it is the class's)
+        @wraps(function)
+        def called(*values: Any, **named: Any) -> Any:
             try:
-                construct(self, *values, **named)
+                return function(*values, **named)
             except TypeError:
                 try:  # a wrong name first, then one left out
-                    signature(construct).bind_partial(self, *values, **named)
-                    signature(construct).bind(self, *values, **named)
+                    signature(function).bind_partial(*values, **named)
+                    signature(function).bind(*values, **named)
                 except TypeError as error:
-                    known = list(signature(construct).parameters)[1:]
+                    known = list(signature(function).parameters)[is_class:]
                     why = f": {NO_LOSS}" if _LOSSES.intersection(named).difference(known) else ""
                     raise ModelError(
                         f"{kind.__name__}: {error}{why}; its parameters are {', '.join(known)}: "
@@ -54,8 +55,9 @@ def called_as(example: str) -> Callable[[type[T]], type[T]]:
                     ) from None
                 raise
 
-        kind.__init__ = __init__  # type: ignore[method-assign, assignment]
-        return kind
+        if is_class:
+            cast(Any, kind).__init__ = called
+        return kind if is_class else cast(C, called)
 
     return decorated
 

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from gapsweep.errors import ModelError, described
 from gapsweep.model.contact import ContactLaw
-from gapsweep.model.oscillator import NO_LOSS, checked
+from gapsweep.model.oscillator import NO_LOSS, called_as, checked
 from gapsweep.user_code.load import blame, plain
 
 Array = NDArray[np.float64]
@@ -25,6 +25,7 @@ MOST_PARAMETERS = 4  # the compiled laws have that many free rows
 _PROBES, _BEYOND, _JUMP = 65, 0.01, 1e-3
 
 
+@called_as("gs.UserLaw(1.4e4, gs.Gap(4e-4, 4e-4), function), in N/m and m")
 @dataclass(frozen=True)
 class UserLaw(ContactLaw):
     """A user law: a function of the displacement.

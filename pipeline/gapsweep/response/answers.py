@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gapsweep.integrate.motions import VANISHED
+from gapsweep.model.oscillator import Oscillator
 from gapsweep.response import thresholds as limit
 from gapsweep.response.classification import Classification, State
 from gapsweep.response.equilibrium import rates
@@ -72,7 +73,7 @@ _REASONS = {
 }
 _UNDAMPED = (
     "a motion without damping does not settle, and this motion does not repeat within "
-    "max_period_multiple = {largest} periods; with omega_n = 0 set c, not zeta"
+    "max_period_multiple = {largest} periods; write {damping}"
 )
 _UNMEASURED = (
     "no stable orbit of up to max_period_multiple = {largest} periods was found, and no Lyapunov "
@@ -161,7 +162,8 @@ def _failures(failures: Numbers, windows: RecordedWindows) -> tuple[list[Status]
         statuses.append(Status.OUT_OF_FIT_RANGE if has_left[k] else reached)
         names = ensemble.system(point).coordinates
         places = ", ".join(f"{name} = {q:.3g} m" for name, q in zip(names, y[:, k], strict=False))
-        messages[point] = f"{reached.label} before t = {windows.t[point]:.6g} s at {places}"
+        why = ": the contact force there is no number" * (reached is Status.MODEL_INVALID)
+        messages[point] = f"{reached.label} before t = {windows.t[point]:.6g} s at {places}{why}"
     return statuses, messages
 
 
@@ -188,12 +190,16 @@ def _why_unresolved(
         reason = _UNCERTAIN
     else:
         reason = _SHRINKS if exponent < 0.0 else _STAYS
-    number = f"{exponent:.3g} ± {error:.1g} 1/s"
+    number, system = f"{exponent:.3g} ± {error:.1g} 1/s", windows.ensemble.system(point)
+    remedy = f"damping = 0.1 * np.eye({system.n})"
+    if isinstance(system, Oscillator):
+        remedy = "zeta = 0.02" if system.omega_n else "c = 0.1"
     precision = {
         "modulus": abs(shooting.multipliers[point, 0]),
         "noise": float(windows.noise(max(int(shooting.n[point]), 1))[point]),
         "atol": 0.01 * windows.ensemble.atol[point],
         "rtol": CONFIRMING_RTOL,
+        "damping": remedy,
     }
     return reason.format(largest=largest, n=n, exponent=number, time=_TIME, **precision)
 

@@ -12,6 +12,7 @@ from gapsweep.errors import ModelError
 from gapsweep.integrate.problem import DEFAULT_ENGINE, TIME_LIMIT, Models, Numbers, Solver, within
 from gapsweep.integrate.simulate import AnyLaw, AnyModel, Several, cases, inputs_of
 from gapsweep.model.doubts import doubts, warn_of
+from gapsweep.model.oscillator import called_as
 from gapsweep.response.autonomous import PoincareMap
 from gapsweep.response.ensemble import Ensemble
 from gapsweep.response.result import Response, Responses, Steady
@@ -24,6 +25,7 @@ Array = NDArray[np.float64]
 _STEADY = Steady()  # checked once
 
 
+@called_as("gs.respond(oscillator, law, omega=9.0), in Hz")
 def respond(
     oscillator: Several[AnyModel],
     law: Several[AnyLaw],

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gapsweep.errors import ModelError
-from gapsweep.model.oscillator import checked, whole
+from gapsweep.model.oscillator import called_as, checked, whole
 from gapsweep.model.structure import AnyStructure, OscillatorStructure, structure_of
 from gapsweep.response.ragged import spans
 from gapsweep.status import Status
@@ -173,6 +173,7 @@ def sizes_of(structure: AnyStructure, steady: "Steady") -> dict[str, int]:
     }
 
 
+@called_as("gs.Steady(n_periods=64)")
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Steady:
     """Convergence criteria of a steady response, and its recording window.

@@ -198,7 +198,7 @@ class BranchesTable(TomlTable):
     atol: Positive | None = None
 
     def problems(self, axes: Axes, contacts: Mapping[str, ContactTable]) -> Iterator[str]:
-        """What is wrong with the parameter, for the axes of a study."""
+        """Problems of the parameter, for the axes of a study."""
         names = [name for name in axes if name not in _NO_PARAMETERS and len(axes[name]) > 1]
         if self.along not in names:
             swept = ", ".join(names) or "none; write several values in [[sweep]]"

@@ -5,6 +5,7 @@ system, `run` writes initial states into copies of the rows, runs `loop.advance`
 its buffers.
 """
 
+import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -42,7 +43,9 @@ _LOG_VALUES = 1 << 16  # of a log: it stays in the cache until it is emptied
 _MOST_PLACED = 1 << 22  # section points for which rows are reserved before the motions begin
 # Outcomes that become OUT_OF_FIT_RANGE if the motion has left the range of a fit.
 _OF_MOTIONS = (Status.OK, Status.DIVERGED, Status.STEP_UNDERFLOW)
-_BUDGET = 1 << 16  # vector steps per call of the kernel, about 20 ms: Ctrl-C is answered in between
+# Vector steps per call of the kernel, about 20 ms, between which time limits and Ctrl-C are
+# answered. Users' laws may be slow: their calls grow while they are short.
+_BUDGET, _USERS_BUDGET, _SHORT_CALL = 1 << 16, 1 << 10, 0.1  # s
 
 
 @dataclass(frozen=True, slots=True)
@@ -207,6 +210,9 @@ def run(
     if not at.is_taylor:
         left_range = ended[:, at.out_of_range] > 0.0
         has_failed = np.append(False, statuses[:-1] != OK) & follows[:-1]
+        if method.is_users:  # not far away: the force is no number beyond the last step
+            is_far = np.abs(ended[:, at.q : at.q + at.n]).max(axis=1) > DIVERGED_AT
+            statuses[(statuses == Status.DIVERGED) & ~is_far] = Status.MODEL_INVALID
         statuses[left_range & np.isin(statuses, _OF_MOTIONS)] = Status.OUT_OF_FIT_RANGE
         # A point that follows a failed point has failed with the same status.
         source = np.maximum.accumulate(np.where(has_failed, 0, np.arange(len(statuses))))
@@ -263,9 +269,13 @@ def _drained(
     )
     pieces: list[list[Array]] = [[] for _ in kept]
     LOADED.add(at.of_motion)
-    outcome, step_on = BUDGET_SPENT, advance_users if method.is_users else advance
+    users, ours = (advance_users, _USERS_BUDGET), (advance, _BUDGET)
+    outcome, (step_on, budget) = BUDGET_SPENT, users if method.is_users else ours
     while outcome != FINISHED:
-        outcome = step_on(layout, run, limits, _BUDGET)
+        began = time.monotonic()
+        outcome = step_on(layout, run, limits, budget)
+        if time.monotonic() - began < _SHORT_CALL:
+            budget = min(2 * budget, _BUDGET)
         if outcome != FINISHED and is_late():
             held = run.lane_point >= 0
             points[run.lane_point[held]] = lanes[:, held].T
