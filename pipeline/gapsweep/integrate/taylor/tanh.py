@@ -248,7 +248,7 @@ class Layers:
         left : Vec
             Time until the end of the point [s].
         tolerance : Vec
-            Of a step's velocity [m/s].
+            Tolerance of a step's velocity [m/s].
         """
         (side,), ((x, v),) = exits.sides, exits.ends
         none = 0.0 * v
