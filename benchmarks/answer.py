@@ -39,6 +39,7 @@ from workflows.paper.measures import cost  # noqa: E402
 from workflows.paper.scenes import EXACT, STRONG, TABLE_CASES, WEAK  # noqa: E402
 
 RULE = "explanation/rule.md"
+PICTURE = "![Share of attractors found over the force error](images/rule.png)"
 FAMILIES = ("tanh", "arctan", "logarctan", "poly", "ratpoly")
 NUMBERS = [
     "law",
@@ -232,10 +233,7 @@ def page(run: Run) -> str:
     first, *others = answer(run)
     said = "".join(f"{n}. {line}\n" for n, line in enumerate([f"**{first}**", *others], 1))
     has_rule = (ROOT / "docs" / RULE).exists()
-    picture = (
-        "![Share of attractors found over the force error, all laws](images/rule.png)\n\n"
-        f"[The rule: how it was found, tested, and where it fails]({RULE})\n\n"
-    )
+    picture = f"{PICTURE}\n\n[The rule: how it was found and tested, where it fails]({RULE})\n\n"
     made = (
         f"Made by `python benchmarks/answer.py` from the run of study `{about['study']}` of "
         f"{about['created'][:10]}, numerics {about['numerics_fingerprint']}, on "
@@ -264,7 +262,8 @@ def main(folder: Path) -> None:
     (ROOT / "docs" / "answer.md").write_text(page(run).rstrip("\n") + "\n")
     claims = json.loads((folder / "claims.json").read_text())
     counts = ", ".join(f"{claims['counts'][verdict]} {verdict}" for verdict in VERDICTS)
-    written(ROOT / "README.md", "answer", finding(run) + "\n")
+    picture = f"\n{PICTURE.replace('images', 'docs/images')}\n" * (ROOT / "docs" / RULE).exists()
+    written(ROOT / "README.md", "answer", f"{finding(run)}\n{picture}")
     written(ROOT / "README.md", "claims", counts)
     written(ROOT / "README.md", "run", f"{about['created'][:10]}, {about['numerics_fingerprint']}")
 

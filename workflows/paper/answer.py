@@ -7,7 +7,7 @@ from collections.abc import Iterable
 from contextlib import suppress
 
 from gapsweep.analysis.claims import NotInRunError, Run
-from gapsweep.report.answer import Contact, Judged, contacts
+from gapsweep.report.answer import Contact, contacts
 from gapsweep.report.tables import percent
 
 from .language import At
@@ -61,8 +61,8 @@ def answer(run: Run) -> list[str]:
     found, shifted = judged(run), f"{EXACT}@jitter"
     fits = ", ".join(one.place for one in found if count([one], *FITS))
     written = as_written and (
-        f" Location with the force as one expression of the displacement (the paper's "
-        f"Eq. 1b), makes it {spread(as_written, '.1f')} times smaller."
+        f" Location with the force as one expression of x (the paper's Eq. 1b) makes it "
+        f"{spread(as_written, '.1f')} times smaller."
     )
     return [
         f"Write the contact force by contact mode, locate every contact and switch the mode there: "
@@ -74,10 +74,9 @@ def answer(run: Run) -> list[str]:
         f"displacements that occur, is below {percent(ENOUGH)} of the forcing p; for tanh, if "
         f"ε ≥ {SHARPNESS:.0f} K_c/p.{_by_the_rule(run, found)} gapsweep advise computes the ε, γ "
         f"or degree for other machines.",
-        f"In this study tanh with a suitable ε is accurate enough in "
-        f"{count(found, 'tanh')} of {len(found)} cases, arctan in {count(found, 'arctan')}, "
-        f"polynomials and rational fits in {count(found, *FITS)}"
-        f"{f' ({fits})' * bool(fits)}.",
+        f"In this study tanh with a suitable ε is accurate enough in {count(found, 'tanh')} of "
+        f"{len(found)} cases, arctan in {count(found, 'arctan')}, polynomials and rational fits in "
+        f"{count(found, *FITS)}{f' ({fits})' * bool(fits)}.",
         f"Without located contacts, use the exact force with tight tolerances: it finds "
         f"{share(NO_EVENTS, *tried)} of the attractors in the four cases with the stiffer walls. "
         f"For comparison: the exact law with initial conditions shifted by 1 nm finds "
@@ -87,20 +86,19 @@ def answer(run: Run) -> list[str]:
 
 def _by_the_rule(run: Run, found: list[Contact]) -> str:
     """How laws of the study on both sides of the rule are judged; empty without force errors."""
-    laws = [(law, one) for one in found for law in one.laws if law.is_approximation]
-    with suppress(NotInRunError):
-        below, above = list[tuple[Judged, Contact]](), list[tuple[Judged, Contact]]()
-        for law, one in laws:
-            at = run.scene("static", law.law, one.K_c, one.gap, "force_error_ratio")
-            (below if at["force_error_ratio"] < ENOUGH else above).append((law, one))
-        good, rest = (sum(law.column == "use" for law, _ in some) for some in (below, above))
-        places = dict.fromkeys(one.place for law, one in below if law.column != "use")
-        but = f"; the others are at {' and '.join(places)}" * bool(places)
-        return (
-            f" In this study {good} of {len(below)} laws below {percent(ENOUGH)} are accurate "
-            f"enough{but}; of {len(above)} laws above it, {rest}."
-        )
-    return ""
+    sides: dict[bool, list[tuple[bool, str]]] = {True: [], False: []}
+    for contact in found:
+        for law in (law for law in contact.laws if law.is_approximation):
+            with suppress(NotInRunError):
+                at = run.scene("static", law.law, contact.K_c, contact.gap, "force_error_ratio")
+                side = sides[bool(at["force_error_ratio"] <= ENOUGH)]
+                side.append((law.column == "use", contact.place))
+    below, above = (sum(is_good for is_good, _ in side) for side in sides.values())
+    places = " and ".join(dict.fromkeys(place for is_good, place in sides[True] if not is_good))
+    return (
+        f" In this study {below} of {len(sides[True])} laws up to {percent(ENOUGH)} are accurate "
+        f"enough{f' (others: {places})' * bool(places)}; above it, {above} of {len(sides[False])}."
+    ) * any(sides.values())
 
 
 def count(found: Iterable[Contact], *families: str) -> int:
