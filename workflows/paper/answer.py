@@ -28,7 +28,7 @@ from .scenes import (
 # benchmarks/one_method.py, scipy's RK45 from both initial conditions, 55 frequencies: how many
 # times the error falls.
 SCIPY_BY_MODE, SCIPY_AS_WRITTEN = (12.0, 27.0), (1.7, 3.1)
-ENOUGH = 1e-3  # force error over forcing; docs/explanation/rule.md
+ENOUGH = 1e-3  # force error over the forcing, as `gapsweep advise` demands
 SHARPNESS = 30.0  # epsilon of tanh in K_c over the forcing
 FITS = ("poly", "ratpoly")
 
