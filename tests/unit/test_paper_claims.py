@@ -188,7 +188,7 @@ class Drawn(Run):
             axes = {
                 "gap": scene["gap"], "K_c": scene["K_c"], "constraint": list(CONSTRAINTS),
                 "degree": list(DEGREES), "family": list(TANGENTS), "ratio": list(RATIOS),
-                "parameter": list(PARAMETERS),
+                "parameter": list(PARAMETERS), "unit": list(UNITS),
             }  # fmt: skip
             dims = {variable: dims for variable, (dims, *_) in VARIABLES.items()}
         elif name == "cftool":
@@ -256,8 +256,9 @@ class Drawn(Run):
         else:
             assert name == "histories"
             bins, omega = np.arange(0.0, 10.0, 1 / 12), np.repeat([11.0, 21.75], len(STARTS))
-            labels = ["piecewise@paper", "piecewise-noevents@paper", "tanh-1e6@paper"]
-            spectrum = 10.0 ** self.rng(name).uniform(-4, 0, (omega.size, 3, bins.size))
+            labels = self.study.spec.history[0].representation
+            shape = (omega.size, len(labels), bins.size)
+            spectrum = 10.0 ** self.rng(name).uniform(-4, 0, shape)
             return xr.Dataset(
                 {"spectrum": (("history", "representation", "frequency_bin"), spectrum),
                  "omega": ("history", omega),
@@ -271,7 +272,7 @@ class Drawn(Run):
 
 @pytest.fixture(scope="module")
 def outcomes(study):
-    """Every outcome that every test of every claim has had, over many drawn runs.
+    """Every outcome that every test of every claim has had, over many drawn runs, by setting.
 
     A claim whose tests have all gone both ways is not drawn again.
     """
@@ -283,9 +284,11 @@ def outcomes(study):
             if draw >= N_FEW and all({True, False} <= seen for _, seen in known.values()):
                 continue
             with suppress(NotInRunError):  # nothing of a kind was drawn
-                for i, test in enumerate(claim.find(run)[0]):
-                    known.setdefault(i, (test.says, set()))[1].add(test.holds)
-    return {(id, i): seen for id, known in found.items() for i, seen in known.items()}
+                tests, _, others = claim.find(run)
+                for words, one in {"": tests, **others}.items():
+                    for i, test in enumerate(one):
+                        known.setdefault((words, i), (test.says, set()))[1].add(test.holds)
+    return {(id, *key): seen for id, known in found.items() for key, seen in known.items()}
 
 
 @pytest.mark.packaging

@@ -23,7 +23,7 @@ from gapsweep.status import Status
 
 from .language import At, Quantity
 from .refined import FINEST, runs
-from .scenes import EXACT, RELEASED, REST, STARTS, width
+from .scenes import EXACT, NO_EVENTS, RELEASED, REST, STARTS, width
 
 Scene = tuple[float, str]
 Band = tuple[float, float]
@@ -46,19 +46,27 @@ COMPARABLE = 10.0**0.5  # "can be comparable": within half a decade
 AS_DRAWN = 0.02  # "minimal", "agree well" in a diagram: this share of the gap is what a plot shows
 ALL = (0.0, 30.0)  # Hz
 _BANDS_SHOWN = 3
-_PROTOCOLS = {"paper": "1e-4", "finer": "1e-6", "jitter": "from 1 nm away"}
 _LEAST = 1e-12  # of the gap's width: distances below this are rounding
 
-NAMES = {"logarctan": "log-arctan", "piecewise": "exact law"}
+NAMES = {
+    "logarctan": "log-arctan", EXACT: "exact law", NO_EVENTS: "without events",
+    "truth": "the reference",
+}  # fmt: skip
+_PROTOCOLS = {
+    "paper": "(rtol 1e-4)", "paper-mode": "(rtol 1e-4)", "finer": "(rtol 1e-6)",
+    "half": "at half the tolerance", "jitter": "from 1 nm away",
+}  # fmt: skip
 
 
 def named(label: str) -> str:
     """The paper's name of a representation, with its protocol."""
     law, _, protocol = label.partition("@")
     family, _, parameter = law.partition("-")
-    name = {"poly": "Poly-{}", "ratpoly": "RatPoly {}"}.get(family, NAMES.get(family, family))
-    of = {"": "", **_PROTOCOLS}.get(protocol, protocol)
-    return f"{'no events' if parameter == 'noevents' else name.format(parameter)} {of}".strip()
+    if protocol and "tan" in family:
+        return f"{law} {_PROTOCOLS[protocol]}"
+    fits = {"poly": "Poly-{}", "ratpoly": "RatPoly {}"}
+    name = NAMES.get(law) or fits.get(family, NAMES.get(family, family)).format(parameter)
+    return f"{name} {_PROTOCOLS[protocol]}" if protocol else name
 
 
 def listed(names: Iterable[str]) -> str:
@@ -76,6 +84,11 @@ def ranges(omega: NDArray[np.float64], hits: Bools) -> str:
     shown = [f"{omega[i]:g}" if j == i + 1 else f"{omega[i]:g}-{omega[j - 1]:g}" for i, j in widest]
     more = f" and {len(bands) - len(shown)} narrower" if len(bands) > len(shown) else ""
     return f"{', '.join(shown)} Hz{more}"
+
+
+def solved(at: At, label: str) -> str:
+    """A label; with the setting of the contact force if the paper's solver locates its contacts."""
+    return label + at["force"] if label == f"{EXACT}@paper" else label
 
 
 # --- quantities of no figure ----------------------------------------------------------------------
@@ -136,7 +149,8 @@ def distance(one: str, other: str, chaotic: bool | None = None) -> Quantity:
     def read(at: At) -> Number:
         motions = at.run.select("motions", start=at["start"])
         x = motions["x"].transpose("representation", "omega", "sample")
-        apart = (x.sel(representation=one) - x.sel(representation=other)) / motions["width"]
+        ours, theirs = (x.sel(representation=solved(at, label)) for label in (one, other))
+        apart = (ours - theirs) / motions["width"]
         rms = np.sqrt((apart**2).mean("sample").values)
         decades = np.log10(np.maximum(rms, _LEAST))
         if chaotic is not None:
@@ -148,15 +162,8 @@ def distance(one: str, other: str, chaotic: bool | None = None) -> Quantity:
         low, high = np.sort(decades)[[int(0.5 * n - spread), int(0.5 * n + spread)]]
         return Number(float(np.median(decades)), 0.5 * float(high - low), n)
 
-    return Quantity("distance after 4 periods, gap widths",
-                    ((f"{_short(one)} from {_short(other)}{kinds[chaotic]}", read),),
-                    ".2g", log=True)  # fmt: skip
-
-
-def _short(label: str) -> str:
-    law, _, protocol = label.partition("@")
-    law = {"piecewise": "events", "piecewise-noevents": "no events"}.get(law, law)
-    return f"{law} {_PROTOCOLS.get(protocol, protocol)}".strip()
+    name = f"{named(one)} from {named(other)}{kinds[chaotic]}"
+    return Quantity("distance after 4 periods, gap widths", ((name, read),), ".2g", log=True)
 
 
 # --- what is looked for in a response -------------------------------------------------------------
@@ -195,6 +202,10 @@ KINDS: dict[str, tuple[tuple[str, ...], Callable[[xr.Dataset], xr.DataArray]]] =
     ),
     "largest amplitude": (("amplitude",), lambda p: p["amplitude"] == p["amplitude"].max()),
     "peak below 0": (("x_max",), lambda p: p["x_max"] < 0.0),
+    "negative mean": (
+        ("x_max", "x_min", "amplitude"),
+        lambda p: 0.5 * (p["x_max"] + p["x_min"]) < -TENTH * p["amplitude"],
+    ),
     "crosses 0": (("x_max", "x_min"), lambda p: p["x_max"] * p["x_min"] < 0.0),
 }
 
@@ -247,7 +258,7 @@ class Table:
 
     def __getitem__(self, labels: str | tuple[str, ...]) -> Quantity:
         def part(label: str) -> tuple[str, Callable[[At], Number]]:
-            return named(label), lambda at: self.number(at, label)
+            return named(label), lambda at: self.number(at, solved(at, label))
 
         of = (labels,) if isinstance(labels, str) else labels
         return Quantity(self.what, tuple(part(label) for label in of), self.form)
