@@ -137,7 +137,7 @@ def test_code_that_changes_the_current_folder_takes_no_file_with_it(tmp_path):
         done = in_a_process(tmp_path, "run", "own.toml")
         assert done.returncode == 0, done.stderr
         assert f", {n_computed} computed" in done.stdout
-        assert (tmp_path / done.stdout.split("report: ")[1].strip()).is_file()
+        assert (tmp_path / done.stdout.split("report: ")[1].splitlines()[0]).is_file()
     there = {path.name for path in (tmp_path / "data" / "runs" / "own").iterdir()}
     assert {"run.json", "responses.nc", "sections.json"} <= there
     assert "missing  0" in in_a_process(tmp_path, "plan", "own.toml").stdout
@@ -283,16 +283,12 @@ def test_benchmarks_survive_any_law_and_say_what_failed(gapsweep, tmp_path):
     # To refuse to compile a law takes processor time, too: two seconds where others run beside.
     done = gapsweep(tmp_path, "bench", "own.toml", "--out", "out", "--timeout", "5")
     assert done.returncode == 3, done.stderr
-    # What is stated is also judged by the compiled engine, which takes no law that exits.
-    for file, leaving, counts in (
-        ("work_precision.nc", Status.KILLED, "1 killed, 1 timed_out"),
-        ("stability.nc", Status.MODEL_INVALID, "1 timed_out"),
-    ):
-        assert f"failed motions: {counts}; see 'status' in {file}" in done.stderr
+    for file in ("work_precision.nc", "stability.nc"):
+        assert f"failed motions: 1 killed, 1 timed_out; see 'status' in {file}" in done.stderr
         with gs.open(tmp_path / "out" / file) as measured:
             assert measured["method"].values.tolist() == ["piecewise", *poisons]
             status = measured["status"].values.ravel().tolist()
-        assert status == [Status.OK, leaving, Status.TIMED_OUT]
+        assert status == [Status.OK, Status.KILLED, Status.TIMED_OUT]
 
 
 @pytest.mark.parametrize("what", [histories, work_precision])

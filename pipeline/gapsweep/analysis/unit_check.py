@@ -12,6 +12,7 @@ from gapsweep.model.contact import ContactLaw
 from gapsweep.model.doubts import doubts
 from gapsweep.model.labels import AUTO, EXACT, is_fitted, law_of
 from gapsweep.model.oscillator import Gap
+from gapsweep.model.table import ForceTable
 from gapsweep.study.grid import START, starts_of
 
 if TYPE_CHECKING:
@@ -71,8 +72,9 @@ def bounded(study: "Study") -> str:
 def doubts_of(study: "Study", far: str = "", own: bool = True) -> Iterator[str]:
     """Warnings of numbers of a study that are probably in another unit: the rules of calls.
 
-    A sentence `far` on walls out of reach replaces that on the gap. Without `own` no code of the
-    user is run: systems of functions have no warnings, force tables count as exact laws.
+    A sentence `far` on walls out of reach replaces that on the gap. Functions for contact laws,
+    which may never return, are not called; without `own` those for systems are not either, and
+    such systems have no warnings.
     """
     grid, model = study.grid, study.model
     axes = {name: grid.axes[name] for name in study.spec.model if name in grid.axes}
@@ -87,21 +89,21 @@ def doubts_of(study: "Study", far: str = "", own: bool = True) -> Iterator[str]:
     laws = []
     for label, gap in product(grid.representations, gaps):
         with suppress(ModelError):  # of a law that cannot be used: reported where it is used
-            laws.append(tuple(_laws(study, label, K_c, gap, ratio, own)))
+            laws.append(tuple(_laws(study, label, K_c, gap, ratio)))
     omega, starts = grid.axes.get("omega", 0.0), starts_of(grid.axes).states
     found = doubts([model.at(some) for some in points], laws, omega, starts) if laws else ()
     yield from (each for each in found if not (far and each.startswith("gap")))
     yield from [far] * bool(far)
 
 
-def _laws(
-    study: "Study", label: str, K_c: float, gap: Gap, ratio: float, own: bool
-) -> Iterator[ContactLaw]:
-    """The laws of all contacts; in place of fits the exact law, which has their numbers."""
+def _laws(study: "Study", label: str, K_c: float, gap: Gap, ratio: float) -> Iterator[ContactLaw]:
+    """The laws of all contacts; the exact law in place of fits and of laws in the user's code."""
     for name, one in zip(study.model.contacts, study.model.labels(law_of(label)), strict=True):
         given: dict[str, Any] = {"K_c": K_c, "gap": (gap.j_1, gap.j_2), "K_ratio": ratio}
         if name in study.spec.contact:
             given |= study.spec.contact[name].model_dump(exclude_none=True)
-        is_exact = one == AUTO or is_fitted(one) or (":" in one and not own)
+        own = study.own_law(one)
+        is_code = own is not None and not isinstance(own.source, ForceTable)
+        is_exact = one == AUTO or is_fitted(one) or is_code
         walls = Gap(*given["gap"])
         yield study.law(EXACT if is_exact else one, given["K_c"], walls, given["K_ratio"])

@@ -45,9 +45,7 @@ def prepared(models: Models, solver: Solver) -> Integrate:
         mass = np.ones(len(models))
         if _is_oscillator(models):
             mass = models.of_systems(attrgetter("mass"))
-        scenes = runge_kutta_scenes(
-            scenes, laws, mass, controller=solver.controller, restart=solver.restart
-        )
+        scenes = runge_kutta_scenes(scenes, laws, mass, solver)
 
     def integrate(problems: Problems) -> Motions:
         contacts = problems.contacts or (problems.contact_time and not is_taylor)
@@ -83,9 +81,11 @@ def _by_taylor(models: Models, solver: Solver) -> bool:
     """Whether Taylor series integrate them; refuses what no method takes."""
     laws = models.laws[0]
     located = [law for law in laws if isinstance(law, Piecewise) and law.located]
-    if solver.controller != "native" or (solver.restart and located):
+    is_written = solver.contact_force == "as_written"
+    if solver.controller != "native" or (located and (solver.restart or is_written)):
         if located and not _is_oscillator(models):
             what = "restart = true" if solver.restart else "controller = 'ode45'"
+            what = "contact_force = 'as_written'" if is_written else what
             raise ModelError(
                 f"{what}: needs an Oscillator with omega_n > 0 and mean_load = 0; "
                 "otherwise use engine='scipy', or located=False (piecewise-noevents)"

@@ -31,6 +31,7 @@ DEFAULT_RTOL = {"compiled": 1e-9, "scipy": 1e-4}  # by engine
 ENGINES = tuple(DEFAULT_RTOL)
 DEFAULT_ENGINE = "compiled"
 CONTROLLERS = ("native", "ode45")
+CONTACT_FORCES = ("by_mode", "as_written")
 
 # Tighter than this all methods only add rounding.
 SMALLEST_RTOL = 1e-13
@@ -135,7 +136,7 @@ class Models:
         """
         if solver.atol is not None:
             return np.full(len(self), solver.atol)
-        farther = self.of_laws(lambda law: max(law.gap.j_1, law.gap.j_2)).max(axis=1, initial=0.0)
+        farther = self.of_laws(_farther).max(axis=1, initial=0.0)
         softer = self.of_laws(_stiffness).max(axis=1, initial=0.0)
         spring = self.of_systems(_spring)
         length = self.of_systems(attrgetter("deflection"))
@@ -179,6 +180,11 @@ def _spring(system: Model) -> float:
 def _stiffness(law: ContactLaw) -> float:
     """Stiffness [N/m] of the softer wall; zero for laws of the user, whose `K_c` says nothing."""
     return 0.0 if isinstance(law, UserLaw | ForceTable) else law.K_c * min(1.0, law.K_ratio)
+
+
+def _farther(law: ContactLaw) -> float:
+    """Distance [m] of the farther wall that has stiffness."""
+    return max(law.gap.j_1 if law.K_ratio else 0.0, law.gap.j_2)
 
 
 def _integrated(system: Model) -> Model:
@@ -324,6 +330,10 @@ class Solver:
     restart : bool
         Whether the solver restarts at every located contact, with a new first step size, as the
         paper's solver. The reference engine always restarts.
+    contact_force : str
+        Force of a located contact inside a step: ``"by_mode"`` keeps the contact mode until the
+        step ends at the wall; ``"as_written"`` evaluates the piecewise force at every stage, so
+        that a step passes its kink before it is cut at the wall.
 
     Raises
     ------
@@ -336,10 +346,12 @@ class Solver:
     atol: float | None = None
     controller: str = "native"
     restart: bool = False
+    contact_force: str = "by_mode"
 
     def __post_init__(self) -> None:
         _one_of("engine", self.engine, ENGINES)
         _one_of("controller", self.controller, CONTROLLERS)
+        _one_of("contact_force", self.contact_force, CONTACT_FORCES)
         if self.engine == "scipy" and self.controller != "native":
             raise ModelError("controller = 'ode45': needs engine = 'compiled'")
         object.__setattr__(self, "rtol", checked("rtol", self.rtol, low=SMALLEST_RTOL))
@@ -356,11 +368,19 @@ class Solver:
         atol: float | None = None,
         controller: str = "native",
         restart: bool = False,
+        contact_force: str = "by_mode",
     ) -> "Solver":
         """Solver settings; the engine's default of `rtol` where it is None."""
         default = DEFAULT_RTOL[_one_of("engine", engine, ENGINES)]
         rtol = default if rtol is None else rtol
-        return cls(engine=engine, rtol=rtol, atol=atol, controller=controller, restart=restart)
+        return cls(
+            engine=engine,
+            rtol=rtol,
+            atol=atol,
+            controller=controller,
+            restart=restart,
+            contact_force=contact_force,
+        )
 
     def with_rtol(self, rtol: float) -> "Solver":
         """The same solver at another relative tolerance, the absolute one changed alike."""

@@ -100,7 +100,8 @@ def prepared(models: Models, solver: Solver) -> Integrate:
         runs: list[_ReferenceMotion] = []
         for i in range(len(problems)):
             before = runs[-1] if problems.follows is not None and problems.follows[i] else None
-            given = solver.rtol, float(atol[problems.which[i]])
+            tolerances = solver.rtol, float(atol[problems.which[i]])
+            given = *tolerances, problems.tangent, solver.contact_force
             runs.append(_run(models, problems, i, given, before))
         columns = {name: np.array([getattr(run, name) for run in runs]) for name in SCALARS}
 
@@ -167,7 +168,7 @@ def _run(
     models: Models,
     problems: Problems,
     i: int,
-    tolerances: tuple[float, float],
+    given: tuple[float, float, bool, str],
     before: "_ReferenceMotion | None",
 ) -> _ReferenceMotion:
     """Problem i, from where the run before it ended, if it follows one."""
@@ -185,8 +186,7 @@ def _run(
         models.laws[models.law[model]],
         omega,
         theta_0,
-        *tolerances,
-        problems.tangent,
+        *given,
     )
     run = _Record()
     start: State = before.state if before else tuple(problems.start[i].tolist())

@@ -71,6 +71,7 @@ def simulate(
     atol: float | None = None,
     controller: str = "native",
     restart: bool = False,
+    contact_force: str = "by_mode",
     dense_output: bool = False,
     tangent: bool = False,
     time_limit: float = TIME_LIMIT,
@@ -99,7 +100,7 @@ def simulate(
     n_periods : int or array_like of int
         Forcing periods from `t_0` to the end, ``> 0``; instead of `t_end`. With ``t_0 = 0`` the
         end is the last point of `section`.
-    engine, rtol, atol, controller, restart
+    engine, rtol, atol, controller, restart, contact_force
         As in `gapsweep.integrate.problem.Solver`. Default of `rtol` [-] is 1e-9 with engine
         ``"compiled"``, 1e-4 with ``"scipy"``; default of `atol` [m] is `rtol` times the static
         deflection, else the initial displacement, else the gap.
@@ -138,7 +139,7 @@ def simulate(
     >>> runs.x_end.shape
     (3,)
     """
-    solver = Solver.of(engine, rtol, atol, controller, restart)
+    solver = Solver.of(engine, rtol, atol, controller, restart, contact_force)
     t_0, time_limit = checked("t_0", t_0), checked("time_limit", time_limit, low=0.0, strict=True)
     span: dict[str, Any] = {"t_end": t_end}
     if n_periods is not None:

@@ -43,8 +43,9 @@ class Forces:
 
     @property
     def is_located(self) -> bool:
-        """Whether all contacts are."""
-        return all(isinstance(law, Piecewise) and law.located for law in self.laws)
+        """Whether all contacts are, and no step passes a kink before it is cut there."""
+        is_by_mode = self.solver.contact_force == "by_mode"
+        return is_by_mode and all(isinstance(law, Piecewise) and law.located for law in self.laws)
 
     @property
     def has_kinks(self) -> bool:
@@ -75,7 +76,9 @@ class Forces:
         if self.is_located or (solver.rtol <= TANGENT_RTOL and not self.has_kinks):
             return solver
         rtol = min(solver.rtol, TANGENT_RTOL)
-        return replace(solver.with_rtol(rtol), controller="native", restart=False)
+        return replace(
+            solver.with_rtol(rtol), controller="native", restart=False, contact_force="by_mode"
+        )
 
 
 def located(laws: Laws) -> Laws:

@@ -113,6 +113,7 @@ class SolverTable(TomlTable):
     atol: Positive | None = None
     controller: Literal["native", "ode45"] | None = None
     restart: bool | None = None
+    contact_force: Literal["by_mode", "as_written"] | None = None
     start_jitter: float = 0.0
 
 
