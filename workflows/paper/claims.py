@@ -779,12 +779,12 @@ c77 = claim(77, "Sect. 4.2",
     rational("5/5") / rational("5/3") > HALF,
     random_fit("random fits with a pole", "pole_share", "5/5") >= 0.25,
     note=CFTOOL + "Relative errors of a fit are the same at every stiffness.")
-sharper = cost("right-hand sides at 1e6 over those at 1e4, one Runge-Kutta pair, soft contact",
-    "nfev", {law: (f"{law}-1e6@paper", f"{law}-1e4@paper", SOFT_SYMMETRIC) for law in TANGENTS})
 c78 = claim(78, "Sect. 3",
     "'In some situations the convergence parameter should not be too large because then the "
     "smoothness of the representation will be lost.'",
-    sharper.largest() > ALIKE, context=[sharper], note="In some situations: of one law, in one.")
+    cost("right-hand sides at 1e6 over those at 1e4, one Runge-Kutta pair, soft contact", "nfev",
+         {named(law): (f"{law}-1e6@paper", f"{law}-1e4@paper", SOFT_SYMMETRIC)
+          for law in TANGENTS[1:]}) > ALIKE, note="In some situations: with some laws.")
 c79 = claim(79, fig8b, "'... that all the other models are generally able to capture' (claim 37).",
     fig8b.right((0.1, 7.0))[WEAK[1:]] >= HALF)
 c80 = claim(80, fig9, "'The Tanh and Arctan models show the best agreement among all the models.'",

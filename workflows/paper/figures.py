@@ -21,7 +21,7 @@ from gapsweep.status import Status
 from . import paper_figures as draw
 from . import scenes
 from .answer import answer
-from .measures import KINDS, late_periods, listed, named, ranges
+from .measures import AS_DRAWN, KINDS, late_periods, listed, named, ranges
 from .scenes import (
     EXACT,
     HARD_ASYMMETRIC,
@@ -89,7 +89,6 @@ _EXTREMA = (
     "Displacements at zero velocity in the steady state over the forcing frequency. Dashed: walls."
 )
 _SAME = "Red: peak or trough differ by more than 2 % of the gap; they are the same at"
-_AS_DRAWN = 0.02  # of the gap's width: the smallest difference that a plot shows
 
 
 def sections(run: Run) -> Iterator[Part]:
@@ -205,7 +204,7 @@ def _apart(scene: xr.Dataset, *layers: draw.Layer) -> NDArray[np.bool_]:
         scene[["x_max", "x_min"]].sel(representation=law).isel(initial_condition=starts[0])
         for law, starts in layers
     ]
-    near = _AS_DRAWN * (scene["j_1"] + scene["j_2"])
+    near = AS_DRAWN * (scene["j_1"] + scene["j_2"])
     same = abs(ends[0] - ends[1]).to_dataarray().max("variable", skipna=False) <= near
     return np.asarray(~same)
 
@@ -220,23 +219,20 @@ def _starts(scene: xr.Dataset) -> dict[str, int]:
 
 
 def _compared(name: str, scene: xr.Dataset) -> str:
-    """Frequencies that the paper states, and those of all laws here."""
+    """Frequencies that the paper states, and range and number of those of each law here."""
     starts = {f" from {start}": [at] for start, at in _starts(scene).items()}
     if name[0] in "67":
         starts = {"": list(range(scene.sizes["initial_condition"]))}
     words = ""
     for _, paper, kind, band in (one for one in BANDS if one[0] == name and one[2] in DIFFERENT):
-        some = scene.sel(omega=slice(*band))
-        words += f" Paper [Hz]: {paper}."
+        words += f" Paper: {paper} Hz."
         for start, at in starts.items():
-            one = KINDS[kind][1](some.isel(initial_condition=at)).any("initial_condition")
-            cells = {law: one.sel(representation=law).values for law in labels_of(scene)}
-            bands = [
-                f"{named(law)} {ranges(some['omega'].values, hits)}"
-                for law, hits in cells.items()
-                if hits.any()
-            ]
-            words += f" Here, {kind}{start}: {listed(bands)}."
+            some = scene.sel(omega=slice(*band)).isel(initial_condition=at)
+            hits, found = KINDS[kind][1](some).any("initial_condition"), []
+            for law in labels_of(some):
+                w = some["omega"].values[hits.sel(representation=law).values]
+                found += [f"{named(law)} {w[0]:g}-{w[-1]:g} Hz ({w.size})"] if w.size else []
+            words += f" Here {kind}{start} (number of frequencies): {listed(found)}."
     return words
 
 
@@ -270,7 +266,7 @@ BANDS = (
     ("6a", "superharmonic near 2", "largest amplitude", (1.2, 3.0)),
     ("6a", "RatPoly: subharmonic 11-12", "period above 1", (4.0, 30.0)),
     ("6a", "RatPoly: peak below 0 from 22", "peak below 0", (15.0, 30.0)),
-    ("6b", "17-21; log-arctan: none", "period 3", (12.0, 30.0)),
+    ("6b", "subharmonic (log-arctan: none) 17-21", "period 3", (12.0, 30.0)),
     ("6c", "jump near 12", "largest amplitude", (0.0, 30.0)),
     ("6c", "chaos 13-15", "chaos", (10.0, 30.0)),
     ("6c", "RatPoly: 15-18, subharmonic 21-22", "period above 1", (13.0, 30.0)),
@@ -278,7 +274,7 @@ BANDS = (
     ("8b", "transitions near 6 and 7", "period above 1", (5.2, 8.5)),
     ("8b", "RatPoly, arctan: after the jump", "period not 1", (10.0, 17.0)),
     ("8b", "subharmonic 17-21", "period 3", (12.0, 30.0)),
-    ("8c", "RatPoly: to 20", "negative mean", (0.0, 20.0)),
+    ("8c", "RatPoly: negative mean to 20", "negative mean", (0.0, 20.0)),
     ("8c", "RatPoly: larger above 20; tanh: never", "crosses 0", (0.0, 30.0)),
     ("9", "more behaviour 10-12", "period not 1", (9.0, 13.0)),
     ("9", "higher periods 12-20", "period above 1", (12.0, 20.0)),

@@ -89,14 +89,6 @@ class Quantity:
 
         return replace(self._with(other, "against", ratio), form=".3g", log=self.log)
 
-    def largest(self) -> "Quantity":
-        """The largest of the numbers."""
-
-        def read(at: At) -> Number:
-            return max((one(at) for _, one in self.parts), key=lambda number: number.value)
-
-        return replace(self, what=f"largest of the {self.what}", parts=(("", read),))
-
     def _with(
         self, other: "Quantity", word: str, number: Callable[[Number, Number], Number]
     ) -> "Quantity":
@@ -221,7 +213,8 @@ def claim(
         own, is_open_to = verdict(t.holds for t in tests), unstated
         used = [name for name in SETTINGS if name in at.used]
         usual = ", ".join(next(iter(SETTINGS[name].values())) for name in used if name != "share")
-        said = [f"{usual}: {own}" if usual else "", found, *(q.listed(at) for q in context)]
+        said = [is_open_to, f"{usual}: {own}" if usual else "", found]
+        said += [q.listed(at) for q in context]
         others = {}
         for name, (value, says) in ((n, v) for n in used for v in [*SETTINGS[n].items()][1:]):
             with suppress(NotInRunError):
@@ -230,13 +223,13 @@ def claim(
                 if name != DECISIVE:
                     others[says] = again
                 elif other != own:
-                    is_open_to = f"Not in the text: the {DECISIVE} of x"
+                    is_open_to = said[0] = f"Not in the text: the {DECISIVE} of x"
                 if other != own or name != "share":  # a share that changes nothing is not named
                     more = f" ({words})" if other != own and name != DECISIVE else ""
                     said.append(f"{says}: {other}{more}")
-        sentence = ". ".join(one[0].upper() + one[1:] for one in (is_open_to, *said) if one) + "."
-        decided = ([], {}) if is_open_to else (tests, others)
-        return decided[0], sentence.replace(f"{where}, ", ""), decided[1]
+        said = [one.replace(f"{where}, ", "") for one in said if one]
+        sentence = ". ".join(one[0].upper() + one[1:] for one in said) + "."
+        return ([], sentence, {}) if is_open_to else (tests, sentence, others)
 
     return Claim(id, where, quote, f"{words}{note}".strip(), find)
 
