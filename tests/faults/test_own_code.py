@@ -196,6 +196,29 @@ def test_a_plan_refuses_what_no_point_can_be_computed_with(gapsweep, tmp_path, c
         assert len(line) < 500
 
 
+def test_a_law_is_tried_out_at_the_ends_of_its_swept_parameters(gapsweep, tmp_path):
+    code = "def law(x, n):\n    return 1e4 * x if n < 2.0 else (5.0 if x > 0.4e-3 else 0.0)\n"
+    (tmp_path / "bad.py").write_text(code)
+    swept = "omega = [12.0]\nn = [1.0, 1.5, 3.0]\n"
+    study(
+        tmp_path, COMPILED.replace("omega = [12.0]\n", swept) + "[parameters]\nn = 1.0\n", "bad:law"
+    )
+    done = gapsweep(tmp_path, "plan", "own.toml")
+    assert done.returncode == 1
+    (line,) = errors(done)
+    assert "bad:law: the force jumps by 5 N at x = 0.0004 m" in line
+
+
+def test_a_table_that_all_motions_leave_is_named_at_the_end_of_a_run(gapsweep, tmp_path):
+    rows = [f"{x},{100.0 * x}" for x in (-0.01, -0.005, 0.005, 0.01)]  # mm, N
+    (tmp_path / "stop.csv").write_text("\n".join(["x,F", *rows, ""]))
+    study(tmp_path, SWEEP, "piecewise", "stop.csv:mm")
+    done = gapsweep(tmp_path, "run", "own.toml", "--out", "out")
+    (said,) = (line for line in done.stdout.splitlines() if "out_of_fit_range" in line)
+    assert said.startswith("stop.csv:mm: all 1 points ")
+    assert "table" in said
+
+
 def test_benchmarks_too_try_laws_out_elsewhere(gapsweep, tmp_path):
     (tmp_path / "fatal.py").write_text(AT_ZERO.format("os._exit(7)"))
     bench = MEASURED + METHOD.format("fatal:law")

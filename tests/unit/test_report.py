@@ -74,7 +74,7 @@ def made(folder, sizes, **more):
 
 
 def in_own_units(responses):
-    """The same responses, of a coordinate whose unit only the user knows."""
+    """The responses, with a coordinate of unknown unit."""
     return responses.assign(x_max=responses["x_max"].drop_attrs())
 
 

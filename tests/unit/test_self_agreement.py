@@ -1,4 +1,4 @@
-"""Which protocols of the exact law are a floor, and which are representations like any other."""
+"""Protocols of the exact law that measure reproducibility, and those that do not."""
 
 import json
 

@@ -33,7 +33,7 @@ _MARKS = {True: "✓", False: "✗", None: "open"}
 
 @dataclass(frozen=True)
 class At:
-    """A run, the settings with which it is read, and which of them were used."""
+    """A run, settings other than the first values, and which settings were used."""
 
     run: Run
     settings: dict[str, str]
@@ -41,7 +41,7 @@ class At:
 
     def __getitem__(self, setting: str) -> str:
         self.used.add(setting)
-        return self.settings[setting]
+        return self.settings.get(setting, next(iter(SETTINGS[setting])))
 
 
 Read = Callable[[At], Number]
@@ -208,7 +208,7 @@ def claim(
     where, words = (place, "") if isinstance(place, str) else (place.place, f"{place.words}. ")
 
     def find(run: Run) -> Found:
-        at = first(run)
+        at = At(run, {})
         tests, found = _decided(comparisons, at)
         own, is_open_to = verdict(t.holds for t in tests), unstated
         used = [name for name in SETTINGS if name in at.used]
@@ -218,7 +218,7 @@ def claim(
         others = {}
         for name, (value, says) in ((n, v) for n in used for v in [*SETTINGS[n].items()][1:]):
             with suppress(NotInRunError):
-                again, words = _decided(comparisons, At(run, {**at.settings, name: value}))
+                again, words = _decided(comparisons, At(run, {name: value}))
                 other = verdict(t.holds for t in again)
                 if name != DECISIVE:
                     others[says] = again
@@ -232,11 +232,6 @@ def claim(
         return ([], sentence, {}) if is_open_to else (tests, sentence, others)
 
     return Claim(id, where, quote, f"{words}{note}".strip(), find)
-
-
-def first(run: Run) -> At:
-    """A run with the first value of every setting."""
-    return At(run, {name: next(iter(values)) for name, values in SETTINGS.items()})
 
 
 def _decided(comparisons: Iterable[Comparison], at: At) -> tuple[list[Test], str]:

@@ -1,4 +1,4 @@
-"""Systems with laws that a Runge-Kutta method integrates, as the stepping loop takes them."""
+"""Tables of systems whose laws a Runge-Kutta method integrates, for the stepping loop."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -26,18 +26,18 @@ _MIN_STEP = 1e-17  # of a period: stiff laws need far shorter steps than a Taylo
 def runge_kutta_scenes(
     exact: SceneTable, kernel_laws: Sequence[Law], mass: Array, solver: Solver
 ) -> SceneTable:
-    """The same systems with other laws.
+    """Return the table of the same systems with other laws, for a Runge-Kutta method.
 
     Parameters
     ----------
     exact : SceneTable
         n systems for the Taylor method: the equation of motion is the same.
     kernel_laws : sequence of Law
-        Of every contact; its parameters may be arrays, shape (n,).
+        Law of every contact; its parameters may be arrays, shape (n,).
     mass : ndarray, shape (n,)
-        What a contact's force is divided by [kg]; 1 where the equation says it.
+        Mass by which contact forces are divided [kg]; 1 if `exact` contains the division.
     solver : Solver
-        Its tolerances are those of `exact`.
+        Settings of the method; the tolerances are those of `exact`.
     """
     is_ode45 = solver.controller == "ode45"
     kinds = tuple(law.kind for law in kernel_laws)
