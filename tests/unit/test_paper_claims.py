@@ -12,7 +12,7 @@ from workflows.paper.cftool import RATIOS as RANDOM_RATIOS
 from workflows.paper.cftool import UNITS
 from workflows.paper.ladders import CONSTRAINTS, DEGREES, PARAMETERS, RATIOS, VARIABLES
 from workflows.paper.language import SETTINGS, At, Quantity, alike
-from workflows.paper.measures import named, ranges
+from workflows.paper.measures import median, named, ranges
 from workflows.paper.refined import BASINS, CLOUD, MOTIONS, WINDOWS
 from workflows.paper.scenes import EXACT, STARTS, TANGENTS, WEAK
 
@@ -349,6 +349,36 @@ def test_a_claim_is_decided_with_every_setting_that_it_uses(rest, verdict):
     assert f"rest: {verdict}" in decided["sentence"]
 
 
+@pytest.mark.parametrize("id", [3, 65, 66, 67, 68, 69, 70, 71, 82])
+@pytest.mark.filterwarnings("ignore")
+def test_claims_on_located_contacts_are_decided_with_both_contact_forces(study, id):
+    """The unlocated and smooth laws have one solver, the located one has two."""
+    decided = CLAIMS[id - 1].decided(Drawn(study, 0))
+    both = [*SETTINGS["force"].values()]
+    assert f"{both[0]}: " in decided["sentence"]
+    assert f"{both[1].capitalize()}: " in decided["sentence"]
+    assert (both[1] in decided["otherwise"]) is (id != 82)
+
+
+@pytest.mark.parametrize("id", [58, 74])
+@pytest.mark.filterwarnings("ignore")
+def test_numbers_that_are_typed_in_are_named_so(study, id):
+    decided = CLAIMS[id - 1].decided(Drawn(study, 0))
+    assert "typed in from benchmarks/one_method.py" in decided["sentence"]
+    assert all("typed in" in test["says"] for test in decided["tests"])
+
+
+def test_the_difference_of_medians_is_that_of_the_pairs():
+    """Frequencies differ by decades and the two laws by a tenth of one at each."""
+    decades, of = np.linspace(-6.0, 0.0, 41), np.arange(41.0)
+    far, near = median(decades + 0.1, of), median(decades, of)
+    assert far.floor > 0.5
+    paired = far - near
+    assert (paired.value, paired.floor) == pytest.approx((0.1, 0.0), abs=1e-12)
+    unpaired = far - median(decades[:20], of[:20])
+    assert unpaired.floor > 0.5
+
+
 def test_claims_quote_the_paper():
     for claim in CLAIMS:
         assert "'" in claim.text, claim.id
@@ -362,5 +392,9 @@ def test_bands_in_words():
 
 
 def test_names_are_those_of_the_paper():
-    names = {"poly-13": "Poly-13", "ratpoly-5/3": "RatPoly 5/3", "piecewise": "exact law"}
+    names = {
+        "poly-13": "Poly-13", "ratpoly-5/3": "RatPoly 5/3", "piecewise": "exact law",
+        "logarctan-1e4": "log-arctan", "tanh-1e9@paper": "tanh-1e9 (rtol 1e-4)",
+        "piecewise-noevents@finer": "without events (rtol 1e-6)",
+    }  # fmt: skip
     assert {label: named(label) for label in names} == names
