@@ -261,10 +261,18 @@ def main(folder: Path) -> None:
     about = run["agreement"].attrs
     (ROOT / "docs" / "answer.md").write_text(page(run).rstrip("\n") + "\n")
     claims = json.loads((folder / "claims.json").read_text())
-    counts = ", ".join(f"{claims['counts'][verdict]} {verdict}" for verdict in VERDICTS)
-    picture = f"\n{PICTURE.replace('images', 'docs/images')}\n" * (ROOT / "docs" / RULE).exists()
-    written(ROOT / "README.md", "answer", f"{finding(run)}\n{picture}")
-    written(ROOT / "README.md", "claims", counts)
+    tallies = {"from +0.4 mm": claims["counts"], "from rest": claims["otherwise"]["from rest"]}
+    counts = "; ".join(
+        f"{start} {', '.join(f'{found[verdict]} {verdict}' for verdict in VERDICTS)}"
+        for start, found in tallies.items()
+    )
+    picture = f"
+{PICTURE.replace('images', 'docs/images')}
+" * (ROOT / "docs" / RULE).exists()
+    written(ROOT / "README.md", "answer", f"{finding(run)}
+{picture}")
+    for place in ("README.md", "docs/explanation/claims.md"):
+        written(ROOT / place, "claims", counts)
     written(ROOT / "README.md", "run", f"{about['created'][:10]}, {about['numerics_fingerprint']}")
 
 

@@ -251,7 +251,8 @@ def decided(sentence="Holds."):
         }
         for i, verdict in enumerate(VERDICTS, start=1)
     ]
-    return {"counts": dict.fromkeys(VERDICTS, 1), "claims": claims}
+    counts = dict.fromkeys(VERDICTS, 1)
+    return {"counts": counts, "otherwise": {HOSTILE: counts}, "claims": claims}
 
 
 PART = {

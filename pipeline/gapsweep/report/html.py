@@ -96,7 +96,7 @@ def write_report(path: Path, inputs: Inputs, made_from: str = "") -> Path:
         hrefs={part["anchor"]: part["href"] for part in parts},
         hero=hero,
         folder=f"{FIGURES}/",
-        claims=claims and {"counts": claims["counts"], "rows": _claims(claims, parts)},
+        claims=claims and {"otherwise": {}, **claims, "rows": _claims(claims, parts)},
         scripts=[_script("figures"), *([_script("claims")] if claims else [])],
     )
     folder, written, home = path.parent / FIGURES, set[str](), f"../{path.name}"
