@@ -266,11 +266,8 @@ def main(folder: Path) -> None:
         f"{start} {', '.join(f'{found[verdict]} {verdict}' for verdict in VERDICTS)}"
         for start, found in tallies.items()
     )
-    picture = f"
-{PICTURE.replace('images', 'docs/images')}
-" * (ROOT / "docs" / RULE).exists()
-    written(ROOT / "README.md", "answer", f"{finding(run)}
-{picture}")
+    picture = f"\n{PICTURE.replace('images', 'docs/images')}\n" * (ROOT / "docs" / RULE).exists()
+    written(ROOT / "README.md", "answer", f"{finding(run)}\n{picture}")
     for place in ("README.md", "docs/explanation/claims.md"):
         written(ROOT / place, "claims", counts)
     written(ROOT / "README.md", "run", f"{about['created'][:10]}, {about['numerics_fingerprint']}")
