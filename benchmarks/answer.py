@@ -34,7 +34,7 @@ from workflows.paper.answer import (  # noqa: E402
     judged,
     spread,
 )
-from workflows.paper.language import SETTINGS, At  # noqa: E402
+from workflows.paper.language import At  # noqa: E402
 from workflows.paper.measures import cost  # noqa: E402
 from workflows.paper.scenes import EXACT, STRONG, TABLE_CASES, WEAK  # noqa: E402
 
@@ -210,8 +210,8 @@ def finding(run: Run) -> str:
         f"Locate contacts and write the force by contact mode: errors after four periods fall at "
         f"least {least:.0f}-fold; with one expression, at most {math.ceil(most)}-fold. A smooth "
         f"law is [accurate](docs/answer.md) if its force error is below {percent(ENOUGH)} of the "
-        f"forcing (tanh: ε ≥ {SHARPNESS:.0f} K_c/p). In the paper's {len(found)} cases, tanh can "
-        f"be in {count(found, 'tanh')}, polynomials and rational fits in {count(found, *FITS)}."
+        f"forcing (tanh: ε ≥ {SHARPNESS:.0f} K_c/p). Of the paper's {len(found)} cases, tanh "
+        f"suits {count(found, 'tanh')}; polynomials and rational fits suit {count(found, *FITS)}."
     )
 
 
@@ -221,7 +221,7 @@ def work(run: Run) -> list[dict[str, float]]:
         {law: (f"{law}@paper", f"{EXACT}@paper", case) for law in laws}
         for laws, case in zip((WEAK, STRONG), TABLE_CASES.values(), strict=True)
     ]
-    at = At(run, {name: next(iter(values)) for name, values in SETTINGS.items()})
+    at = At(run, {})
     return [
         {n: read(at).value for n, read in cost("right-hand sides", "nfev", one).parts} for one in of
     ]

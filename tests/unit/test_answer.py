@@ -526,7 +526,7 @@ def test_readme_answer_page_and_report_of_one_run_agree(papers):
     for words, families in ("tanh", ("tanh",)), ("polynomials", ("poly", "ratpoly")):
         own = [row for row in rows if row[0].strip("`").startswith(families)]
         n = sum(any(row[i + 1][:1] in ("✓", "=") for row in own) for i in range(len(CASES)))
-        assert re.search(rf"{words}[^.,]* in {n}\b", short)
+        assert re.search(rf"{words}[^.,]* suits? {n}\b", short)
         assert re.search(rf"{words}[^.,]* in {n}\b", third)
     # From the made-up distances: 20 by mode, 2 with one expression; scipy's are typed in.
     assert "20 times smaller than without" in first
