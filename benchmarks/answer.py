@@ -62,7 +62,8 @@ number in bold decides. Blank: not computed, or failed at all frequencies.
   has to be better than that for a verdict.
 - **±**: the 95 % interval includes a threshold, or there are too few frequencies for an interval.
 - **Smallest adequate ε**: 1e5: the next smaller one of this study is not adequate; ≤: no smaller
-  one was tried; >: none is adequate up to this.
+  one was tried (below 3e3 /m the layer 1/ε is as wide as half of the gap of 0.4/0.4 mm); >: none is
+  adequate up to this.
 - **tanh: one well**: ε above which tanh has no false equilibrium, which is necessary and not
   sufficient.
 - `piecewise-noevents` is the exact force without located contacts. It is no approximation: it shows
@@ -232,7 +233,7 @@ def page(run: Run) -> str:
     found, about = judged(run), run["agreement"].attrs
     first, *others = answer(run)
     said = "".join(f"{n}. {line}\n" for n, line in enumerate([f"**{first}**", *others], 1))
-    has_rule = (ROOT / "docs" / RULE).exists()
+    has_rule = (ROOT / "docs/images/rule.png").exists()
     picture = f"{PICTURE}\n\n[The rule: how it was found and tested, where it fails]({RULE})\n\n"
     made = (
         f"Made by `python benchmarks/answer.py` from the run of study `{about['study']}` of "
@@ -266,7 +267,9 @@ def main(folder: Path) -> None:
         f"{start} {', '.join(f'{found[verdict]} {verdict}' for verdict in VERDICTS)}"
         for start, found in tallies.items()
     )
-    picture = f"\n{PICTURE.replace('images', 'docs/images')}\n" * (ROOT / "docs" / RULE).exists()
+    picture = (
+        f"\n{PICTURE.replace('images', 'docs/images')}\n" * (ROOT / "docs/images/rule.png").exists()
+    )
     written(ROOT / "README.md", "answer", f"{finding(run)}\n{picture}")
     for place in ("README.md", "docs/explanation/claims.md"):
         written(ROOT / place, "claims", counts)
