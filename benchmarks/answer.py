@@ -83,8 +83,8 @@ from run to run. For times with this pair see [one method](benchmarks.md).
 OF_DEFAULTS = """
 **(b) The default solver of gapsweep for each law**, a Taylor series for the exact law and tanh, an
 explicit Runge–Kutta method of order 8 for the others: processor time per forcing period, the 95 %
-interval from the choice of frequencies and the repeatability of timings in this run. In six runs of
-the same study on one machine, ratios differed by up to a factor of 2.1. "?": no interval.
+interval from the choice of frequencies and the repeatability of timings in this run. In runs of
+six versions of the code, with equal errors and shares, on one machine, ratios differed by up to a factor of 2.1. "?": no interval.
 
 """
 OF_SCIPY = """
