@@ -17,7 +17,10 @@ if TYPE_CHECKING:
 
 BRANCH, STEP, STATE, MULTIPLIER, ATTRACTOR = "branch", "step", "state", "multiplier", "attractor"
 _POINT = (BRANCH, STEP)
-_ENDS = ("none", "window", "closed", "branch_point", "max_steps", "step_too_small", "equilibrium")
+_ENDS = (
+    *("none", "window", "closed", "branch_point", "max_steps", "step_too_small", "equilibrium"),
+    "resonance",
+)
 END_FLAGS = tuple((name, i) for i, name in enumerate(_ENDS))
 SPECIAL_FLAGS = tuple((kind.name.lower(), int(kind)) for kind in Special)
 _STATUS = (("ok", 0), ("not_requested", 1))
@@ -52,6 +55,8 @@ OF_BRANCH = {
     ),
     "parent": Variable("i4", "1", "branch from which this branch bifurcates, -1: none", -1),
 }
+CURVE_KIND = "curve_kind"
+OF_CURVE = {CURVE_KIND: Variable("i1", "1", "kind of special points", 0, SPECIAL_FLAGS)}
 _UNITS = {"omega": "Hz", "amplitude": "m", "K_c": "N m-1", "forcing": "N", "mass": "kg"}
 _UNITS |= {"j_1": "m", "j_2": "m", "gap": "m", "omega_n": "Hz", "alpha": "N m-3"}
 _UNITS |= {"c": "N s m-1", "mean_load": "N", "zeta": "1", "K_ratio": "1"}
@@ -83,7 +88,7 @@ def dataset(found: Branches) -> "xr.Dataset":
             values[i, : len(rows)] = np.reshape(rows, (len(rows), *values.shape[2:]))
         form = variable.of_systems if is_system else variable
         data[name] = ((*_POINT, *dims), values, form.attributes)
-    for name, variable in OF_BRANCH.items():
+    for name, variable in (OF_BRANCH | (OF_CURVE if len(names) > 1 else {})).items():
         rows = [_of_branch(name, branch) for branch in branches]
         data[name] = ((BRANCH,), np.array(rows, variable.dtype), variable.attributes)
     for name, of, words in (
@@ -106,6 +111,9 @@ def dataset(found: Branches) -> "xr.Dataset":
         "rtol": equations.solver.rtol,
         "n_lost": found.n_lost,
     }
+    if len(names) > 1:
+        second = equations.windows[1]
+        made.attrs |= {"second": second.name, "range": [second.low, second.high]}
     if equations.solver.atol is not None:
         made.attrs["atol"] = equations.solver.atol
     if family.omega is not None:
@@ -144,6 +152,6 @@ def _value(name: str, orbit: Orbit, swept: list[str], *, is_neutral: bool) -> An
 def _of_branch(name: str, branch: Branch) -> int:
     if name == "n_orbits":
         return len(branch.orbits)
-    if name == "parent":
-        return branch.parent
+    if name in ("parent", CURVE_KIND):
+        return branch.parent if name == "parent" else int(branch.kind)
     return _ENDS.index(branch.ends[0 if name == "begins" else 1])

@@ -10,6 +10,7 @@ from gapsweep.continuation.identity import Identity
 from gapsweep.continuation.locate import Step
 from gapsweep.continuation.newton import Corrector
 from gapsweep.continuation.orbits import Orbit, OrbitEquations, Reference
+from gapsweep.continuation.special import Special
 from gapsweep.continuation.thresholds import ALIKE, ASIDE_KNOWN, COMPARED, EDGE
 
 Array = NDArray[np.float64]
@@ -24,6 +25,7 @@ class Branch:
     ends: tuple[str, str]  # why it ends before the first and after the last orbit
     reference: Reference  # with the sizes that its unknowns are scaled by
     parent: int = -1  # the branch that it leaves, or that ends on it; -1: none
+    kind: Special = Special.NONE  # of special points whose curve it is
 
 
 def is_known(equations: OrbitEquations, branch: Branch, others: Sequence[Branch]) -> bool:

@@ -145,16 +145,17 @@ def special_points(found: xr.Dataset | None, here: xr.Dataset, along: str) -> It
     Parameters
     ----------
     found : Dataset or None
-        ``branches.nc``.
+        ``branches.nc``, or ``curves.nc``: then over the second parameter in place of the peak.
     here : Dataset
         The parameter set.
     along : str
         The parameter.
     """
-    part = of_scene(found, here, along, "x_max")
+    height = "x_max" if found is None else str(found.attrs.get("second", "x_max"))
+    part = of_scene(found, here, along, height)
     if found is None or part is None or not (part["special"] > 0).any():
         return
-    x, y, special, multiple = of_orbits(part, along, "x_max", "special", "period_multiple")
+    x, y, special, multiple = of_orbits(part, along, height, "special", "period_multiple")
     labels = np.broadcast_to(part.coords.get(REPRESENTATION, ""), len(x)).astype(str)
     peaks: dict[tuple[int, int, str, float], set[str]] = {}
     is_listed = np.full(labels.shape, True)
@@ -168,9 +169,10 @@ def special_points(found: xr.Dataset | None, here: xr.Dataset, along: str) -> It
         [_kind(kind), f"{n:.0f}", law, f"{at:.7g}", ", ".join(sorted(peaks[kind, n, law, at]))]
         for kind, n, law, at in sorted(peaks)
     ]
-    axes = [of_axis(part[name]) for name in (along, "x_max")]
+    axes = [of_axis(part[name]) for name in (along, height)]
     if rows:
-        yield _cut("Special points of the branches", [*head, *axes], rows)
+        title = "branches" if height == "x_max" else "curves"
+        yield _cut(f"Special points of the {title}", [*head, *axes], rows)
     if "match_representation" not in found:
         return
     matches = found.isel(match=in_scene(found, here, "match", "match_"))

@@ -1,13 +1,14 @@
-"""Branches of periodic orbits in all scenes of a study: ``branches.nc``.
+"""Branches of periodic orbits in all scenes of a study, and curves of their special points.
 
 A scene is all that is swept but the parameter of the branches and the initial states. Its branches
-start from its periodic attractors. They are stored next to the cache by content, one file a scene,
+(``branches.nc``) start from its periodic attractors, its curves (``curves.nc``) from the special
+points of its branches. They are stored next to the cache by content, one file a scene,
 so that a run that was interrupted computes only the scenes that it lacks.
 """
 
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +17,15 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from gapsweep.analysis.agreement.branch_agreement import MATCH, compared
-from gapsweep.continuation.dataset import ATTRACTOR, BRANCH, OF_BRANCH, VARIABLES
+from gapsweep.continuation.curves import KINDS
+from gapsweep.continuation.dataset import (
+    ATTRACTOR,
+    BRANCH,
+    OF_BRANCH,
+    OF_CURVE,
+    VARIABLES,
+    special_points,
+)
 from gapsweep.continuation.family import Window
 from gapsweep.continuation.follow import DEFAULT_RTOL
 from gapsweep.continuation.seed import Attractor
@@ -30,9 +39,12 @@ from gapsweep.study.schema import coordinates
 from gapsweep.study.spec import is_followed
 from gapsweep.study.study import Study
 from gapsweep.user_code.package_digest import numerics_fingerprint
-from gapsweep.variables import SECTION_POINT, STATUS_FLAGS, Variable
+from gapsweep.variables import POINT, SECTION_POINT, STATUS_FLAGS, Variable
 
 FOLDER = "branches"
+# Of a special point, for its curve; also the parameter of the branches.
+_OF_POINT = "special", "start_state", "period", "period_multiple"
+_WALLS = {"gap": {"gap", "j_1", "j_2"}, "j_1": {"gap", "j_1"}, "j_2": {"gap", "j_2"}}
 OF_STUDY = {
     "n_lost": (
         BRANCH,
@@ -69,8 +81,10 @@ def branches(
     connect: Callable[[], AbstractContextManager[Any]],
     timeout: float,
     say: Callable[[str], None],
+    *,
+    is_curves: bool = False,
 ) -> xr.Dataset:
-    """Branches of all cases of a study.
+    """Branches of all cases of a study, or the curves of their special points.
 
     Parameters
     ----------
@@ -86,8 +100,26 @@ def branches(
         CPU time limit of a case with user code [s].
     say : callable
         Called with the progress.
+    is_curves : bool
+        Whether the curves are returned; branches that are not stored any more are computed again.
     """
     parts = [part for part in _parts(study, attractors) if part.scene.attractors]
+    how = cache, connect, timeout, say
+    _follow(parts, *how)
+    if is_curves:
+        parts = [part for part in parts if _has_points(study, part)]
+        _follow(parts, *how)
+    return _assembled(study, parts, is_curves=is_curves)
+
+
+def _follow(
+    parts: list[_SceneBranches],
+    cache: Path,
+    connect: Callable[[], AbstractContextManager[Any]],
+    timeout: float,
+    say: Callable[[str], None],
+) -> None:
+    """Read the branches or curves of scenes, or compute and store them."""
     missing = []
     for part in parts:
         # In a folder for each scene: SHA256SUMS has one writer.
@@ -105,8 +137,22 @@ def branches(
                 part.found = found
                 if found.branches is not None:
                     netcdf.write(found.branches, path, {})
-                say(f"making branches.nc, {n_done} of {len(parts)} cases")
-    return _assembled(study, parts)
+                file = "branches.nc" if part.scene.points is None else "curves.nc"
+                say(f"making {file}, {n_done} of {len(parts)} cases")
+
+
+def _has_points(study: Study, part: _SceneBranches) -> bool:
+    """Whether branches have special points whose curves can be followed; the scene gets them."""
+    table = part.scene.table
+    if part.found.branches is None:
+        return False
+    points = special_points(part.found.branches)[[table.along, *_OF_POINT]]
+    points = points.isel({POINT: np.isin(points["special"], KINDS)})
+    some = {n: study.grid.axes[n][i] for n, i in part.at.items() if n in study.spec.model}
+    system = study.model.along((table.along, table.second or ""), some)
+    part.scene = replace(part.scene, points=points, system=system)
+    part.found = Followed(Status.OK)
+    return bool(points.sizes[POINT])
 
 
 def _parts(study: Study, attractors: xr.Dataset) -> Iterator[_SceneBranches]:
@@ -132,7 +178,7 @@ def _parts(study: Study, attractors: xr.Dataset) -> Iterator[_SceneBranches]:
         some = {name: axes[name][i] for name, i in at.items() if name in study.spec.model}
         scene = BranchScene(
             point=point,
-            system=study.model.along(along, some),
+            system=study.model.along((along,), some),
             window=window,
             table=table,
             attractors=tuple(_attractors(attractors.isel(at), along, numbers)),
@@ -157,8 +203,8 @@ def _attractors(here: xr.Dataset, along: str, numbers: NDArray[np.intp]) -> Iter
         )
 
 
-def _assembled(study: Study, parts: list[_SceneBranches]) -> xr.Dataset:
-    """One dataset of the branches of all scenes."""
+def _assembled(study: Study, parts: list[_SceneBranches], *, is_curves: bool) -> xr.Dataset:
+    """One dataset of the branches or curves of all scenes."""
     table, grid = study.spec.branches, study.grid
     assert table is not None
     columns: dict[str, list[Any]] = {name: [] for name in OF_STUDY}
@@ -169,7 +215,7 @@ def _assembled(study: Study, parts: list[_SceneBranches]) -> xr.Dataset:
         n, before = len(part.numbers), len(of_branch)
         on = np.full(n, -1)
         if (found := part.found.branches) is not None:
-            on = found["attractor_on_branch"].values
+            on = on if is_curves else found["attractor_on_branch"].values
             size, parent = found.sizes[BRANCH], found["parent"]
             parent[:] = np.where(parent < 0, -1, parent + before)
             several.append(found.drop_dims(ATTRACTOR).drop_vars(BRANCH))
@@ -181,12 +227,19 @@ def _assembled(study: Study, parts: list[_SceneBranches]) -> xr.Dataset:
         columns["attractor_message"] += n * [part.found.message]
         of_attractor += [{**part.at, table.along: i} for i in part.numbers[:, 0].tolist()]
     matches, of_match = compared(
-        [(part.at, part.found.branches) for part in parts], grid.representations, table.along
+        [] if is_curves else [(part.at, part.found.branches) for part in parts],
+        grid.representations,
+        table.along,
     )
     made = _joined(several).merge(matches)
     for name, (dim, form) in OF_STUDY.items():
         made[name] = (dim, np.array(columns[name], form.dtype), form.attributes)
     described, values = coordinates(grid.dims, grid.structure), grid.coordinates()
+    others = {"second", "range"}
+    if is_curves:  # the second parameter is a variable; attractors are there for their statuses
+        swept, others = _WALLS.get(table.second or "", {table.second}), set()
+        described = {name: form for name, form in described.items() if name not in swept}
+        made = made.drop_vars(["attractor_on_branch", *matches])
     places = (BRANCH, "", of_branch), (ATTRACTOR, "attractor_", of_attractor)
     for dim, prefix, where in (*places, (MATCH, "match_", of_match)):
         for name, (over, variable) in described.items():
@@ -196,7 +249,7 @@ def _assembled(study: Study, parts: list[_SceneBranches]) -> xr.Dataset:
     made.coords[BRANCH] = np.arange(made.sizes[BRANCH])
     made.coords.update({name: list(of) for name, of in grid.parts.items() if name in made.dims})
     axis = grid.axes[table.along]
-    settings = {"rtol": DEFAULT_RTOL, **table.model_dump(exclude_none=True)}
+    settings = {"rtol": DEFAULT_RTOL, **table.model_dump(exclude_none=True, exclude=others)}
     return made.assign_attrs(
         **study.attributes,
         numerics_fingerprint=numerics_fingerprint(),
@@ -210,7 +263,7 @@ def _joined(several: list[xr.Dataset]) -> xr.Dataset:
     """Branches one after the other; missing values behind the ends of shorter ones."""
     if not several:
         return xr.Dataset({"stable": ((BRANCH, "step"), np.zeros((0, 0), np.int8))})
-    missing = {name: each.missing for name, each in (VARIABLES | OF_BRANCH).items()}
+    missing = {name: each.missing for name, each in (VARIABLES | OF_BRANCH | OF_CURVE).items()}
     first = several[0]
     fill = {name: missing.get(str(name), np.nan) for name in first.data_vars}
     made = xr.concat(several, BRANCH, join="outer", fill_value=fill, combine_attrs="override")
