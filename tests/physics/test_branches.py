@@ -11,7 +11,7 @@ import xarray as xr
 from numpy.testing import assert_allclose
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq, fsolve, minimize_scalar
-from scipy.special import ellipk
+from scipy.special import ellipk, mathieu_a, mathieu_b
 from tests.exact_orbits import (
     TURN,
     Exact,
@@ -976,6 +976,64 @@ def test_speeds_of_folds_with_freeplay_do_not_depend_on_its_width():
         float(curve["x_max"].sel(coordinate="beta")[0] / curve["gap"][0]),
         rtol=1e-7,
     )
+
+
+def named(ds, kind):
+    """The rows of a curve with a kind of special point."""
+    names = ds["special"].attrs["flag_meanings"].split()
+    return ds.isel(step=ds["special"].values == names.index(kind))
+
+
+def test_folds_of_an_undamped_oscillator_are_resonances_1_1():
+    """The product of both multipliers is exp(-c T): a fold without damping has both at 1."""
+
+    def model(damping=0.1):
+        return replace(hardening(), damping=[[damping]])
+
+    ds = gs.branches(model, {}, between=(0.1, 0.6), at=0.15)
+    at = named(gs.special_curve(ds, 1, "damping", (-0.05, 0.2)), "resonance_1_1").squeeze("step")
+    assert float(at["damping"]) == pytest.approx(0.0, abs=1e-9)
+    w = TURN * float(at["omega"])
+
+    def rates(t, y):
+        x, v = y[:2]
+        slope = np.array([[0.0, 1.0], [-1.0 - 3.0 * x**2, 0.0]])
+        return np.r_[v, -x - x**3 + 0.3 * np.cos(w * t), (slope @ y[2:].reshape(2, 2)).ravel()]
+
+    start = np.r_[at["start_state"].values, np.eye(2).ravel()]
+    end = solve_ivp(rates, (0.0, TURN / w), start, "DOP853", rtol=1e-12, atol=1e-13).y[:, -1]
+    assert_allclose(end[:2], start[:2], atol=1e-8)
+    assert np.trace(end[2:].reshape(2, 2)) == pytest.approx(2.0, abs=1e-6)
+
+
+def mathieu(a=2.5, damping=0.02):
+    """y'' + damping y' + (a - 2 cos 2t) y = 0; x is forced fast, so that time steps are short."""
+    return gs.System(
+        mass=np.eye(2),
+        damping=np.diag([0.1, damping]),
+        stiffness=np.diag([300.0, a - 1.0]),
+        contacts={"y": [0.0, 1.0]},
+        modulation={"y": [gs.Modulation(depth=2.0, phase=np.pi)]},
+        forcing=[gs.Harmonic(amplitude=[1.0, 0.0], k=8)],
+        coordinates=("x", "y"),
+    )
+
+
+def test_resonances_lie_at_characteristic_values_of_mathieu():
+    """Without damping both multipliers of y are -1 at a_1(1) and 1 at b_2(1)."""
+    law, more = gs.Piecewise(1.0, gs.Gap(0.0, 0.0)), {"starts": [[0.0] * 4], "omega": 1.0 / np.pi}
+    ds = gs.branches(mathieu, law, "a", (1.2, 3.5), at=2.5, **more)
+    doubled = gs.special_curve(ds, point(ds, "period_doubling"), "damping", (-0.02, 0.1))
+    at = named(doubled, "resonance_1_2").squeeze("step")
+    assert float(at["a"]) == pytest.approx(mathieu_a(1, 1.0), rel=1e-8)
+    assert float(at["damping"]) == pytest.approx(0.0, abs=1e-7)
+    ds = gs.branches(mathieu, law, "damping", (-0.02, 0.1), at=0.05, **more)
+    torus = gs.special_curve(ds, point(ds, "torus"), "a", (1.2, 4.6))
+    reasons = torus["ends"].attrs["flag_meanings"].split()
+    assert {reasons[int(torus[name])] for name in ("begins", "ends")} == {"resonance"}
+    ends = [float(named(torus, f"resonance_1_{n}")["a"].item()) for n in (2, 1)]
+    assert_allclose(ends, [mathieu_a(1, 1.0), mathieu_b(2, 1.0)], rtol=1e-8)
+    assert_allclose([torus["a"].min(), torus["a"].max()], ends, rtol=1e-12)
 
 
 def test_points_without_a_curve_and_ranges_without_the_branch_are_refused():
