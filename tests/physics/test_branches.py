@@ -614,7 +614,7 @@ SOFT = gs.Piecewise(1.4e4, gs.Gap(0.4e-3, 0.4e-3))
         ({"between": 6.0}, r"between = 6.0: must be the two ends of omega, as between=\(1.0"),
         ({"at": 13.0}, r"at = 13.0: must lie within between = \(6, 12\)"),
         ({"along": "zeta", "between": (-0.5, 0.5), "omega": 9.0}, "zeta = -0.5: must be >= 0"),
-        ({"along": "forcing", "between": (1.0, 2.0)}, "omega: missing; this model is forced"),
+        ({"along": "forcing", "between": (1.0, 2.0)}, "omega: missing; .* omega=9.0"),
         (
             {"at": 8.0, "start": [10.0, 0.0]},
             "start: .* no periodic orbit near it at omega = 8; ",
@@ -629,7 +629,7 @@ SOFT = gs.Piecewise(1.4e4, gs.Gap(0.4e-3, 0.4e-3))
         ({"along": "amplitude"}, "along = 'amplitude': .* forcing and damping must be 0"),
         ({"at": 8.0, "start": [0.0, 0.0], "starts": [0.0, 0.0]}, "start and starts: "),
         ({"at": [8.0, 9.0], "start": [0.0, 0.0]}, r"at = \[8.0, 9.0\]: .*one value of omega"),
-        ({"law": None}, "law = None: must be a contact law"),
+        ({"law": None}, r"law: missing for \['x'\], as law=gs.Piecewise"),
         ({"law": {"x": None}}, "law = None: must be a contact law"),
         (
             {"along": "forcing", "between": (0.0, 5.0), "at": 0.0, "omega": 9.0},
@@ -735,6 +735,8 @@ def test_free_motions_start_at_every_value_and_stay_between():
     model, law = free(alpha=0.0), gs.Piecewise(8.0, gs.Gap(0.0, 0.0), K_ratio=0.0)
     ds = gs.branches(model, law, "amplitude", (0.2, 0.8), at=[0.2, 0.3])
     assert_allclose(ds["attractor_amplitude"], [0.4, 0.6], rtol=1e-9)
+    assert ds["attractor_on_branch"].values.tolist() == [0, 0]
+    assert ds.sizes["branch"] == 1
     assert ds.attrs["initial_conditions"].startswith("free motions;")
     a = rows(ds, 0)["amplitude"].values
     assert_allclose([a.min(), a.max()], [0.2, 0.8], rtol=1e-9)
@@ -1040,6 +1042,7 @@ def test_points_without_a_curve_and_ranges_without_the_branch_are_refused():
     ds = forced("pyvib")
     for arguments in (
         *((99, "forcing", (0.01, 0.1)), (0, "forcing", (0.1, 0.2)), (0, "x", (1, 2))),
+        ("fold", "forcing", (0.01, 0.1)),
         (0, "omega", (1.0, 2.0)),
     ):
         with pytest.raises(gs.ModelError):

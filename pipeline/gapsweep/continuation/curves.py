@@ -47,6 +47,7 @@ from gapsweep.variables import POINT
 
 Array = NDArray[np.float64]
 
+_POINT = "point (a number of branches.gapsweep.special_points())"
 # Kinds of special points that have curves.
 KINDS = Special.FOLD, Special.PERIOD_DOUBLING, Special.TORUS, Special.GRAZING
 
@@ -148,7 +149,7 @@ def special_curve(
     points = special_points(branches)
     if not points.sizes[POINT]:
         raise ModelError("branches: have no special points")
-    points = points.isel({POINT: [whole("point", point, 0, points.sizes[POINT] - 1)]})
+    points = points.isel({POINT: [whole(_POINT, point, 0, points.sizes[POINT] - 1)]})
     kind = Special(int(points["special"].item()))
     if kind not in KINDS:
         raise ModelError(

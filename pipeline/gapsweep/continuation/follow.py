@@ -33,7 +33,7 @@ DEFAULT_RTOL = 1e-11
 
 def branches(
     oscillator: Model | Callable[..., Model],
-    law: AnyLaw,
+    law: AnyLaw | None = None,
     along: str = "omega",
     between: tuple[float, float] = (1.0, 30.0),
     at: ArrayLike | None = None,
@@ -53,7 +53,7 @@ def branches(
     oscillator : Oscillator, System, or callable
         Model, or a function that returns it for keywords, as ``gs.systems.typical_section``.
     law : ContactLaw or mapping of str to ContactLaw
-        As in `gapsweep.simulate`.
+        As in `gapsweep.simulate`; none of a System without contacts.
     along : str
         Parameter: ``"omega"`` [Hz]; ``"amplitude"`` [m] of the first coordinate in undamped free
         motions; a field of the oscillator (``"forcing"``) or the law (``"K_c"``, ``"epsilon"``,
@@ -105,7 +105,7 @@ def branches(
         if along == "omega":
             raise ModelError(f"omega = {omega!r}: leave it out, it is the parameter")
         omega = checked("omega", omega, low=0.0, strict=True)
-    family = Family(oscillator, law, omega, (along,), values)
+    family = Family(oscillator, {} if law is None else law, omega, (along,), values)
     solver = solver_of(family, rtol, atol)
     ends = [{along: x} for x in (window.low, window.high)]
     models, laws = zip(*((family.model_at(end), family.laws_at(end)) for end in ends), strict=True)

@@ -263,7 +263,7 @@ class OrbitEquations:
 
         A maximum at the start of an unforced orbit may be found at its end too.
         """
-        if self.family.is_conservative or not len(section):
+        if not len(section):
             return state[None, :]
         is_twice = self.has_period and len(section) > 1 and phase[-1] - phase[0] > ONE_TURN
         return section[:-1] if is_twice else section
