@@ -159,8 +159,23 @@ def test_attractors_are_those_of_the_other_file(branches, folder):
         same = same.isel(number=branches["attractor_number"])
         assert (same["response_class"] == 0).all()
         heights = same["x_max"].values
+        np.testing.assert_array_equal(branches["attractor_x_max"], heights)
+        times = same["period_multiple"].values
+        np.testing.assert_array_equal(branches["attractor_period_multiple"], times)
     exact = np.isclose(branches["attractor_omega"], 0.2) & (branches["attractor_K_c"] == 3.0)
     assert len(np.unique(heights[exact.values].round(6))) >= 2
+
+
+def test_a_state_of_each_attractor_returns_after_its_period(branches):
+    law = gs.contact_law("piecewise", 3.0, gs.Gap(0.1745, 0.1745))
+    label = branches["attractor_representation"].values
+    for one in np.flatnonzero(label == "piecewise")[::7]:
+        here = branches.isel(attractor=one)
+        x, v = here["attractor_start_state"].values
+        omega = float(here["attractor_omega"])
+        n = int(here["attractor_period_multiple"])
+        motion = gs.simulate(gs.Oscillator(**OSCILLATOR), law, omega, x, v, n_periods=n)
+        assert motion.x_end == pytest.approx(x, abs=1e-6)
 
 
 def test_special_points_of_laws_are_compared(branches):

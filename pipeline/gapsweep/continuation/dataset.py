@@ -1,5 +1,6 @@
 """Branches as an `xarray.Dataset`."""
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -8,6 +9,7 @@ from gapsweep.continuation.branches import Branches
 from gapsweep.continuation.family import AMPLITUDE
 from gapsweep.continuation.orbits import Orbit
 from gapsweep.continuation.recognise import Branch
+from gapsweep.continuation.seed import Attractor
 from gapsweep.continuation.special import Special
 from gapsweep.model.oscillator import Oscillator
 from gapsweep.variables import COORDINATE, PARTS, POINT, Variable
@@ -55,6 +57,14 @@ OF_BRANCH = {
     ),
     "parent": Variable("i4", "1", "branch from which this branch bifurcates, -1: none", -1),
 }
+# Of attractors that branches start from: names in `Attractor`, and variables.
+OF_ATTRACTOR = {
+    "on_branch": ("branch", Variable("i4", "1", "branch of the attractor, -1: none")),
+    "period_multiple": ("multiple", Variable("i4", "1", "forcing periods in one period of it")),
+    "period": ("period", Variable("f8", "s", "period of the attractor")),
+    "x_max": ("x_max", Variable("f8", "m", "peak of the first coordinate")),
+    "start_state": ("section", Variable("f8", "", "a state on the attractor", dims=(STATE,))),
+}
 CURVE_KIND = "curve_kind"
 OF_CURVE = {CURVE_KIND: Variable("i1", "1", "kind of special points", 0, SPECIAL_FLAGS)}
 _UNITS = {"omega": "Hz", "amplitude": "m", "K_c": "N m-1", "forcing": "N", "mass": "kg"}
@@ -91,13 +101,10 @@ def dataset(found: Branches) -> "xr.Dataset":
     for name, variable in (OF_BRANCH | (OF_CURVE if len(names) > 1 else {})).items():
         rows = [_of_branch(name, branch) for branch in branches]
         data[name] = ((BRANCH,), np.array(rows, variable.dtype), variable.attributes)
-    for name, of, words in (
-        ("attractor_on_branch", "branch", "branch of the attractor, -1: none"),
-        (f"attractor_{window.name}", "value", f"{window.name} of the attractor"),
-    ):
-        values = np.array([getattr(each, of) for each in found.attractors])
-        values = values.astype("i4" if of == "branch" else float)
-        data[name] = ((ATTRACTOR,), values, {"long_name": words})
+    data |= of_attractors(found.attractors, equations.n_states)
+    values = np.array([each.value for each in found.attractors], float)
+    words = {"long_name": f"{window.name} of the attractor"}
+    data[f"attractor_{window.name}"] = ((ATTRACTOR,), values, words)
     coordinates: dict[str, Any] = {BRANCH: np.arange(len(branches)), STEP: np.arange(longest)}
     if model.n > 1:
         labels = list(model.coordinates)
@@ -120,6 +127,16 @@ def dataset(found: Branches) -> "xr.Dataset":
         made.attrs["forcing_frequency"] = family.omega
     made.encoding["family"] = family
     return made
+
+
+def of_attractors(attractors: Sequence[Attractor], n_states: int) -> dict[str, Any]:
+    """Variables over `attractor`."""
+    data: dict[str, Any] = {}
+    for name, (of, form) in OF_ATTRACTOR.items():
+        rows = [np.ravel(getattr(each, of))[: n_states if form.dims else 1] for each in attractors]
+        values = np.reshape(rows, (-1, n_states) if form.dims else -1).astype(form.dtype)
+        data[f"attractor_{name}"] = ((ATTRACTOR, *form.dims), values, form.attributes)
+    return data
 
 
 def special_points(found: "xr.Dataset") -> "xr.Dataset":

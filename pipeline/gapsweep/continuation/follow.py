@@ -241,7 +241,8 @@ def _attractor(response: Response, value: float, n_states: int) -> Attractor:
     section = np.reshape(np.asarray(response.section, float), (-1, n_states))
     multiple = int(response.period_multiple)
     period = float(response.period) if response.period else np.nan
-    return Attractor(value=value, section=section, period=period, multiple=multiple)
+    x_max = np.ravel(response.x_max)[0].item()
+    return Attractor(value=value, section=section, period=period, multiple=multiple, x_max=x_max)
 
 
 def _periods(equations: OrbitEquations, value: float, state: Array) -> int:
@@ -272,7 +273,9 @@ def _free(equations: OrbitEquations, state: Array) -> Attractor:
     turns = [state[0], *run.extrema[model.coordinates[0]]]
     (amplitude,) = _inside(equations.windows[0], 0.5 * float(np.ptp(turns)), "amplitude")
     period = float(run.t_section[0])
-    return Attractor(value=amplitude, section=state[None, :], period=period, multiple=1)
+    return Attractor(
+        value=amplitude, section=state[None, :], period=period, multiple=1, x_max=max(turns)
+    )
 
 
 def _inside(window: Window, at: ArrayLike, name: str = "at") -> list[float]:

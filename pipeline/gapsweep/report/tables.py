@@ -9,6 +9,7 @@ import xarray as xr
 
 from gapsweep.analysis.agreement.metrics import BOUND
 from gapsweep.analysis.dimensions import At, by_coordinate, scene_dims
+from gapsweep.continuation.dataset import ATTRACTOR
 from gapsweep.continuation.special import Special
 from gapsweep.model.labels import EXACT
 from gapsweep.report.branch_lines import KINDS, REPRESENTATION, in_scene, of_orbits, of_scene
@@ -186,6 +187,25 @@ def special_points(found: xr.Dataset | None, here: xr.Dataset, along: str) -> It
     if rows:
         title = f"Special points compared with the exact law, {of_axis(part[along])}"
         yield _cut(title, [*head, "Exact law", "Approximation", "Difference"], rows)
+
+
+def lost_attractors(found: xr.Dataset | None, here: xr.Dataset, along: str) -> Iterator[Table]:
+    """Periodic attractors of a parameter set that lie on no branch; arguments as of the points."""
+    if found is None or "attractor_on_branch" not in found or found.attrs["along"] != along:
+        return
+    inside = in_scene(found, here, ATTRACTOR, "attractor_")
+    lost = found.isel({ATTRACTOR: inside & (found["attractor_on_branch"].values < 0)})
+    names = f"attractor_{along}", "attractor_x_max"
+    values = [drawn(lost[name]) for name in names]
+    others = (lost[f"attractor_{name}"].values for name in ("period_multiple", "start_state"))
+    labels = np.broadcast_to(lost[f"attractor_{REPRESENTATION}"].values, len(values[0]))
+    rows = [
+        [law, f"{n}", f"{at:.7g}", f"{peak:.6g}", ", ".join(f"{x:.9g}" for x in state)]
+        for law, at, peak, n, state in zip(labels, *values, *others, strict=True)
+    ]
+    if rows:
+        head = ["Representation", "Period", *(of_axis(lost[name]) for name in names)]
+        yield _cut("Attractors on no branch", [*head, "State (m, m/s)"], rows)
 
 
 def _kind(kind: float) -> str:

@@ -24,6 +24,7 @@ from gapsweep.continuation.dataset import (
     OF_BRANCH,
     OF_CURVE,
     VARIABLES,
+    of_attractors,
     special_points,
 )
 from gapsweep.continuation.family import Window
@@ -189,7 +190,7 @@ def _parts(study: Study, attractors: xr.Dataset) -> Iterator[_SceneBranches]:
 def _attractors(here: xr.Dataset, along: str, numbers: NDArray[np.intp]) -> Iterator[Attractor]:
     """The periodic attractors of a scene."""
     sections = [name for name in ("section_x", "section_v", "section_z") if name in here]
-    names = [name for name in (*sections, "period_multiple", "period") if name in here]
+    names = [name for name in (*sections, "period_multiple", "period", "x_max") if name in here]
     here = here[names].load()
     for i, k in numbers.tolist():
         one = here.isel({along: i, ATTRACTOR: k})
@@ -200,6 +201,7 @@ def _attractors(here: xr.Dataset, along: str, numbers: NDArray[np.intp]) -> Iter
             section=section[np.isfinite(section).all(axis=1)],
             period=float(one.get("period", np.nan)),
             multiple=int(one["period_multiple"]),
+            x_max=np.ravel(one["x_max"])[0].item(),
         )
 
 
@@ -231,7 +233,9 @@ def _assembled(study: Study, parts: list[_SceneBranches], *, is_curves: bool) ->
         grid.representations,
         table.along,
     )
-    made = _joined(several).merge(matches)
+    attractors = [each for part in parts for each in part.scene.attractors]
+    own = xr.Dataset(of_attractors(attractors, study.structure.n_states))
+    made = _joined(several).merge(matches).merge(own)
     for name, (dim, form) in OF_STUDY.items():
         made[name] = (dim, np.array(columns[name], form.dtype), form.attributes)
     described, values = coordinates(grid.dims, grid.structure), grid.coordinates()
