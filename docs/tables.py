@@ -121,9 +121,7 @@ def _branches() -> Iterator[tuple[str, ...]]:
     for name, variable in (continued.OF_BRANCH | continued.OF_CURVE).items():
         yield _row(name, [continued.BRANCH], variable)
     for name, (_, variable) in continued.OF_ATTRACTOR.items():
-        if f"attractor_{name}" not in branches.OF_STUDY:
-            dims = [continued.ATTRACTOR, *variable.dims]
-            yield _row(f"attractor_{name}", dims, variable)
+        yield _row(f"attractor_{name}", [continued.ATTRACTOR, *variable.dims], variable)
     for name, (over, variable) in branches.OF_STUDY.items():
         yield _row(name, [over], variable)
     for name, variable in branch_agreement.VARIABLES.items():

@@ -47,7 +47,6 @@ from gapsweep.report.style import MATPLOTLIB
 from gapsweep.report.tables import (
     VERDICTS,
     claim_rows,
-    lost_attractors,
     number,
     outcome,
     percent,
@@ -924,11 +923,10 @@ def test_attractors_on_no_branch_are_listed(tmp_path):
     found = found.assign_coords({f"attractor_{n}": ("attractor", row) for n, row in at.items()})
     found["attractor_x_max"].attrs = {"units": "m", "long_name": "peak"}
     found["attractor_omega"].attrs = {"units": "Hz", "long_name": "forcing frequency"}
-    (table,) = lost_attractors(found, files[0], "omega")
+    (table,) = special_points(found, files[0], "omega")
     assert table.rows == [["piecewise", "2", "2", "2", "0.0002, 0.5"]]
     assert table.header[2:4] == ["forcing frequency [Hz]", "peak [mm]"]
-    assert [*lost_attractors(found, files[0], "K_c")] == []
-    assert [*lost_attractors(None, files[0], "omega")] == []
+    assert [*special_points(found.drop_vars("attractor_omega"), files[0], "omega")] == []
 
 
 def test_a_caption_names_the_few_frequencies_that_had_several_starts(tmp_path):

@@ -75,21 +75,15 @@ class Special(IntEnum):
 
 # Of strong resonances, the value of two multipliers.
 RESONANCES: dict[int, float] = {Special.RESONANCE_1_1: 1.0, Special.RESONANCE_1_2: -1.0}
-# On curves of a kind: the resonances, and the derivative of the characteristic polynomial there
-# that changes its sign.
-_ON_CURVES = {
-    Special.FOLD: ((Special.RESONANCE_1_1, 1),),
-    Special.PERIOD_DOUBLING: ((Special.RESONANCE_1_2, 1),),
-    Special.TORUS: ((Special.RESONANCE_1_1, 0), (Special.RESONANCE_1_2, 0)),
-}
 
 
 def sign_changes(before: Orbit, after: Orbit, equations: OrbitEquations) -> Iterator[SignChange]:
     """Test functions that change their sign from one orbit of a branch to the next."""
     if equations.kind:  # all are special points
-        for kind, order in _ON_CURVES.get(Special(equations.kind), ()):
-            value = partial(characteristic, at=RESONANCES[kind], order=order)
-            if value(before) * value(after) < 0.0:
+        # The polynomial itself is zero on a curve of folds or doublings, of grazes anywhere.
+        for kind, at in RESONANCES.items():
+            value = partial(characteristic, at=at, order=int(equations.kind != Special.TORUS))
+            if equations.kind != Special.GRAZING and value(before) * value(after) < 0.0:
                 yield SignChange(kind, value)
         a, b = before.tangent[-2:], after.tangent[-2:]
         if a @ b < 0.0:  # the curve turns back in the plane of its parameters

@@ -48,7 +48,6 @@ from gapsweep.report.tables import (
     VERDICTS,
     Row,
     claim_rows,
-    lost_attractors,
     number,
     percent,
     scene_tables,
@@ -304,7 +303,6 @@ def _scenes(inputs: Inputs) -> Iterator[Part]:
                 *scene_tables(compared, inputs.timing.isel(at), labels),
                 *special_points(inputs.branches, here, "omega"),
                 *special_points(inputs.curves, here, "omega"),
-                *lost_attractors(inputs.branches, here, "omega"),
             ],
             _scene_figures(inputs, _without_protocols(here), at, title),
         )

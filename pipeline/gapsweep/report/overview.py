@@ -33,7 +33,7 @@ from gapsweep.report.maps import MapImage, numbered_as, numeric_axes, on_grid, p
 from gapsweep.report.parts import Figured, Part
 from gapsweep.report.scales import long_name, named, shown_unit
 from gapsweep.report.selection import places
-from gapsweep.report.tables import lost_attractors, number, scene_tables, special_points
+from gapsweep.report.tables import number, scene_tables, special_points
 from gapsweep.status import Status
 from gapsweep.study.grid import COORDINATE
 
@@ -109,7 +109,6 @@ def overview(inputs: Inputs) -> Part:
             *scene_tables(inputs.agreement, inputs.timing, labels, over, _apart(asked, n_scenes)),
             *(special_points(branches, responses, axes[0]) if is_one_line else []),
             *(special_points(inputs.curves, responses, axes[0]) if is_one_line else []),
-            *(lost_attractors(branches, responses, axes[0]) if is_one_line else []),
         ],
         (
             figure

@@ -138,7 +138,8 @@ def _timing_rows(timing: xr.Dataset, labels: list[str]) -> Iterator[list[str]]:
 
 
 def special_points(found: xr.Dataset | None, here: xr.Dataset, along: str) -> Iterator[Table]:
-    """Special points of branches by kind and parameter, and of laws compared with the exact law.
+    """Special points of branches by kind and parameter, and of laws compared with the exact law;
+    attractors on no branch.
 
     Mirror images of an orbit share a row. If the second table has the points of approximations,
     the first one has only those of the exact law.
@@ -152,6 +153,8 @@ def special_points(found: xr.Dataset | None, here: xr.Dataset, along: str) -> It
     along : str
         The parameter.
     """
+    if found is not None and f"attractor_{along}" in found and "attractor_on_branch" in found:
+        yield from _lost_attractors(found, here, along)
     height = "x_max" if found is None else str(found.attrs.get("second", "x_max"))
     part = of_scene(found, here, along, height)
     if found is None or part is None or not (part["special"] > 0).any():
@@ -189,10 +192,8 @@ def special_points(found: xr.Dataset | None, here: xr.Dataset, along: str) -> It
         yield _cut(title, [*head, "Exact law", "Approximation", "Difference"], rows)
 
 
-def lost_attractors(found: xr.Dataset | None, here: xr.Dataset, along: str) -> Iterator[Table]:
-    """Periodic attractors of a parameter set that lie on no branch; arguments as of the points."""
-    if found is None or "attractor_on_branch" not in found or found.attrs["along"] != along:
-        return
+def _lost_attractors(found: xr.Dataset, here: xr.Dataset, along: str) -> Iterator[Table]:
+    """Periodic attractors of a parameter set that lie on no branch."""
     inside = in_scene(found, here, ATTRACTOR, "attractor_")
     lost = found.isel({ATTRACTOR: inside & (found["attractor_on_branch"].values < 0)})
     names = f"attractor_{along}", "attractor_x_max"
@@ -205,7 +206,7 @@ def lost_attractors(found: xr.Dataset | None, here: xr.Dataset, along: str) -> I
     ]
     if rows:
         head = ["Representation", "Period", *(of_axis(lost[name]) for name in names)]
-        yield _cut("Attractors on no branch", [*head, "State (m, m/s)"], rows)
+        yield _cut("Attractors on no branch", [*head, "State: displacements, velocities"], rows)
 
 
 def _kind(kind: float) -> str:

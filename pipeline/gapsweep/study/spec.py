@@ -207,7 +207,7 @@ class BranchesTable(TomlTable):
             swept = ", ".join(names) or "none; write several values in [[sweep]]"
             yield f"branches.along = {self.along!r}: must be a swept parameter: {swept}"
         for key, value in (("along", self.along), ("second", self.second)):
-            name = "gap" if value in _WALLS else value or ""
+            name = "gap" if value in WALLS else value or ""
             if any(getattr(contact, name, None) is not None for contact in contacts.values()):
                 yield f"branches.{key} = {value!r}: must be set in [[sweep]], not in [contact]"
         yield from self._problems_of_second(axes, known)
@@ -221,16 +221,16 @@ class BranchesTable(TomlTable):
             if (name is None) != (self.range is None):
                 yield "branches: give both or neither, as second = 'K_c' and range = [1.0, 2.0]"
             return
-        others = {"representation", START, along, *(["gap"] if along in _WALLS else [])}
-        allowed = [x for x in dict.fromkeys([*axes, *known, "K_ratio", *_WALLS]) if x not in others]
+        others = {"representation", START, along, *(["gap"] if along in WALLS else [])}
+        allowed = [x for x in dict.fromkeys([*axes, *known, "K_ratio", *WALLS]) if x not in others]
         if name not in allowed:
             yield f"branches.second = {name!r}: must be one of {', '.join(allowed)}"
             return
-        (low, high), of_name = self.range, {*_WALLS} if name in _WALLS else {name}
+        (low, high), of_name = self.range, {*WALLS} if name in WALLS else {name}
         if any(len(axes[x]) > 1 for x in {*axes} & of_name - {along}):
             yield f"branches.second = {name!r}: must have one value in [[sweep]]; range varies it"
         value = axes[name][0] if name in axes else known.get(name)
-        if name in _WALLS and "gap" in axes:
+        if name in WALLS and "gap" in axes:
             value = axes["gap"][0].j_2 if name == "j_2" else axes["gap"][0].j_1
         if not low < high:
             yield f"branches.range = {self.range}: must be ascending, as [{high:g}, {low:g}]"
@@ -253,7 +253,7 @@ class ReportTable(ModuleTable):
 
 # Axes that no branch goes along.
 _NO_PARAMETERS = ("representation", "gap", START)
-_WALLS = ("gap", "j_1", "j_2")
+WALLS = ("gap", "j_1", "j_2")
 # What studies of oscillators have and those of systems do not.
 _OF_OSCILLATORS = ("oscillator", "auto", "history", "bench")
 

@@ -37,23 +37,16 @@ from gapsweep.status import Status
 from gapsweep.store import netcdf
 from gapsweep.study.grid import START
 from gapsweep.study.schema import coordinates
-from gapsweep.study.spec import is_followed
+from gapsweep.study.spec import WALLS, is_followed
 from gapsweep.study.study import Study
 from gapsweep.user_code.package_digest import numerics_fingerprint
 from gapsweep.variables import POINT, SECTION_POINT, STATUS_FLAGS, Variable
 
 FOLDER = "branches"
-# Of a special point, for its curve; also the parameter of the branches.
-_OF_POINT = "special", "start_state", "period", "period_multiple"
-_WALLS = {"gap": {"gap", "j_1", "j_2"}, "j_1": {"gap", "j_1"}, "j_2": {"gap", "j_2"}}
 OF_STUDY = {
     "n_lost": (
         BRANCH,
         Variable("i4", "1", "orbits and special points of the case that were not found"),
-    ),
-    "attractor_on_branch": (
-        ATTRACTOR,
-        Variable("i4", "1", "branch of the attractor, -1: none"),
     ),
     "attractor_number": (ATTRACTOR, Variable("i4", "1", "number of the attractor of the case")),
     "attractor_status": (
@@ -105,55 +98,36 @@ def branches(
         Whether the curves are returned; branches that are not stored any more are computed again.
     """
     parts = [part for part in _parts(study, attractors) if part.scene.attractors]
-    how = cache, connect, timeout, say
-    _follow(parts, *how)
-    if is_curves:
-        parts = [part for part in parts if _has_points(study, part)]
-        _follow(parts, *how)
+    for file in ("branches.nc", "curves.nc")[: 1 + is_curves]:
+        if file == "curves.nc":
+            parts = [part for part in map(_with_points, parts) if part.scene.points]
+        missing = []
+        for part in parts:
+            # In a folder for each scene: SHA256SUMS has one writer.
+            path = cache / FOLDER / part.scene.key / "scene.nc"
+            with suppress(StoreError):
+                part.found = Followed(Status.OK, branches=netcdf.read(path))
+            if part.found.branches is None:
+                missing.append((part, path))
+        if missing:
+            with connect() as client:
+                tasks = [part.scene for part, _ in missing]
+                arriving = followed(tasks, client, timeout, lambda: say("waiting for workers"))
+                for n_done, (number, found) in enumerate(arriving, len(parts) - len(missing) + 1):
+                    part, path = missing[number]
+                    part.found = found
+                    if found.branches is not None:
+                        netcdf.write(found.branches, path, {})
+                    say(f"making {file}, {n_done} of {len(parts)} cases")
     return _assembled(study, parts, is_curves=is_curves)
 
 
-def _follow(
-    parts: list[_SceneBranches],
-    cache: Path,
-    connect: Callable[[], AbstractContextManager[Any]],
-    timeout: float,
-    say: Callable[[str], None],
-) -> None:
-    """Read the branches or curves of scenes, or compute and store them."""
-    missing = []
-    for part in parts:
-        # In a folder for each scene: SHA256SUMS has one writer.
-        path = cache / FOLDER / part.scene.key / "scene.nc"
-        with suppress(StoreError):
-            part.found = Followed(Status.OK, branches=netcdf.read(path))
-        if part.found.branches is None:
-            missing.append((part, path))
-    if missing:
-        with connect() as client:
-            tasks = [part.scene for part, _ in missing]
-            arriving = followed(tasks, client, timeout, lambda: say("waiting for workers"))
-            for n_done, (number, found) in enumerate(arriving, len(parts) - len(missing) + 1):
-                part, path = missing[number]
-                part.found = found
-                if found.branches is not None:
-                    netcdf.write(found.branches, path, {})
-                file = "branches.nc" if part.scene.points is None else "curves.nc"
-                say(f"making {file}, {n_done} of {len(parts)} cases")
-
-
-def _has_points(study: Study, part: _SceneBranches) -> bool:
-    """Whether branches have special points whose curves can be followed; the scene gets them."""
-    table = part.scene.table
-    if part.found.branches is None:
-        return False
-    points = special_points(part.found.branches)[[table.along, *_OF_POINT]]
-    points = points.isel({POINT: np.isin(points["special"], KINDS)})
-    some = {n: study.grid.axes[n][i] for n, i in part.at.items() if n in study.spec.model}
-    system = study.model.along((table.along, table.second or ""), some)
-    part.scene = replace(part.scene, points=points, system=system)
-    part.found = Followed(Status.OK)
-    return bool(points.sizes[POINT])
+def _with_points(part: _SceneBranches) -> _SceneBranches:
+    """A scene with the special points of its branches that have curves; None: there are none."""
+    points = part.found.branches and special_points(part.found.branches)
+    points = points and points.isel({POINT: np.isin(points["special"], KINDS)})
+    points = points if points and points.sizes[POINT] else None
+    return replace(part, scene=replace(part.scene, points=points), found=Followed(Status.OK))
 
 
 def _parts(study: Study, attractors: xr.Dataset) -> Iterator[_SceneBranches]:
@@ -179,7 +153,7 @@ def _parts(study: Study, attractors: xr.Dataset) -> Iterator[_SceneBranches]:
         some = {name: axes[name][i] for name, i in at.items() if name in study.spec.model}
         scene = BranchScene(
             point=point,
-            system=study.model.along((along,), some),
+            system=study.model.along((along, table.second or ""), some),
             window=window,
             table=table,
             attractors=tuple(_attractors(attractors.isel(at), along, numbers)),
@@ -211,6 +185,7 @@ def _assembled(study: Study, parts: list[_SceneBranches], *, is_curves: bool) ->
     assert table is not None
     columns: dict[str, list[Any]] = {name: [] for name in OF_STUDY}
     several: list[xr.Dataset] = []
+    on_branch: list[int] = []
     of_branch: list[Mapping[str, int]] = []
     of_attractor: list[Mapping[str, int]] = []
     for part in parts:
@@ -223,25 +198,23 @@ def _assembled(study: Study, parts: list[_SceneBranches], *, is_curves: bool) ->
             several.append(found.drop_dims(ATTRACTOR).drop_vars(BRANCH))
             columns["n_lost"] += size * [found.attrs["n_lost"]]
             of_branch += size * [part.at]
-        columns["attractor_on_branch"] += np.where(on < 0, -1, on + before).tolist()
+        on_branch += np.where(on < 0, -1, on + before).tolist()
         columns["attractor_number"] += part.numbers[:, 1].tolist()
         columns["attractor_status"] += n * [part.found.status]
         columns["attractor_message"] += n * [part.found.message]
         of_attractor += [{**part.at, table.along: i} for i in part.numbers[:, 0].tolist()]
-    matches, of_match = compared(
-        [] if is_curves else [(part.at, part.found.branches) for part in parts],
-        grid.representations,
-        table.along,
-    )
+    scenes = [] if is_curves else [(part.at, part.found.branches) for part in parts]
+    matches, of_match = compared(scenes, grid.representations, table.along)
     attractors = [each for part in parts for each in part.scene.attractors]
-    own = xr.Dataset(of_attractors(attractors, study.structure.n_states))
-    made = _joined(several).merge(matches).merge(own)
+    own = of_attractors(attractors, study.structure.n_states)
+    made = _joined(several).merge(matches).assign(own)
+    made["attractor_on_branch"][:] = on_branch
     for name, (dim, form) in OF_STUDY.items():
         made[name] = (dim, np.array(columns[name], form.dtype), form.attributes)
     described, values = coordinates(grid.dims, grid.structure), grid.coordinates()
     others = {"second", "range"}
     if is_curves:  # the second parameter is a variable; attractors are there for their statuses
-        swept, others = _WALLS.get(table.second or "", {table.second}), set()
+        swept, others = {*WALLS} if table.second in WALLS else {table.second}, set()
         described = {name: form for name, form in described.items() if name not in swept}
         made = made.drop_vars(["attractor_on_branch", *matches])
     places = (BRANCH, "", of_branch), (ATTRACTOR, "attractor_", of_attractor)
