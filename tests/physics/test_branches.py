@@ -12,6 +12,7 @@ from numpy.testing import assert_allclose
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq, fsolve, minimize_scalar
 from scipy.special import ellipk, mathieu_a, mathieu_b
+from tests import random_branches
 from tests.exact_orbits import (
     TURN,
     Exact,
@@ -1062,6 +1063,15 @@ def test_a_branch_passes_no_kink_twice():
         points = orbits.isel(step=orbits.special.values > 0)
         places = np.column_stack([points.special, points.omega, 1e3 * points.start_state])
         assert len(np.unique(places.round(8), axis=0)) == len(places)
+
+
+def test_a_step_jumps_over_no_kink():
+    """Between 73223 and 73948 N/m a turning point leaves the wall, and the branch bends twice."""
+    scene = random_branches.drawn(seed=77, number=57)
+    first = {name: scene.options[name][:1] for name in ("at", "starts")}
+    ds = gs.branches(scene.model, scene.law, **{**scene.options, **first})
+    assert ds.attrs["n_lost"] == 0
+    assert "missed graze" not in {kind for kind, _ in random_branches.faults(scene, ds)}
 
 
 def test_a_branch_that_ends_at_its_range_says_so():
