@@ -87,7 +87,7 @@ class Drawn(Run):
         return np.where(agree, shared, other)
 
     def levels(self, own, name, scene, shape):
-        """How often a law agrees: below and above 15 Hz, in periodic motion and in chaos."""
+        """Shares of agreement of a law: below 15 Hz, above it, and in chaotic motion."""
         low, high, chaotic = own.choice(LEVELS, 3)
         omega = np.array(self.study.grid.omega)
         if np.ravel(shape)[0] != omega.size:
@@ -134,7 +134,7 @@ class Drawn(Run):
         return found
 
     def extrema(self, label, scene, shape):
-        """Of every class as many as any, or only of chaos many."""
+        """Random extrema: 2 to 19 for every point, or 20 for chaotic points and 2 for others."""
         n = self.rng("few").integers(2, 20, shape)
         if self.rng("kind").random() < 0.5:
             n = np.where(self.values("response_class", label, scene, shape) == 1, 20, 2)

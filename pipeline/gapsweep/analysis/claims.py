@@ -79,7 +79,7 @@ class Number:
         return Number(value, _spread(pairs[0] - value * pairs[1]) / below, n)
 
     def _pairs(self, other: "Number") -> tuple[Floats, Floats] | None:
-        """The values at the points that both have; None if they are not of the same points."""
+        """Values of both numbers at their common known points; None if their points differ."""
         if self.each is None or other.each is None or self.each.shape != other.each.shape:
             return None
         if self.of is None or other.of is None or not np.array_equal(self.of, other.of):
@@ -117,7 +117,7 @@ def mean(values: ArrayLike, of: ArrayLike | None = None) -> Number:
 
 
 def _spread(deviations: Floats) -> float:
-    """Two standard errors of a mean, given what its values deviate by."""
+    """Two standard errors of a mean, from the deviations of its values."""
     return 2.0 * math.sqrt(float(np.sum(deviations**2)) + 1.0) / deviations.size
 
 
@@ -153,7 +153,7 @@ class Test:
         Name of the compared quantity.
     """
 
-    __test__ = False  # no test of pytest's
+    __test__ = False  # pytest must not collect it
 
     says: str
     number: Number
@@ -234,12 +234,12 @@ class Claim:
 
 
 def _checked(found: Any) -> Found:
-    """What a claim's function has returned.
+    """The return value of a claim's function, after a check of its type.
 
     Raises
     ------
     TypeError
-        If that is not what it must be.
+        If it is not a list of tests and a sentence.
     """
     if not (
         isinstance(found, tuple)

@@ -14,7 +14,7 @@ from gapsweep.model.equilibria import (
     search_points,
     sign_changes,
 )
-from gapsweep.model.oscillator import Gap, Oscillator
+from gapsweep.model.oscillator import Gap, Oscillator, called_as
 
 Array = NDArray[np.float64]
 
@@ -33,6 +33,7 @@ def largest_in_gap(law: ContactLaw, x_max: float) -> float:
     return float(np.max(np.abs(law.force(np.append(points, peaks)))))
 
 
+@called_as("gs.static_error(law)")
 def static_error(law: ContactLaw, fit_range: float = FIT_RANGE) -> tuple[float, float]:
     """RMSE [N] and R² [-] of any law against the exact force, integrated over ``±fit_range`` [m].
 
@@ -56,7 +57,7 @@ def error_of_parts(law: ContactLaw, x_max: float) -> tuple[float, float]:
     """RMSE [N] in the gap and in the rest of ``±x_max`` [m]; NaN for a part that does not exist."""
     nodes, weights, _, error = _sampled(law, x_max)
     low, high = in_gap(law.gap, x_max)
-    # No panel straddles a wall: the walls are search points.
+    # No panel extends over a wall: the walls are search points.
     inside = (nodes[:, 2] > low) & (nodes[:, 2] < high)
     squares, lengths = (error**2 * weights).sum(axis=1), weights.sum(axis=1)
     within, rest = (
@@ -106,10 +107,10 @@ def tanh_threshold(
     if not predicted > 0.0:
         return float("nan")
 
-    points = search_points(Tanh(K_c, gap, predicted), x_max)  # of any sharpness and ratio
+    points = search_points(Tanh(K_c, gap, predicted), x_max)  # the same for any sharpness and ratio
 
     def single(epsilon: float) -> bool:
-        """Whether the force rises through zero once; where, and at which energy, is not asked."""
+        """Whether the restoring force has one rising zero, that is, one stable equilibrium."""
         law = Tanh(K_c, gap, epsilon, K_ratio=K_ratio)
         turns, _ = sign_changes(lambda x: restoring_slope(oscillator, law, x), points)
         sign = np.sign(restoring_force(oscillator, law, np.union1d(points, turns)))
