@@ -95,7 +95,7 @@ def write_report(path: Path, inputs: Inputs, made_from: str = "") -> Path:
         hrefs={part["anchor"]: part["href"] for part in parts},
         hero=hero,
         folder=f"{FIGURES}/",
-        claims=claims and {"counts": claims["counts"], "rows": _claims(claims, parts)},
+        claims=claims and {"otherwise": {}, **claims, "rows": _claims(claims, parts)},
         scripts=[_script("figures"), *([_script("claims")] if claims else [])],
     )
     folder, written, home = path.parent / FIGURES, set[str](), f"../{path.name}"
@@ -246,7 +246,7 @@ def _hero(responses: xr.Dataset, found: Sequence[Contact]) -> dict[str, Any] | N
 
 
 def _telling(contact: Contact) -> list[Judged]:
-    """Approximations for the first figure: the cheapest of each verdict, a firm one if any.
+    """Approximations for the first figure: one of each verdict, a firm one if any.
 
     If all have the same verdict, the most and the least accurate.
     """
