@@ -182,13 +182,7 @@ def curves(
     points: xr.Dataset,
     max_steps: int,
 ) -> Branches:
-    """The curves of special points over two parameters, each once.
-
-    Raises
-    ------
-    ModelError
-        If there are none.
-    """
+    """The curves of special points over two parameters, each once; a `ModelError` without any."""
     first, second = windows
     values = {first.name: float(points[first.name][0])}
     values[second.name] = fixed = family.value_of(second.name, values)
