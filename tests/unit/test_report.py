@@ -44,7 +44,14 @@ from gapsweep.report.pictures import is_picture, pictures
 from gapsweep.report.provenance import provenance
 from gapsweep.report.scales import NamedValue
 from gapsweep.report.style import MATPLOTLIB
-from gapsweep.report.tables import VERDICTS, claim_rows, number, outcome, percent, special_points
+from gapsweep.report.tables import (
+    VERDICTS,
+    claim_rows,
+    number,
+    outcome,
+    percent,
+    special_points,
+)
 from gapsweep.run_folder import is_of_run
 from gapsweep.status import Status
 from gapsweep.store.artefact import SUMS, sha256
@@ -909,6 +916,25 @@ def test_special_points_are_compared_with_those_of_the_exact_law(tmp_path):
     assert [*special_points(found.assign(special=0 * found["special"]), files[0], "omega")] == []
     assert [*special_points(found, files[0], "K_c")] == []
     assert [*special_points(xr.Dataset(coords={"branch": []}), files[0], "omega")] == []
+
+
+def test_attractors_on_no_branch_are_listed(tmp_path):
+    wanted = tables(["piecewise", "tanh-1e4"], OMEGA)
+    files = datasets(tmp_path, wanted, lambda _, omega, start: periodic([(1e-3, 0.0)], omega))
+    of = {"on_branch": [0, -1, -1], "x_max": [1e-3, 2e-3, 3e-3], "period_multiple": [1, 2, 3]}
+    states = [[1e-4, 0.0], [2e-4, 0.5], [3e-4, 0.0]]
+    found = branches([[1]], [[0]]).assign(
+        {f"attractor_{name}": ("attractor", column) for name, column in of.items()}
+        | {"attractor_start_state": (("attractor", "state"), states)}
+    )
+    at = {"representation": ["piecewise"] * 3, "K_c": [1.4e4, 1.4e4, 1.0], "omega": [1.0, 2.0, 3.0]}
+    found = found.assign_coords({f"attractor_{n}": ("attractor", row) for n, row in at.items()})
+    found["attractor_x_max"].attrs = {"units": "m", "long_name": "peak"}
+    found["attractor_omega"].attrs = {"units": "Hz", "long_name": "forcing frequency"}
+    (table,) = special_points(found, files[0], "omega")
+    assert table.rows == [["piecewise", "2", "2", "2", "0.0002, 0.5"]]
+    assert table.header[2:4] == ["forcing frequency [Hz]", "peak [mm]"]
+    assert [*special_points(found.drop_vars("attractor_omega"), files[0], "omega")] == []
 
 
 def test_a_caption_names_the_few_frequencies_that_had_several_starts(tmp_path):

@@ -38,7 +38,7 @@ from gapsweep.report.heat import GROUPS, MANY, cell, heads, heat, swept_columns
 from gapsweep.report.inputs import Inputs
 from gapsweep.report.maps import numbered_as
 from gapsweep.report.model import model
-from gapsweep.report.overview import along_axis, is_wide, maps_of, overview, plane_of
+from gapsweep.report.overview import along_axis, curves_figure, is_wide, maps_of, overview, plane_of
 from gapsweep.report.parts import HERO, Figured, Part, for_page, pictured, rendered, shown
 from gapsweep.report.provenance import provenance
 from gapsweep.report.scales import named, plain
@@ -307,6 +307,7 @@ def _scenes(inputs: Inputs) -> Iterator[Part]:
             [
                 *scene_tables(compared, inputs.timing.isel(at), labels),
                 *special_points(inputs.branches, here, "omega"),
+                *special_points(inputs.curves, here, "omega"),
             ],
             _scene_figures(inputs, _without_protocols(here), at, title),
         )
@@ -342,6 +343,7 @@ def _scene_figures(inputs: Inputs, scene: xr.Dataset, at: At, title: str) -> Ite
         of_starts=caption_of_starts(scene),
         of_attractors="" if found is None else _where_few(found, scene),
     )  # fmt: skip
+    yield from curves_figure(inputs.curves, scene, "omega", title)
 
 
 def _attractors(attractors: xr.Dataset | None, scene: xr.Dataset, at: At) -> xr.Dataset | None:
