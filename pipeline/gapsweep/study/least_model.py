@@ -10,7 +10,6 @@ Nothing is integrated, so no answer can leak into the choice
   plain Duffing, whose motion is the same.
 - *The cubic spring is not seen.* By the same bound it moves the steady motion by at most
   ``L |α| b³ / m``, now with the linear steady amplitude as b_0. Below the error: linear.
-- *A smooth law is adequate* if its force error is below the error times the forcing.
 - *A tolerance* of a tenth of the error is enough where that bound holds: then the steady motion is
   the only one, because the cubic spring feeds back less than it is given. Where walls may be
   reached there may be several, and the tolerance is the one that decides between them: errors of
@@ -22,23 +21,14 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from enum import IntEnum
 
-import numpy as np
-from numpy.typing import NDArray
-
 from gapsweep.errors import ModelError
-from gapsweep.model.contact import FIT_RANGE, ContactLaw
-from gapsweep.model.labels import FAMILIES, contact_law
 from gapsweep.model.oscillator import OSCILLATOR, Gap, Oscillator, checked
 from gapsweep.study.points import Points
-
-Array = NDArray[np.float64]
 
 DEFAULT_ERROR = 1e-3
 SMALLEST_ERROR, LARGEST_ERROR = 1e-9, 0.1
 # Solver tolerance: per asked error, and at most this where it may choose between attractors.
 _TOLERANCE, _CHOOSING_RTOL = 0.1, 1e-9
-_SHARPENED = [name for name, law in FAMILIES.items() if law.is_sharpened]
-_DECADES = range(2, 13)
 
 
 class Model(IntEnum):
@@ -72,23 +62,6 @@ class Advice:
     oscillator: Oscillator
     K_c: float
     rtol: float
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Approximation:
-    """How a smooth law would do in a scene.
-
-    Attributes
-    ----------
-    label : str
-    force_error : float
-        Largest difference from the exact force, relative to the forcing [-].
-    is_adequate : bool
-    """
-
-    label: str
-    force_error: float
-    is_adequate: bool
 
 
 def advise(
@@ -154,66 +127,6 @@ def check_error(error: float) -> float:
     if not SMALLEST_ERROR <= error <= LARGEST_ERROR:
         raise ModelError(f"error = {error:g}: must be in {SMALLEST_ERROR:g}..{LARGEST_ERROR:g}")
     return error
-
-
-def approximations(
-    K_c: float, gap: Gap, forcing: float, *, error: float, K_ratio: float = 1.0
-) -> list[Approximation]:
-    """Per family the smooth law with the smallest adequate power of ten as its parameter.
-
-    Families without one up to 1e12 /m are left out.
-    """
-    found = []
-    for family in _SHARPENED:
-        for decade in _DECADES:
-            label = f"{family}-1e{decade}"
-            one = approximation(label, K_c, gap, forcing, error=error, K_ratio=K_ratio)
-            if one.is_adequate:
-                found.append(one)
-                break
-    return found
-
-
-def approximation(
-    label: str,
-    K_c: float,
-    gap: Gap,
-    forcing: float,
-    *,
-    error: float,
-    fit_range: float = FIT_RANGE,
-    K_ratio: float = 1.0,
-) -> Approximation:
-    """Static screening of one smooth law.
-
-    Parameters
-    ----------
-    label : str
-        As in a study.
-    forcing : float
-        Forcing amplitude [N].
-    fit_range : float
-        Half-width [m] of the range in which forces are compared, and polynomials fitted.
-    K_ratio : float
-        Stiffness of the lower wall over that of the upper [-].
-    """
-    law = contact_law(label, K_c, gap, fit_range, K_ratio=K_ratio)
-    largest = _largest_force_error(law, fit_range)
-    relative = largest / abs(forcing) if forcing else math.inf
-    return Approximation(
-        label=label, force_error=relative, is_adequate=relative <= check_error(error)
-    )
-
-
-def _largest_force_error(law: ContactLaw, reach: float) -> float:
-    # Smooth laws err most within their layer at a wall, however thin; fits between the walls.
-    steps = np.concatenate([[0.0], np.geomspace(1e-13, 2.0 * reach, 600)])
-    walls = (-law.gap.j_1, law.gap.j_2)
-    x = np.concatenate(
-        [np.linspace(-reach, reach, 2001), *(w + s * steps for w in walls for s in (-1, 1))]
-    )
-    x = x[np.abs(x) <= reach]
-    return float(np.max(np.abs(law.force(x) - law.exact.force(x))))
 
 
 def _linear_motion(
