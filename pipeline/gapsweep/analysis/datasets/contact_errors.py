@@ -26,10 +26,15 @@ from gapsweep.model.oscillator import Gap, Oscillator, checked
 
 Array = NDArray[np.float64]
 
-# The rule: a law with at most this RMS force error over the visited displacements, as a share of
-# the forcing amplitude, finds 95 % of the periodic attractors of the exact law within 5 %.
-# docs/explanation/rule.md has the machines on which it was fitted and tested.
-ADEQUATE = 1e-3
+# The rule: RMS force error over the visited displacements, as a share of the forcing amplitude, up
+# to which 95 % of drawn machines keep a demanded share of the exact law's periodic attractors
+# within 5 %. Half of the values that were fitted on one half of the machines, because
+# `expected_range` lowers a force error by up to a third; docs/explanation/rule.md has the test on
+# the other half.
+FORCE_ERRORS = {0.95: 1e-3, 0.9: 3e-3, 0.8: 1e-2}
+ADEQUATE = FORCE_ERRORS[0.95]
+# From here on at most 5 % of the laws find 95 %: twice the fitted value, for the same reason.
+TOO_COARSE = 0.1
 # Distances from a wall, as shares of the range; parameters with two digits; points of a balance.
 _GRADED = np.geomspace(1e-13, 1.0, 105)
 _TWO_DIGITS = [float(f"{digits}e{power}") for power in range(-6, 20) for digits in range(10, 100)]
@@ -62,8 +67,8 @@ class StaticError(NamedTuple):
     force_error : float
         `rmse` over the forcing amplitude [-]; NaN without a forcing.
     needed : float
-        Smallest parameter of the law, to two digits, with a force error of at most `ADEQUATE`:
-        epsilon or gamma [1/m], or the degree of a polynomial; NaN if there is none.
+        Smallest parameter of the law, to two digits, whose force error is small enough for the
+        demanded share: epsilon or gamma [1/m], or the degree of a polynomial; NaN if there is none.
     """
 
     rmse: float
@@ -77,6 +82,7 @@ def static_error(
     visited: float | Sequence[float] = FIT_RANGE,
     *,
     forcing: float | None = None,
+    share: float = 0.95,
 ) -> StaticError:
     """Errors of any law against the exact force, integrated over the visited displacements.
 
@@ -87,6 +93,9 @@ def static_error(
         Lowest and highest displacement of the motion [m], or half of a range about 0.
     forcing : float, optional
         Forcing amplitude [N]; with it, `force_error` and `needed` are returned too.
+    share : float
+        Share of the exact law's periodic attractors that the law of `needed` finds within 5 % in
+        95 % of machines: 0.95, 0.9 or 0.8.
 
     Examples
     --------
@@ -108,13 +117,22 @@ def static_error(
     if forcing is None:
         return StaticError(rmse, float(r_squared))
     p = abs(checked("forcing", forcing))
-    return StaticError(
-        rmse, float(r_squared), rmse / p if p else math.inf, needed(law, (low, high), p)
-    )
+    parameter = needed(law, (low, high), p, share)
+    return StaticError(rmse, float(r_squared), rmse / p if p else math.inf, parameter)
 
 
-def needed(law: ContactLaw, visited: tuple[float, float], forcing: float) -> float:
-    """Smallest parameter of the law's family that is adequate, as in `StaticError`."""
+def allowed_error(share: float) -> float:
+    """Largest force error [-] for a demanded share of attractors."""
+    if share not in FORCE_ERRORS:
+        raise ModelError(f"share = {share}: must be one of {', '.join(map(str, FORCE_ERRORS))}")
+    return FORCE_ERRORS[share]
+
+
+def needed(
+    law: ContactLaw, visited: tuple[float, float], forcing: float, share: float = 0.95
+) -> float:
+    """Smallest adequate parameter of the law's family, as in `StaticError`."""
+    limit = allowed_error(share) * forcing
     name = next((n for n in ("epsilon", "gamma", "degree") if hasattr(law, n)), None)
     if name is None or not law.K_c or not forcing:
         return math.nan
@@ -122,7 +140,7 @@ def needed(law: ContactLaw, visited: tuple[float, float], forcing: float) -> flo
 
     def is_adequate(value: float) -> bool:
         changed: Any = {name: value}
-        return rms_error(replace(law, **changed), *visited) <= ADEQUATE * forcing
+        return rms_error(replace(law, **changed), *visited) <= limit
 
     at = bisect_left(several, True, key=is_adequate)
     return float(several[at]) if at < len(several) else math.nan

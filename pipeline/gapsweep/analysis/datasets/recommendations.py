@@ -13,7 +13,8 @@ import numpy as np
 import xarray as xr
 
 from gapsweep.analysis.datasets.contact_errors import (
-    ADEQUATE,
+    TOO_COARSE,
+    allowed_error,
     expected_range,
     needed,
     rms_error,
@@ -40,7 +41,7 @@ VARIABLES = {
 SCREENED = {
     "force_error": Variable("f8", "1", "RMS force error over the forcing amplitude"),
     "is_adequate": Variable(
-        "i1", "1", f"whether force_error is at most {ADEQUATE:g}", -1, (("no", 0), ("yes", 1))
+        "i1", "1", "whether force_error is allowed", -1, (("no", 0), ("yes", 1))
     ),
 }
 # Per family any law of it, to find the smallest parameter; the last only for studies with fits.
@@ -51,7 +52,7 @@ _MOST_STARTS = 3  # that are named one by one
 _PART = 65_536  # points whose numbers are in memory at a time
 
 
-def advice(study: Study, error: float | None = None) -> xr.Dataset:
+def advice(study: Study, error: float | None = None, share: float = 0.95) -> xr.Dataset:
     """Advice for every scene and start of a study, and static screening of smooth laws.
 
     Parameters
@@ -59,6 +60,8 @@ def advice(study: Study, error: float | None = None) -> xr.Dataset:
     study : Study
     error : float, optional
         Error of the steady amplitude to meet; that of the study's ``[auto]`` if None.
+    share : float
+        Share of the exact law's attractors that smooth laws are to find, as in `static_error`.
 
     Returns
     -------
@@ -66,7 +69,7 @@ def advice(study: Study, error: float | None = None) -> xr.Dataset:
         `VARIABLES` over every dimension but the representation, -1 where none is asked for;
         `SCREENED` over the dimensions of scenes and `approximation`: the study's own smooth laws
         and, per family, the one with the smallest adequate parameter, in the displacements of
-        `expected_range`. Attribute `error`.
+        `expected_range`. Attributes `error`, `share` and `allowed_force_error`.
     """
     if not study.model.is_oscillator:
         raise StudyError(
@@ -91,7 +94,7 @@ def advice(study: Study, error: float | None = None) -> xr.Dataset:
         name: (grid.dims[1:], values, VARIABLES[name].attributes)
         for name, values in (("model", model), ("rtol", rtol), ("bound", bound))
     }
-    labels, screened = _screened(study)
+    labels, screened = _screened(study, share)
     for name, values in screened.items():
         variables[name] = ((*grid.scene_dims, APPROXIMATION), values, SCREENED[name].attributes)
     values = grid.coordinates()
@@ -104,11 +107,17 @@ def advice(study: Study, error: float | None = None) -> xr.Dataset:
                 for name, (along, variable) in coordinates(grid.dims[1:], grid.structure).items()
             },
         },
-        {"study": study.name, "title": study.title, "error": error},
+        {
+            "study": study.name,
+            "title": study.title,
+            "error": error,
+            "share": share,
+            "allowed_force_error": allowed_error(share),
+        },
     )
 
 
-def _screened(study: Study) -> tuple[list[str], dict[str, Any]]:
+def _screened(study: Study, share: float) -> tuple[list[str], dict[str, Any]]:
     """The study's smooth laws and the least adequate ones, and how they do in every scene."""
     grid = study.grid
     own = dict.fromkeys(law_of(label) for label in grid.representations)
@@ -125,7 +134,7 @@ def _screened(study: Study) -> tuple[list[str], dict[str, Any]]:
         oscillator = replace(study.oscillator, **{n: axes[n] for n in OSCILLATOR if n in axes})
         forcing = abs(oscillator.forcing)
         placed = partial(_placed, oscillator, *walls, study.spec.fit.range)
-        least = ((name, needed(*placed(seed), forcing)) for name, seed in seeds.items())
+        least = ((name, needed(*placed(seed), forcing, share)) for name, seed in seeds.items())
         labels = [canonical_label(f"{name}-{value:g}") for name, value in least if value > 0.0]
         screened[at] = {}
         for label in dict.fromkeys([*labels, *smooth]):
@@ -138,7 +147,9 @@ def _screened(study: Study) -> tuple[list[str], dict[str, Any]]:
     for at, some in screened.items():
         for label, value in some.items():
             force_error[(*at, labels.index(label))] = value
-    is_adequate = np.where(np.isnan(force_error), -1, force_error <= ADEQUATE).astype("i1")
+    is_adequate = np.where(np.isnan(force_error), -1, force_error <= allowed_error(share)).astype(
+        "i1"
+    )
     return labels, {"force_error": force_error, "is_adequate": is_adequate}
 
 
@@ -255,10 +266,17 @@ def _approximations(here: xr.Dataset) -> str:
         f"{name}: {_SYMBOLS[name]} >= {value:g}{'' if name == 'poly' else ' /m'}"
         for name, value in least.items()
     )
+    limit = float(here.attrs["allowed_force_error"])
     text = (
-        f"smooth laws with an RMS force error of at most {ADEQUATE:g} of the forcing over the "
-        "expected displacements, which find 95 % of the exact law's periodic attractors: "
-        f"{good or 'none'}"
+        f"smooth laws that find {here.attrs['share']:.0%} of the exact law's periodic attractors "
+        f"(RMS force error at most {limit:g} of the forcing): {good or 'none'}"
     )
-    others = [f"{label} ({value:.2g})" for label, (value, _) in rows.items() if value > ADEQUATE]
-    return f"{text}. Too coarse (force error in brackets): {', '.join(others)}" if others else text
+    for words, low, high in (
+        ("Run the study to judge", limit, TOO_COARSE),
+        ("Too coarse", TOO_COARSE, np.inf),
+    ):
+        some = [
+            f"{label} ({value:.2g})" for label, (value, _) in rows.items() if low < value <= high
+        ]
+        text += f". {words}: {', '.join(some)}" * bool(some)
+    return text
