@@ -170,9 +170,14 @@ def main(folder: Path) -> None:
     page += "\n".join(map(numbers, every))
     (ROOT / "docs" / "answer.md").write_text(page.rstrip("\n") + "\n")
     claims = json.loads((folder / "claims.json").read_text())
-    counts = ", ".join(f"{claims['counts'][verdict]} {verdict}" for verdict in VERDICTS)
+    tallies = {"from +0.4 mm": claims["counts"], "from rest": claims["otherwise"]["from rest"]}
+    counts = "; ".join(
+        f"{start} {', '.join(f'{found[verdict]} {verdict}' for verdict in VERDICTS)}"
+        for start, found in tallies.items()
+    )
     written(ROOT / "README.md", "answer", finding(found, about["machine"]))
-    written(ROOT / "README.md", "claims", counts)
+    for place in ("README.md", "docs/explanation/claims.md"):
+        written(ROOT / place, "claims", counts)
     written(ROOT / "README.md", "run", f"{about['created'][:10]}, {about['numerics_fingerprint']}")
 
 

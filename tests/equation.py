@@ -139,7 +139,7 @@ class Equation:
         return float(np.trace(own) - np.trace(self.inverse @ self.C))
 
     def energy(self, y: Any) -> float:
-        """Of masses, springs and contacts [J]; conserved where nothing damps or loads them."""
+        """Energy of masses, springs and contacts [J]; conserved without damping and loads."""
         q, v = y[: self.n], y[self.n : 2 * self.n]
         energy = 0.5 * v @ self.M @ v + 0.5 * q @ self.K @ q
         energy += sum(0.25 * alpha * (a @ q) ** 4 for a, alpha in self.cubes)
@@ -157,7 +157,7 @@ class Equation:
         return sum(parts, np.zeros(self.n))
 
     def power(self, t: Any, y: Any) -> Any:
-        """Of loads and damping [W] at times, of the states there."""
+        """Power of loads and damping [W] at times `t` with states `y`."""
         v = y[..., self.n : 2 * self.n]
         return np.sum(v * (self.load(t) - v @ self.C.T), axis=-1)
 
@@ -178,7 +178,7 @@ class Equation:
         return rhs
 
     def motion(self, start: Any, t_end: float) -> Motion:
-        """From a state strictly inside of the gaps or of the walls, steps of 1/400 of it at most.
+        """Motion from a state strictly inside the gaps or the walls, in at least 400 steps.
 
         Contacts without a gap pass both walls at once.
         """

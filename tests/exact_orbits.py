@@ -256,7 +256,7 @@ def trilinear(
     decay = c / (2.0 * m)
 
     def motion(t, phase, x, v, stiffness, offset):
-        """From (x, v) at a forcing phase, on a spring whose equilibrium is `offset`."""
+        """State at time t from (x, v) at a forcing phase, on a spring with equilibrium `offset`."""
         response = model.forcing / (stiffness - m * w**2 + 1j * c * w)
         rate = np.sqrt(complex(stiffness / m - decay**2))
         forced = [response * np.exp(1j * angle) for angle in (phase, phase + w * t)]
@@ -342,7 +342,7 @@ def trilinear_cases(n: int, seed: int) -> Iterator[tuple[gs.Oscillator, gs.Piece
 
 
 def is_trilinear(branch: xr.Dataset) -> np.ndarray:
-    """Which orbits of a branch are symmetric and touch either wall once in a forcing period."""
+    """Mask of a branch's symmetric orbits that touch each wall once in a forcing period."""
     x_max, x_min = branch["x_max"].values, branch["x_min"].values
     is_once = (branch["n_contacts"].values == 4) & (branch["period_multiple"].values == 1)
     return is_once & (np.abs(x_max + x_min) < 1e-7 * x_max)
@@ -415,7 +415,7 @@ def largest_step(branch: xr.Dataset) -> float:
 
 
 def return_error(model: gs.Oscillator, law: gs.Piecewise, branch: xr.Dataset, step: int) -> float:
-    """How far an orbit is from itself after one period, relative to its size.
+    """Distance of an orbit's state from itself after one period, relative to its size.
 
     Divided by the norm of its monodromy matrix: errors of the start state grow by that.
     """

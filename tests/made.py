@@ -121,7 +121,7 @@ def datasets(folder, study_tables, answer) -> tuple[xr.Dataset, xr.Dataset]:
 
 
 def datasets_by_place(folder, study, at) -> tuple[xr.Dataset, xr.Dataset]:
-    """The same, answered by a function of a point's place on every axis, by name."""
+    """Both datasets of a study, with responses from a function of a point's place by axis."""
     folder = Path(folder)
     shutil.rmtree(folder / "cache", ignore_errors=True)
     with Cache(folder / "cache") as cache:

@@ -66,7 +66,7 @@ class Contact:
     K_ratio: float = 1.0
 
     def stiffness(self, mode: int) -> float:
-        """Of the lower wall (-1), the gap (0) or the upper wall (1) [N/m]."""
+        """Contact stiffness [N/m] at the lower wall (-1), in the gap (0), at the upper wall (1)."""
         return {-1: self.K_ratio * self.K_c, 0: 0.0, 1: self.K_c}[mode]
 
     def force(self, g: ArrayLike) -> NDArray[np.float64]:
@@ -495,7 +495,7 @@ def _first_exit(flow: _Flow, y: Array, length: Real) -> tuple[_Leaving | None, f
 
 
 def _first_below(margin: Array, stop: float) -> tuple[float | None, float]:
-    """Where a Chebyshev series falls below zero first in [-1, stop], if anywhere.
+    """First point in [-1, stop] at which a Chebyshev series falls below zero, or None.
 
     Between the points looked at it is monotone, for all its extremes are among them. At -1 it is
     zero or more; a value below is a zero, rounded. The second value is the extreme nearest zero.

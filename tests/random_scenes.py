@@ -33,7 +33,7 @@ class Case:
         return Scene(oscillator=self.oscillator, law=self.law, omega=self.omega, solver=solver)
 
     def slowed(self, clock: float) -> "Case":
-        """The same motion in the same metres, `clock` times slower."""
+        """The case of a motion with the same displacements that is `clock` times slower."""
         o, square = self.oscillator, clock * clock
         slow = replace(
             o, omega_n=o.omega_n / clock, alpha=o.alpha / square, forcing=o.forcing / square
@@ -86,7 +86,7 @@ def random_cases(n: int, seed: int) -> Iterator[Case]:
 
 
 def determinant_error(case: Case, response: Response, rtol: float) -> float:
-    """How far the tangent over the response's period is from shrinking areas as damping does.
+    """Error of the determinant of the tangent over a response's period, known from damping.
 
     Relative to the determinant, or to a thousandth of the tangent's square, from which rounding
     shows. Both are logarithms added up over single forcing periods, so that strong damping cancels

@@ -49,12 +49,12 @@ class Case:
         return gs.simulate(system, laws, self.omega, **{**given, **tolerances, **options})
 
     def errors(self, run: gs.SystemTrajectory) -> tuple[float, float]:
-        """Of coordinates and velocities, beside the largest of each."""
+        """Errors of final coordinates and velocities, relative to the largest of each."""
         truth = self.truth
         return relative(run.q_end, truth.q), relative(run.v_end, truth.v)
 
     def wrong(self, run: gs.SystemTrajectory) -> str:
-        """What is wrong with a run at the tolerances above; nothing if all is well."""
+        """First deviation of a run beyond the tolerances above, in words; empty without any."""
         if run.status != gs.Status.OK:
             return str(run.status.label)
         truth = self.truth
@@ -77,7 +77,7 @@ def relative(found: Any, truth: Any) -> float:
 
 
 def as_gapsweep(system: exact.System) -> tuple[gs.System, dict[str, gs.Piecewise]]:
-    """The same system and its laws, with `HARMONICS` and `LAGS`."""
+    """System and laws for gapsweep, padded to `HARMONICS` loads and `LAGS` first-order states."""
     n, m = system.n, system.n_lags
     loads = [gs.Harmonic(amplitude=h.p, k=h.k, phase=h.phase) for h in system.harmonics]
     loads += [gs.Harmonic(amplitude=np.zeros(n))] * (HARMONICS - len(loads))

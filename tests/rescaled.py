@@ -1,4 +1,4 @@
-"""The same models and contact laws in other units of mass, length and time."""
+"""Conversion of models and contact laws to other units of mass, length and time."""
 
 from dataclasses import replace
 

@@ -106,7 +106,7 @@ def n_stored(path):
 
 
 def messages(study, cache):
-    """What is said of each point of a study, by place."""
+    """Stored message of each point of a study, by place."""
     return {place: one.message for place, one in stored(study, cache).items()}
 
 

@@ -39,7 +39,7 @@ def blocks(page, *kinds):
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
-    """Where the pages are read: a clone in which the quick study has been run."""
+    """Folder in which the pages' code runs: with the quick study and its results."""
     folder = tmp_path_factory.mktemp("clone")
     shutil.copytree(ROOT / "workflows", folder / "workflows")
     with pytest.MonkeyPatch.context() as patch:
@@ -83,15 +83,15 @@ def test_python_blocks_run_in_order(page, folder, monkeypatch):
     mpl.use("Agg")
     for data in page.parent.glob("*.csv"):  # which the page reads
         shutil.copy(data, folder)
-    quick = Path(
-        "quick.toml"
-    )  # what `gapsweep init quick` leaves there, which refuses to overwrite
+    quick = Path("quick.toml")  # left by `gapsweep init quick`, which refuses to overwrite it
     is_new = not quick.exists()
     shutil.copy("workflows/quick.toml", quick)
-    exec(compile("".join(blocks(page, "python")), page.name, "exec"), {})  # the pages are ours
-    plt.close("all")
-    if is_new:
-        quick.unlink()
+    try:
+        exec(compile("".join(blocks(page, "python")), page.name, "exec"), {})  # the pages are ours
+    finally:
+        plt.close("all")
+        if is_new:
+            quick.unlink()
 
 
 @pytest.mark.packaging

@@ -1,4 +1,4 @@
-"""Text that a user reads is plain English: it has no word of `tools/dialect.py`."""
+"""Text is plain English: it has no word of `tools/dialect.py`."""
 
 import pytest
 from tools import dialect
@@ -16,12 +16,13 @@ def test_text_is_plain(area):
     ("name", "text", "found"),
     [
         ("a.py", 'raise ValueError(f"{x}: the floor is told")', ["1: floor", "1: told"]),
-        ("a.py", 'def f():\n    """Whose price."""\n', []),
-        ("cli/a.py", 'def f():\n    """Whose price."""\n', ["2: Whose", "2: price"]),
-        ("cli/a.py", 'def _f():\n    """Whose price."""\n', []),
+        ("a.py", 'def _f():\n    """Whose price."""\n', ["2: Whose", "2: price"]),
         ("a.py", 'class Study:\n    """What it is."""\n    def g(self):\n        """A stand-in."""',
          ["2: What", "4: stand-in"]),
-        ("a.py", "floor = 1  # its price\n", []),
+        ("a.py", '"""Which of them."""\n', ["1: Which"]),
+        ("a.py", 'def f(scene):\n    """The law, which acts.\n\n    scene : int\n    """\n', []),
+        ("a.py", "price = 1  # its price\n", ["1: price"]),
+        ("a.py", "# What is new.\nname = 1\n", ["1: What"]),
         ("a.md", "Each start ends.\n\n```toml\nstart = 1.0\n```\n`floor`\n", ["1: Each start"]),
         ("a.md", "What is a torus? The sweep starts at 1 Hz.\n", []),
         ("a.toml", "floor = 1\nx = 2  # from a start\n", ["2: a start"]),

@@ -1,4 +1,4 @@
-"""What is handed out: sdist and wheel, and that the wheel needs nothing but what it declares.
+"""Contents of sdist and wheel; the wheel needs only its declared dependencies.
 
 The environment into which the wheel is installed is empty but for the dependencies that stand in
 this one: to download them again would cost minutes and show less than `test_no_library_is_missing`.

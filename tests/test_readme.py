@@ -1,4 +1,4 @@
-"""What the README prints works as printed."""
+"""Commands and code of the README work as printed."""
 
 import os
 import re

@@ -1,4 +1,4 @@
-"""What is read from disk is data, never code; what is printed is text, never markup."""
+"""Safety: files from disk are data, never code; printed text is never markup."""
 
 import ast
 from pathlib import Path

@@ -1,14 +1,18 @@
-"""List dialect words in the text that a user of gapsweep reads, with file and line.
+"""List dialect words in the text of gapsweep, with file and line.
 
     python tools/dialect.py [file or folder ...]
 
-Read are strings with a space (messages, attributes, help), docstrings of public objects, pages,
-templates and comments of studies; code in pages is not. The exit code is 1 if a word is found.
+Read are strings with a space (messages, attributes, help), pages, templates and comments of
+studies; of the package also all docstrings and comments. Code in pages is not read. A docstring
+must begin with what is returned or done: `DOCSTRING` lists beginnings that do not. The exit code
+is 1 if a word is found.
 """
 
 import ast
+import io
 import re
 import sys
+import tokenize
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -26,39 +30,42 @@ WORDS = re.compile(
     re.VERBOSE | re.MULTILINE,
 )
 HIDDEN = re.compile(
-    r"^```.*?^```$|`[^`\n]*`|<!--.*?-->|<(script|style).*?</\1>|{[{%#].*?[}%#]}", re.M | re.S
+    r"^```.*?^```$|`[^`\n]*`|<!--.*?-->|<(script|style).*?</\1>|{[{%#].*?[}%#]}|^ +[\w, ]+ : ",
+    re.M | re.S,
 )
-# Python files of which every object is public, next to the objects of `gapsweep.__all__`.
-PUBLIC = ("cli", "model/systems.py", "report/accessor.py", "analysis/claims.py")
-EXPORTED = set(re.findall(r'^    "(\w+)",$', (ROOT / PATHS[0] / "__init__.py").read_text(), re.M))
-EXPORTED.add("read")  # gapsweep.open
+# A docstring begins with what is returned or done, not with these words.
+DOCSTRING = re.compile(
+    r"\A(?:What|Of|Those|That|Whose|Where|Which|How|Whether\ it|The\ same|As\ of)\b |"
+    + WORDS.pattern,
+    WORDS.flags,
+)
 
 
-def texts(path: Path) -> Iterator[tuple[int, str]]:
-    """First line and text of every passage of a file that a user reads."""
+def texts(path: Path) -> Iterator[tuple[int, str, re.Pattern[str]]]:
+    """First line and text of every passage of a file, and the pattern of its dialect words."""
     source = path.read_text()
     if path.suffix == ".py":
-        package = path.relative_to(ROOT).as_posix().removeprefix(PATHS[0] + "/")
-        yield from strings(ast.parse(source), package.startswith(PUBLIC))
+        is_package = path.is_relative_to(ROOT / PATHS[0])
+        yield from strings(ast.parse(source), is_package)
+        for token in tokenize.generate_tokens(io.StringIO(source).readline) if is_package else ():
+            if token.type == tokenize.COMMENT:
+                yield token.start[0], token.string.lstrip("# "), WORDS
     elif path.suffix == ".toml":
-        yield 1, re.sub(r"^[^#\n]*#?", "", source, flags=re.M)
+        yield 1, re.sub(r"^[^#\n]*#?", "", source, flags=re.M), WORDS
     else:
-        yield 1, source
+        yield 1, source, WORDS
 
 
-def strings(node: ast.AST, public: bool) -> Iterator[tuple[int, str]]:
-    """Messages in a node, and its docstrings if they are public."""
-    name = getattr(node, "name", None) or ""
-    public = (public or name in EXPORTED) and not name.startswith("_")
-    body = getattr(node, "body", None)
+def strings(node: ast.AST, has_docstrings: bool) -> Iterator[tuple[int, str, re.Pattern[str]]]:
+    """Messages in a node, and its docstrings if these are wanted."""
     for child in ast.iter_child_nodes(node):
         if isinstance(child, ast.Expr) and isinstance(child.value, ast.Constant):
-            if public and body and child is body[0] and name:
-                yield child.lineno, str(child.value.value)
+            if has_docstrings:
+                yield child.lineno, str(child.value.value), DOCSTRING
         elif isinstance(child, ast.Constant) and " " in str(child.value):
-            yield child.lineno, str(child.value)
+            yield child.lineno, str(child.value), WORDS
         else:
-            yield from strings(child, public)
+            yield from strings(child, has_docstrings)
 
 
 def dialect(paths: list[Path]) -> list[str]:
@@ -67,9 +74,9 @@ def dialect(paths: list[Path]) -> list[str]:
     for path in (f for p in paths for f in (sorted(p.rglob("*")) if p.is_dir() else [p])):
         name = path.relative_to(ROOT).as_posix()
         if path.suffix in (".py", ".md", ".html", ".toml") and not name.startswith(SKIPPED):
-            for line, text in texts(path):
+            for line, text, pattern in texts(path):
                 text = HIDDEN.sub(lambda code: re.sub(r"[^\n]", "-", code[0]), text)
-                for word in WORDS.finditer(text):
+                for word in pattern.finditer(text):
                     found.append(f"{name}:{line + text.count(chr(10), 0, word.start())}: {word[0]}")
     return found
 

@@ -1,4 +1,4 @@
-"""What a terminal shows: tables that fit it, and the progress of a run.
+"""Output on a terminal: tables, paragraphs and the progress of a run.
 
 Progress is a bar on a terminal, one line that is replaced in a notebook, and lines in a log.
 """
@@ -40,7 +40,7 @@ def print_table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> None:
         table.add_column(title, justify="left" if is_text else "right", overflow="fold")
     for row in texts:
         table.add_row(*row)
-    # Names and numbers, in which no markup is meant.
+    # Names and numbers are no markup.
     Console(markup=False, highlight=False, emoji=False).print(table)
 
 
@@ -68,7 +68,7 @@ def _is_number(text: str) -> bool:
 def sentence(progress: Progress) -> str:
     """The stage of a run, or its counts and the time left if it is known."""
     if progress.stage:
-        return progress.stage
+        return printable(progress.stage)
     if progress.n_hits == progress.n_done < progress.n_points:
         return "loading kernels (the first run compiles them, up to a minute)"
     left = ""
@@ -80,7 +80,7 @@ def sentence(progress: Progress) -> str:
 
 @contextmanager
 def progress_bar() -> Iterator[OnProgress]:
-    """An observer of a run that shows what it is called with."""
+    """Context with an observer that shows the `Progress` it is called with on stderr."""
     console = Console(stderr=True)
     if console.is_jupyter:
         shown = _in_notebook()
@@ -94,7 +94,7 @@ def progress_bar() -> Iterator[OnProgress]:
 
 @contextmanager
 def busy(stage: str) -> Iterator[None]:
-    """Show what is done in this block, while it lasts."""
+    """Show the text `stage` as long as the block runs."""
     with progress_bar() as observe:
         observe(Progress(0, 0, stage=stage))
         yield
@@ -102,8 +102,8 @@ def busy(stage: str) -> Iterator[None]:
 
 @contextmanager
 def _on_terminal(console: Console) -> Iterator[OnProgress]:
-    """A bar, which leaves nothing: the command prints its results afterwards."""
-    console.width -= len("^C ")  # which the terminal puts at the end, and must not break the line
+    """Observer with a progress bar, removed at the end: the command then prints its results."""
+    console.width -= len("^C ")  # which the terminal adds at the end of the line
     text = TextColumn("{task.description}", markup=False, table_column=Column(no_wrap=True))
     rest = BarColumn(bar_width=None, table_column=Column(ratio=1))
     columns = SpinnerColumn(), text, rest, TimeElapsedColumn()
@@ -128,7 +128,7 @@ def _on_terminal(console: Console) -> Iterator[OnProgress]:
 
 @contextmanager
 def _in_notebook() -> Iterator[OnProgress]:
-    """A line in the output of a notebook's cell, which keeps the last counts."""
+    """Observer with one line below a notebook cell; the last counts stay there."""
     from IPython.display import Pretty, display
 
     shown, last = display(Pretty(""), display_id=True), Progress(0, 0)
@@ -144,7 +144,7 @@ def _in_notebook() -> Iterator[OnProgress]:
 
 @contextmanager
 def _in_lines(show: Callable[[str], None]) -> Iterator[OnProgress]:
-    """A line for every stage that lasts, and one for the counts now and then."""
+    """Observer that prints a line for each stage longer than 3 s, and the counts every 10 s."""
     begun, shown, stage, timer = 0.0, 0.0, "", Timer(0.0, show)
 
     def observe(progress: Progress) -> None:

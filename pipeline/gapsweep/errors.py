@@ -1,4 +1,4 @@
-"""Every error that gapsweep raises on purpose.
+"""The exception classes of gapsweep.
 
 ::
 
@@ -15,11 +15,12 @@ fails numerically raises nothing: its `Status` is part of the result.
 
 import signal
 from collections.abc import Sequence
+from unicodedata import category
 
-# Ctrl-C, the end of a batch job and that of a terminal: what a run stops at, to be resumed later.
+# Signals of Ctrl-C, of the end of a batch job and of a terminal: a run stops and can be resumed.
 STOPPING = signal.SIGINT, signal.SIGTERM, getattr(signal, "SIGHUP", signal.SIGTERM)
-_LONGEST = 300  # characters of an error that is somebody else's
-_CONTROL = dict.fromkeys({*range(32), *range(127, 160)} - {*b"\t\n"})
+_LONGEST = 300  # characters of an error that other code has raised
+_UNSEEN = "Cc", "Cf"  # Unicode categories: control characters, and those that reorder a text
 _MOST = 100  # problems of a study that are listed
 
 
@@ -59,15 +60,15 @@ class ClusterError(GapsweepError, RuntimeError):
 
 
 def printable(text: str) -> str:
-    """A text of anybody's without control characters but tabs and ends of lines."""
-    return text.translate(_CONTROL)
+    """The text without invisible characters, except tabs and line ends."""
+    return "".join(each for each in text if each in "\t\n" or category(each) not in _UNSEEN)
 
 
 def described(error: BaseException) -> str:
-    """Kind and first line of an error, whatever the user's code has raised."""
+    """Class name and first line of the message of an error, safe for errors of user code."""
     name = type(error).__name__
     try:
         first = str(error).splitlines()[:1]
-    except BaseException:  # its own __str__ may raise anything, SystemExit too
+    except BaseException:  # __str__ of user code may raise any error
         first = []
     return f"{name}: {first[0][:_LONGEST]}" if first and first[0] else name

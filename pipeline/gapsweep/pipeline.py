@@ -1,4 +1,4 @@
-"""The calls on a study and on the folders of its runs.
+"""Functions that compute a study, and read or rewrite the files of its runs.
 
 A run goes from the sweep points over a plan to stored responses, and then from file to file; each
 step reads what the one before it stored.
@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from gapsweep.analysis.unit_check import doubts_of, never_reached
+from gapsweep.analysis.unit_check import doubts_of, never_reached, out_of_range
 from gapsweep.console import progress_bar
 from gapsweep.errors import ClusterError, StoreError, StudyError
 from gapsweep.execution.assemble import attributes_of, fill
@@ -30,7 +30,7 @@ from gapsweep.execution.plan import plan as make_plan
 from gapsweep.execution.progress import DEFAULT_TIMEOUT, OnProgress, Progress, tell
 from gapsweep.execution.recorder import Recorder
 from gapsweep.model.doubts import warn_of
-from gapsweep.model.oscillator import checked, whole
+from gapsweep.model.oscillator import called_as, checked, whole
 from gapsweep.run_folder import (
     CLAIMS,
     RESPONSES,
@@ -63,7 +63,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """The result of a run."""
+    """Outcome of a run: its folder, counts of points, failures and warnings."""
 
     folder: Path
     progress: Progress
@@ -74,6 +74,7 @@ class Outcome:
     doubts: tuple[str, ...]
 
 
+@called_as("gs.run(study, workers=2)")
 def run(
     study: Study | str | os.PathLike[str],
     client: Client | None = None,
@@ -173,21 +174,21 @@ def carry_out(
     batch: int | None = None,
     dashboard: bool = False,
 ) -> Outcome:
-    """`run`, with the outcome instead of the dataset."""
-    _check_call(client, workers=workers, batch=batch, timeout=timeout)
+    """Compute a study as `run` does, and return the `Outcome` instead of the dataset."""
+    _check_call(client, scheduler, workers=workers, batch=batch, timeout=timeout)
     folder, path = run_folder(study, out), cache_path(cache)
     check_writable(folder)
     check_owner(study, folder)
     planned = plan(study, path, retry_failed=retry_failed, timeout=timeout, on_progress=on_progress)
     stages = stages_of(study)
     if planned.n_missing:
-        check_modules(study)  # now, though what they make comes last
+        check_modules(study)  # before the computation, although their files come last
     say = partial(tell, on_progress, planned.progress)
     connect = partial(_connected, client, say, scheduler, workers=workers, dashboard=dashboard)
     with Recorder(folder, study, path, planned, on_progress) as recorder:
 
         def begin() -> None:
-            # Whoever comes next sees at once whose folder it is, not when this one has computed.
+            # The state marks the folder as this study's before the computation begins.
             with alone_in(folder):
                 check_owner(study, folder)
                 recorder.write()
@@ -225,16 +226,16 @@ def carry_out(
                 recorder.state = replace(recorder.state, failed=n_failed, message=why)
             del planned, store  # a tenth of a gigabyte of keys at a million points
             make([stage for stage in stages if POINTS not in stage.sources], run)
-    far = ""
+    far, values, grid = "", partial(netcdf.values, folder / RESPONSES), study.grid
     if study.spec.oscillator:
-        values, grid = partial(netcdf.values, folder / RESPONSES), study.grid
         far = never_reached(values, grid.dims, grid.representations)
-    doubts = tuple(doubts_of(study, far))
+    doubts = *doubts_of(study, far), *out_of_range(values("status"), grid.representations)
     motions = {stage.file: stage.failed_motions(folder) for stage in stages}
     failed = {file: counts for file, counts in motions.items() if counts}
     return Outcome(folder, progress, failures, failed, doubts)
 
 
+@called_as("gs.plan(study)")
 def plan(
     study: Study | str | os.PathLike[str],
     cache: str | Path | None = None,
@@ -293,7 +294,7 @@ def plan(
 
 
 def expected_seconds(plan: Plan, cache: str | Path | None, workers: int) -> float | None:
-    """Time the missing points will take [s], from stored costs; None if none are stored.
+    """Expected time [s] of the missing points, from stored costs; None without stored costs.
 
     The mean cost of stored points of the same representation, or of all where there are none.
     """
@@ -317,7 +318,7 @@ def expected_seconds(plan: Plan, cache: str | Path | None, workers: int) -> floa
 def stage_reasons(
     study: Study, plan: Plan, out: str | Path | None, cache: str | Path | None
 ) -> dict[str, str | None]:
-    """Why the file of each stage would be made; None for those that are up to date."""
+    """Reason to make each file of a run, by file; None for files that are up to date."""
     folder, path = run_folder(study, out), cache_path(cache)
     reasons: dict[str, str | None] = {}
     with Cache(path, read_only=True) if path.exists() else nullcontext() as store:
@@ -340,7 +341,7 @@ def explain(
     /,
     **wanted: Any,
 ) -> list[Explanation]:
-    """Why the selected points, the first `limit` of them, are hits or misses."""
+    """Explain for the first `limit` selected points why they are in the cache or missing."""
     selection, path = study.select(**wanted), cache_path(cache)
     planned = plan(study, path, selection=selection, on_progress=on_progress)
     with Cache(path, read_only=True) if path.exists() else nullcontext() as store:
@@ -355,7 +356,7 @@ def report(folder: str | Path, study: Study | None = None) -> Path:
     folder : path
         Of the run; no file in it is ever executed.
     study : Study, optional
-        Whose own sections are made first; None shows those that are stored.
+        A study whose own sections are computed first; None shows the stored sections.
 
     Raises
     ------
@@ -370,20 +371,20 @@ def report(folder: str | Path, study: Study | None = None) -> Path:
 
 
 def claims(folder: str | Path, study: Study | None = None) -> dict[str, Any]:
-    """The verdicts of a run: those that are stored, or new ones by a study's claims module.
+    """The verdicts of a run, as stored, or decided by a study's claims module.
 
     Parameters
     ----------
     folder : path
-        Of the run; no file in it is ever executed. Datasets that are not there leave the claims
-        that need them undecidable.
+        Of the run; no file in it is ever executed. Claims that need an absent dataset are
+        undecidable.
     study : Study, optional
-        Whose claims are decided and written to ``claims.json``; None reads what is there.
+        A study whose claims are decided and written to ``claims.json``; None reads the file.
 
     Returns
     -------
     dict
-        What ``claims.json`` holds.
+        Content of ``claims.json``.
 
     Raises
     ------
@@ -404,7 +405,7 @@ def claims(folder: str | Path, study: Study | None = None) -> dict[str, Any]:
 
 
 def _make_one(file: str, study: Study, folder: Path) -> None:
-    """Make one file that a study's own code makes, in a run that may be another study's."""
+    """Rewrite ``claims.json`` or ``sections.json`` of a run by the user modules of a study."""
     check_owner(study, folder)
     stage = next((stage for stage in stages_of(study) if stage.file == file), None)
     if stage is None:
@@ -421,9 +422,9 @@ def bench(
     *,
     timeout: float = DEFAULT_TIMEOUT,
 ) -> dict[Path, Mapping[str, int]]:
-    """Measure a study's ``[bench]`` again; its report follows if there is one.
+    """Measure the ``[bench]`` of a study, and rewrite the report of its run if there is one.
 
-    Users' laws run in an isolated process, all others in this one.
+    User laws run in an isolated process, all others in this process.
 
     Parameters
     ----------
@@ -431,15 +432,15 @@ def bench(
     out : path, optional
         Output folder, ``data/runs/<study name>`` if None.
     say : callable, optional
-        Called with what is measured next.
+        Called with a text before each measurement.
     timeout : float
         Time [s] that a call of a user's law may take, ``> 0``.
 
     Returns
     -------
     dict of Path to mapping
-        ``work_precision.nc`` and ``stability.nc``, those that the scenes ask for, with the number
-        of motions in each per status of users' code that failed.
+        Paths of ``work_precision.nc`` and ``stability.nc``, as far as the scenarios need them, each
+        with the number of motions in which user code failed, by status.
 
     Raises
     ------
@@ -466,7 +467,7 @@ def bench(
 
 
 def _try_out_own_laws(study: Study, timeout: float, say: Callable[[str], None]) -> None:
-    """Refuse users' laws that would end this process, or hang."""
+    """Raise a StudyError for user laws that would end this process, or hang."""
     if study.own_laws:
         from gapsweep.execution.try_out import try_out
 
@@ -521,13 +522,13 @@ def query(
     (1, 1)
     """
     study = Study.of(study)
-    _check_call(client, workers=workers)
+    _check_call(client, scheduler, workers=workers)
     selection, path = study.select(**wanted), cache_path(cache)
     with progress_bar() if on_progress is None else nullcontext(on_progress) as observer:
         _try_out_own_laws(study, DEFAULT_TIMEOUT, partial(tell, observer, Progress(0, 0)))
         warn_of(doubts_of(study))
         if path.exists():
-            # One opening for both: to read what is stored of a million points takes .3 s.
+            # The cache is opened once: reading the index of a million points takes 0.3 s.
             with Cache(path, read_only=True) as store:
                 planned = make_plan(study, store, selection=selection)
                 if not planned.n_missing:
@@ -542,14 +543,21 @@ def query(
 
 
 def _check_call(
-    client: Any = None, *, workers: int = 1, batch: int | None = None, timeout: float = math.inf
+    client: Any = None,
+    scheduler: str | None = None,
+    *,
+    workers: int = 1,
+    batch: int | None = None,
+    timeout: float = math.inf,
 ) -> None:
-    """Refuse arguments that cannot be used before anything starts, even if nothing is computed."""
+    """Raise an error for invalid arguments of a call, even if it would compute nothing."""
     whole("workers", workers, 1, 1024)
     if batch is not None:
         whole("batch", batch, 1, MAX_POINTS)
     if timeout != math.inf:
         checked("timeout", timeout, low=0.0, strict=True)
+    if not isinstance(scheduler, str | None):
+        raise ClusterError(f"scheduler = {scheduler!r:.80}: must be an address, as tcp://host:8786")
     if client is not None and not hasattr(client, "nthreads"):
         raise ClusterError(
             f"client = {client!r:.80}: must be a distributed.Client; select by name, as omega=9.0"
@@ -559,7 +567,7 @@ def _check_call(
 def _exported(
     study: Study, planned: Plan, store: Cache, selection: Selection, progress: Progress
 ) -> xr.Dataset:
-    """A part of a study from the cache, in memory, with where its points came from."""
+    """Dataset of a selection of a study from the cache, with the counts of points as attributes."""
     counts = {name: getattr(progress, name) for name in ("n_points", "n_hits", "n_computed")}
     with (
         netcdf.passing({}) as others,
@@ -570,7 +578,7 @@ def _exported(
 
 
 def _as_stored(planned: Plan, store: Cache) -> Plan:
-    """A plan that has been carried out, with what is stored now."""
+    """The plan after its computation, with the present status of every point."""
     status = store.status(planned.keys)
     if lost := int(np.sum(status < 0)):
         raise StoreError(
@@ -589,15 +597,15 @@ def _computed(
     begin: Callable[[], None] = lambda: None,
     **how: Any,
 ) -> Progress:
-    """Compute what a plan misses; a cluster is started only if that is something.
+    """Compute the missing points of a plan; without missing points no cluster is started.
 
-    `begin` is called once it is there, before anything is computed.
+    `begin` is called before the computation, once the cluster is connected.
     """
     before = planned.progress
     if not planned.n_missing:
         begin()
         return before
-    # Now, before anybody waits for workers.
+    # Before the user waits for workers.
     check_writable(path if path.exists() else path.parent, "another cache with --cache")
     from gapsweep.execution.execute import execute
 
@@ -618,7 +626,7 @@ def _computed(
 def _connected(
     client: Client | None, say: Callable[[str], None], scheduler: str | None, **how: Any
 ) -> Iterator[Client]:
-    """The client of a call, or one of a cluster that is started or joined."""
+    """The client of the call, or else a client of a cluster that is started or joined."""
     if client is not None:
         yield client
         return

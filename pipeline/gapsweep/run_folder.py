@@ -1,6 +1,6 @@
-"""The folder of a run: its files, whose they are, and whether they are up to date.
+"""The folder of a run: its files, the study they belong to, and whether they are up to date.
 
-A file says in `made_from` what it was made from: the digests of its inputs and of the code.
+The attribute `made_from` of a file holds the digests of its inputs and of the code.
 """
 
 import html
@@ -31,7 +31,7 @@ WORK_PRECISION, STABILITY = "work_precision.nc", "stability.nc"
 CLAIMS, SECTIONS = "claims.json", "sections.json"
 REPORT = "report/index.html"
 
-STUDY = "study"  # the input of `made_from` that stands for the study's settings
+STUDY = "study"  # the key in `made_from` of the study's settings
 DAMAGED = "damaged"  # the reason to make a file that is not as it was written
 _META = r'<meta name="gapsweep-made-from" content="([^"]*)">'
 
@@ -53,7 +53,7 @@ def cache_path(cache: str | Path | None) -> Path:
 
 
 def _path(name: str, value: Any) -> Path:
-    """A path that the operating system can have, absolute."""
+    """The absolute path of an argument; a StoreError if it is no valid path."""
     try:
         with suppress(FileNotFoundError, NotADirectoryError, PermissionError):
             os.stat(value)
@@ -69,7 +69,7 @@ def check_owner(study: Study, folder: Path) -> None:
     Raises
     ------
     StoreError
-        If its run, or one of its datasets where no run is, has a study of another name.
+        If its run, or without a run one of its datasets, belongs to a study of another name.
     """
     try:
         owners = [str(RunState.read(folder).study)]
@@ -85,12 +85,12 @@ def check_owner(study: Study, folder: Path) -> None:
 
 
 def check_writable(folder: Path, other: str = "another folder with --out") -> None:
-    """Fail before anything is computed if the results could not be stored.
+    """Raise an error before the computation if the results could not be stored.
 
     Raises
     ------
     StoreError
-        If nothing can be written in a folder; `other` is what to name then.
+        If the folder is not writable; the message recommends `other`.
     """
     if folder.is_symlink() and not folder.exists():
         raise StoreError(f"{folder}: is a broken symbolic link; remove it, or choose {other}")
@@ -108,12 +108,12 @@ def check_writable(folder: Path, other: str = "another folder with --out") -> No
 
 @contextmanager
 def locked_run(folder: Path) -> Iterator[None]:
-    """Keep others from writing into the folder of a run.
+    """Lock the folder of a run, so that no other process writes into it.
 
     Raises
     ------
     StoreError
-        If it holds none.
+        If the folder holds no run.
     """
     if folder.is_file():
         raise StoreError(f"{folder}: {NO_FOLDER}")
@@ -124,7 +124,7 @@ def locked_run(folder: Path) -> Iterator[None]:
 
 
 def write(path: Path, content: "xr.Dataset | dict[str, Any]", made_from: str) -> None:
-    """Write a dataset as NetCDF, or a dict as JSON, with what it was made from."""
+    """Write a dataset as NetCDF, or a dict as JSON, with the digests of its inputs."""
     if not isinstance(content, dict):
         netcdf.write(content, path, {"made_from": made_from})
         return
@@ -135,7 +135,7 @@ def write(path: Path, content: "xr.Dataset | dict[str, Any]", made_from: str) ->
 
 
 def read_json(path: Path) -> dict[str, Any] | None:
-    """Verdicts or sections of a run; None if there are none, or none of these responses.
+    """Content of ``claims.json`` or ``sections.json``; None if absent or of other responses.
 
     Raises
     ------
@@ -155,12 +155,12 @@ def read_json(path: Path) -> dict[str, Any] | None:
 
 
 def as_text(made_from: MadeFrom) -> str:
-    """What a file was made from, for its attribute or meta element."""
+    """The digests of a file's inputs as JSON text, for its attribute or meta element."""
     return json.dumps(dict(made_from), sort_keys=True)
 
 
 def reason_to_make(path: Path, now: MadeFrom) -> str | None:
-    """Why a file must be made, from what it would be made from; None if it is up to date."""
+    """Why a file must be rewritten, given the present digests `now`; None if it is up to date."""
     if not path.exists():
         return "absent"
     if not (intact := is_intact(path)):
@@ -176,7 +176,7 @@ def reason_to_make(path: Path, now: MadeFrom) -> str | None:
 
 
 def _linked(path: Path) -> Iterator[Path]:
-    """The files in folders below a page that it links to."""
+    """Paths of the files in subfolders to which a page links."""
     if path.suffix == ".html":
         page = artefact.text_of(path)
         for name in dict.fromkeys(re.findall(r'href="(\w+/[\w.-]+)"', page)):
@@ -184,21 +184,21 @@ def _linked(path: Path) -> Iterator[Path]:
 
 
 def is_of_run(path: Path) -> bool:
-    """Whether a file rests on the responses in its folder, or on the settings of their study.
+    """Whether a file belongs to the responses in its folder, and not to an earlier run.
 
-    Another study of the same name may have left it there. What is measured after the responses
-    counts too: scenes of a benchmark are changed without a new sweep.
+    If it records their digest, this must be the present one. Otherwise it must be newer than the
+    responses, or of the same study settings: a benchmark may change without a new sweep.
     """
     responses, before = path.with_name(RESPONSES), _recorded(path)
     if RESPONSES in before:
-        present = digests(responses) or [sha256(responses)]  # SHA256SUMS may not have come along
+        present = digests(responses) or [sha256(responses)]  # copied without SHA256SUMS
         return before[RESPONSES] == " ".join(present)
     ours, theirs = (netcdf.attributes(file).get("created", "") for file in (path, responses))
     return ours >= theirs or before.get(STUDY) == _recorded(responses).get(STUDY)
 
 
 def _recorded(path: Path) -> MadeFrom:
-    """What a file says it was made from; nothing if it cannot be made out."""
+    """Digests that a file records of its inputs; empty if they cannot be read."""
     try:
         if path.suffix == ".nc":
             return dict(json.loads(netcdf.attributes(path).get("made_from", "{}")))

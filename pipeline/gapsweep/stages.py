@@ -1,4 +1,4 @@
-"""The files of a run in the order in which they are made: from what, how, and for which studies.
+"""The files of a run in the order in which they are made, with inputs, functions and studies.
 
 A file is made only if it is absent or damaged, or if one of its inputs or the code has changed.
 numba, xarray and matplotlib are imported by the stages that need them: a run that finds everything
@@ -63,16 +63,16 @@ if TYPE_CHECKING:
 
     Content = xr.Dataset | dict[str, Any] | None
 
-_MANY = 100_000  # points, whose datasets hold so much memory that a collection is worth its time
+_MANY = 100_000  # points; larger datasets justify a garbage collection after each stage
 
 
 def _ignore(stage: str) -> None:
-    """Say nothing of a stage."""
+    """Do nothing: the default observer of stages."""
 
 
 @dataclass(frozen=True, slots=True)
 class RunContext:
-    """What the stages of a run are made with.
+    """Arguments of the stages of a run.
 
     Attributes
     ----------
@@ -88,7 +88,7 @@ class RunContext:
     timeout : float
         Time [s] that a motion with a user's law may take.
     say : callable
-        Called with what is done next.
+        Called with a text before each stage.
     inputs : tuple of str
         Files of the run that the present stage is made from.
     made_from : str
@@ -109,7 +109,7 @@ class RunContext:
     digests: dict[str, str] = field(default_factory=dict)
 
     def digest(self, source: "Source") -> str:
-        """The digest of a source, computed once in a run."""
+        """The digest of a source, computed at its first use and kept."""
         if source.name not in self.digests:
             self.digests[source.name] = source.digest(self)
         return self.digests[source.name]
@@ -123,7 +123,7 @@ class RunContext:
 
 @dataclass(frozen=True, slots=True)
 class Source:
-    """An input that is no file of the run, and how its digest is computed."""
+    """An input of a stage that is no file, with the function that computes its digest."""
 
     name: str
     digest: Callable[[RunContext], str]
@@ -131,7 +131,7 @@ class Source:
 
 @dataclass(frozen=True, slots=True)
 class Stage:
-    """One file of a run.
+    """A file of a run, with its inputs and the function that makes it.
 
     Attributes
     ----------
@@ -140,7 +140,7 @@ class Stage:
     inputs : tuple of str
         Files of the run that it is made from.
     sources : tuple of Source
-        What else it is made from.
+        Inputs that are no files.
     make : callable
         Makes it; returns what is to be written, or None if it has written the file.
     applies : callable
@@ -160,14 +160,14 @@ class Stage:
     is_drawn: bool = False
 
     def made_from(self, folder: Path, run: RunContext | None = None) -> MadeFrom:
-        """What the file would be made from now, if the files it is made from are up to date.
+        """Present digests of the file's inputs and of the code, to compare with the stored ones.
 
         Parameters
         ----------
         folder : Path
             Of the run.
         run : RunContext, optional
-            Where the digests of sources come from; a page has none.
+            Gives the digests of sources; not needed for a page, which has no sources.
         """
         found = {"code": package_fingerprint() if self.is_drawn else data_fingerprint()}
         for name in self.inputs:
@@ -178,7 +178,7 @@ class Stage:
         return found
 
     def failed_motions(self, folder: Path) -> dict[str, int]:
-        """Number of motions in the file per status that says that they failed."""
+        """Number of failed motions in the file, by label of their status."""
         if self.failures is None:
             return {}
         variable, first = self.failures
@@ -192,14 +192,14 @@ class Stage:
 def make_files(
     stages: Iterable[Stage], run: RunContext, *, n_points: int = 0, retry_failed: bool = False
 ) -> None:
-    """Make the files of some stages that are not up to date.
+    """Make those files of some stages that are not up to date.
 
     Parameters
     ----------
     n_points : int
         Of the study.
     retry_failed : bool
-        Whether files with failed motions are made again.
+        Whether to rewrite files with failed motions.
     """
     for stage in stages:
         path, now = run.folder / stage.file, stage.made_from(run.folder, run)
@@ -213,11 +213,11 @@ def make_files(
             run.say(f"making {stage.file}")
             make_file(stage, run)
             if n_points > _MANY:
-                gc.collect()  # what refers to itself would hold its memory into the next stage
+                gc.collect()  # reference cycles would keep their memory during the next stage
 
 
 def make_file(stage: Stage, run: RunContext) -> None:
-    """Make the file of a stage."""
+    """Make the file of a stage, whether it is up to date or not."""
     made_from = as_text(stage.made_from(run.folder, run))
     content = stage.make(replace(run, inputs=stage.inputs, made_from=made_from))
     if content is not None:
@@ -261,9 +261,9 @@ def _own_dataset(file: str, function: Callable[[Study], Any], run: RunContext) -
 
 @contextmanager
 def opened(folder: Path, names: Iterable[str]) -> "Iterator[dict[str, xr.Dataset]]":
-    """The datasets among some files of a run, by their names without suffix.
+    """Open the datasets among some files of a run, as a dict by name without suffix.
 
-    What is not there is left out, and what another study has left in the folder.
+    Files that are absent or belong to another study are left out.
     """
     with ExitStack() as files:
         found = {}
@@ -305,7 +305,7 @@ def _points_digest(run: RunContext) -> str:
 def _settings_digest(run: RunContext) -> str:
     """Digest of the settings of a study, and of the user's laws outside of its sweeps.
 
-    Those of sweeps are in the keys of their points.
+    The laws of sweeps are part of the keys of points.
     """
     study, codes = run.study, []
     labels = [label for table in study.spec.history for label in table.representation]
@@ -329,7 +329,7 @@ REPORT_MODULE = Source("report module", lambda run: _code_key(run.study.report_c
 
 
 def _responses(run: RunContext) -> None:
-    """Export both files from the cache, as attractors are grouped on the way."""
+    """Write ``responses.nc`` and ``attractors.nc`` from the cache, both in one pass."""
     assert run.points is not None
     files = run.folder / RESPONSES, run.folder / ATTRACTORS
     export(run.study, *run.points, *files, made_from=run.made_from)
@@ -404,17 +404,17 @@ def _report(run: RunContext) -> None:
 
 
 def _has_contacts_to_fit(study: Study) -> bool:
-    """Whether there are laws of one displacement other than what ``auto`` takes."""
+    """Whether the study is of an oscillator and sweeps a law other than ``auto``."""
     return study.model.is_oscillator and study.grid.representations != (AUTO,)
 
 
 def _compares(study: Study) -> bool:
-    """Whether there is the exact law, and something to compare it with."""
+    """Whether the study sweeps the exact law and at least one other representation."""
     return EXACT in study.grid.representations and len(study.grid.representations) > 1
 
 
 def _bench_scenes(study: Study) -> list[bool]:
-    """Of every benchmark scene, whether its right answer is stated."""
+    """Whether the solution is stated, for every benchmark scenario."""
     scenes = study.spec.bench.scene if study.spec.bench else []
     return [scene.expected is not None for scene in scenes]
 
@@ -460,7 +460,7 @@ STAGES = (
         _claims,
         lambda study: study.claims_module is not None,
     ),
-    # That methods fail there is a result; only users' code can fail in another way.
+    # Failures of methods are results; only a status of user code counts as a failure.
     Stage(
         WORK_PRECISION,
         (),

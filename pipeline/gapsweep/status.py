@@ -2,8 +2,8 @@
 
 from enum import IntEnum
 
-# A displacement [m] that no machine survives: a motion beyond it has diverged. Finite, so that
-# blow-up is caught early.
+# Displacement [m] beyond which a motion counts as diverged. Finite, so that divergence is detected
+# early.
 DIVERGED_AT = 1e3
 
 
@@ -37,5 +37,5 @@ class Status(IntEnum):
 
     @property
     def failed(self) -> bool:
-        """Whether there is no result; ``unresolved`` and ``out_of_fit_range`` are no failures."""
+        """Whether the point has no result; ``unresolved`` and ``out_of_fit_range`` have one."""
         return self > Status.OUT_OF_FIT_RANGE

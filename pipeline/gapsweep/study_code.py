@@ -1,4 +1,4 @@
-"""What the Python files that a study names make of its run: datasets, verdicts, report sections.
+"""Calls of a study's own Python files, which make datasets, verdicts and sections of the report.
 
 xarray and matplotlib are imported by what needs them: a run that finds everything up to date ends
 before they would be loaded.
@@ -24,12 +24,12 @@ if TYPE_CHECKING:
 
 
 def own_datasets(study: Study) -> dict[str, Callable[[Study], Any]]:
-    """Functions in a study's claims module that make datasets, by the file of each.
+    """The functions in ``DATASETS`` of a study's claims module, by the name of their files.
 
     Raises
     ------
     StudyError
-        If the module cannot be imported, or its ``DATASETS`` are not what they must be.
+        If the module cannot be imported, or its ``DATASETS`` is no dict of functions.
     """
     path = study.claims_module
     if path is None:
@@ -66,12 +66,12 @@ def dataset_key(study: Study, function: Any) -> str:
 
 
 def check_modules(study: Study) -> None:
-    """Import the code that a study names, so that its faults are reported first.
+    """Import the code that a study names, to report its errors before the computation.
 
     Raises
     ------
     StudyError
-        If it cannot be imported, or does not hold what it must.
+        If it cannot be imported, or lacks claims or the function ``sections``.
     """
     own_datasets(study)
     if study.claims_code is not None:
@@ -81,7 +81,7 @@ def check_modules(study: Study) -> None:
 
 
 def make_dataset(study: Study, file: str, function: Callable[[Study], Any]) -> "xr.Dataset":
-    """A dataset that a study's claims module makes."""
+    """The dataset that a function of the study's claims module returns, with its attributes."""
     import xarray as xr
 
     assert study.claims_module is not None, "datasets come from there"
@@ -125,14 +125,14 @@ def draw_sections(study: Study, datasets: Mapping[str, "xr.Dataset"]) -> dict[st
 
 
 def _as_json(study: Study, table: str, path: Path, found: dict[str, Any]) -> dict[str, Any]:
-    """What a module found, with where it comes from, if it can be written as JSON."""
+    """Results of a user module with the names of study and file; StudyError if not JSON."""
     with user_errors(path, "claims" if table == "claims" else "sections"):
-        json.dumps(found, ensure_ascii=False, allow_nan=False).encode()  # no half characters
+        json.dumps(found, ensure_ascii=False, allow_nan=False).encode()  # no lone surrogates
     return {"study": study.name, f"{table}_module": path.name, **found}
 
 
 def _claims_in(code: Snapshot) -> "list[Claim]":
-    """The claims that a module states."""
+    """The claims that a user module defines."""
     from gapsweep.analysis.claims import stated
 
     try:
@@ -142,7 +142,7 @@ def _claims_in(code: Snapshot) -> "list[Claim]":
 
 
 def _sections_in(code: Snapshot) -> "Callable[[Run], Any]":
-    """The function of a module that makes sections of the report."""
+    """The function ``sections`` of a user module."""
     found: Callable[[Run], Any] | None = getattr(load_module(code), "sections", None)
     if not callable(found):
         message = f"{code.path}: function sections(run) is missing; it returns parts of the report"

@@ -25,10 +25,10 @@ _OWN_UNITS = {"1", "s", "s-1", "Hz"}
 
 @dataclass(frozen=True, slots=True)
 class Variable:
-    """One dataset variable."""
+    """Metadata of a dataset variable: type, units, long name, missing value, flags."""
 
     dtype: str  # type code of NumPy, or ``"str"``
-    units: str  # UDUNITS text, ``"1"`` if nondimensional; empty if its user alone knows
+    units: str  # UDUNITS text, ``"1"`` if nondimensional; empty if only the user knows
     long_name: str
     missing: float = float("nan")  # value in cells that are no sweep point
     flags: tuple[tuple[str, int], ...] = ()  # meanings and values, for flag variables
@@ -48,12 +48,12 @@ class Variable:
 
     @property
     def of_systems(self) -> "Variable":
-        """The variable of a system, whose user alone knows whether coordinates are lengths."""
+        """The variable for a system: no units, unless they hold for any kind of coordinate."""
         return self if self.units in _OWN_UNITS else replace(self, units="")
 
 
 def canonical(value: float) -> float:
-    """The value rounded to 12 significant digits.
+    """Return the value rounded to 12 significant digits.
 
     Grids reach the same coordinate by different arithmetic; after rounding they agree to the last
     bit. Studies round when they are read: they compute, key and store these values. Datasets of a
@@ -62,12 +62,12 @@ def canonical(value: float) -> float:
     return float(f"{value:.11e}") + 0.0  # -0.0 becomes 0.0
 
 
-# Of every variable the dimensions, and what it is.
+# Dimensions and metadata of variables by name.
 Described = Mapping[str, tuple[tuple[str, ...], Variable]]
 
 
 def empty(table: Described, sizes: Mapping[str, int]) -> dict[str, Any]:
-    """Arrays of a table's variables, in which all is missing."""
+    """Arrays of a table's variables, filled with their missing values."""
     return {
         name: np.full([sizes[dim] for dim in dims], variable.missing, variable.dtype)
         for name, (dims, variable) in table.items()
@@ -75,21 +75,21 @@ def empty(table: Described, sizes: Mapping[str, int]) -> dict[str, Any]:
 
 
 def with_attributes(table: Described, arrays: Mapping[str, Any]) -> dict[str, Any]:
-    """Arrays with their dimensions and attributes, as a dataset takes them."""
+    """Return dimensions, values and attributes of every variable, as for `xarray.Dataset`."""
     return {
         name: (dims, arrays[name], variable.attributes) for name, (dims, variable) in table.items()
     }
 
 
 STATUS_FLAGS = tuple((status.label, int(status)) for status in Status)
-# Of every motion.
+# Variables of every motion.
 COUNTS = {
     "n_contacts": Variable("i8", "1", "wall crossings of the motion, in and out", 0),
     "n_steps": Variable("i8", "1", "accepted steps of the motion", 0),
     "n_rejected": Variable("i8", "1", "rejected steps of the motion", 0),
     "nfev": Variable("i8", "1", "right-hand-side evaluations of the motion", 0),
 }
-# What a point of a call starts from.
+# Coordinates of the points of a call: frequency and initial state.
 INPUTS = {
     "omega": Variable("f8", "Hz", "forcing frequency"),
     START: Variable("i4", "1", "number of the initial condition"),
@@ -106,12 +106,14 @@ PARTS = {
 
 
 def members(kind: type[IntEnum], numbers: NDArray[np.integer]) -> Any:
-    """The members of an enumeration that counts from 0 with these numbers; one of a 0-d array."""
+    """Array of the members of an enumeration with these numbers, counted from 0; a 0-d array
+    gives one member.
+    """
     return np.array([*kind], dtype=object)[numbers]
 
 
 def objects(value: Any) -> NDArray[Any]:
-    """Objects of a list, tuple or array as an array; one object as an array without axes."""
+    """Array of the objects of a list, tuple or array; a single object gives a 0-d array."""
     if isinstance(value, list | tuple | np.ndarray):
         return np.array(value, dtype=object)
     found = np.empty((), object)
@@ -125,10 +127,10 @@ def dataset(
     table: Mapping[str, Variable],
     arrays: Mapping[str, NDArray[Any]],
 ) -> "xr.Dataset":
-    """Dataset of the points of a call.
+    """Dataset of the results of one call, with its inputs as coordinates and attributes.
 
-    Its dimensions are `omega` and `initial_condition` where one model is computed at every
-    frequency from every initial state, otherwise `point`. The other inputs are its attributes.
+    Its dimensions are `omega` and `initial_condition` if one model is computed at every frequency
+    from every initial state, otherwise `point`. The other inputs are its attributes.
 
     Parameters
     ----------
@@ -138,7 +140,7 @@ def dataset(
     table : mapping of str to Variable
         The variables.
     arrays : mapping of str to ndarray, shape (n, ...)
-        Their values: of all points, flat, along their dimensions.
+        Values of the variables for all points (flattened), along their dimensions.
     """
     import xarray as xr  # takes half a second, which no computation needs
 
@@ -154,7 +156,7 @@ def dataset(
         axes = {"omega": np.reshape(inputs["omega"], (*shape, 1))} | axes
 
     def spans(dims: tuple[str, ...]) -> bool:
-        """Whether every input is constant along the dimensions of the others."""
+        """Whether every input varies along its own dimension only."""
         others = ((i, axes[x]) for i, dim in enumerate(dims) for x in axes if x != dim)
         return all(bool((values == values.take([0], i)).all()) for i, values in others)
 
@@ -166,7 +168,7 @@ def dataset(
     described = {**INPUTS, **table}
 
     def variable(name: str, along: tuple[str, ...], values: NDArray[Any]) -> tuple[Any, ...]:
-        """A variable as xarray takes it, without dimensions that such a model does not have."""
+        """Return a variable as for xarray, without dimensions that the model does not have."""
         form = described[name].of_systems if is_system else described[name]
         along += tuple(dim for dim in form.dims if dim in parts or dim not in PARTS)
         return along, values.reshape([sizes.get(dim, -1) for dim in along]), form.attributes
@@ -192,21 +194,21 @@ def dataset(
 
 
 def to_dataframe(dataset: "xr.Dataset", *more: str) -> Any:
-    """Table of a dataset's points, as a `pandas.DataFrame`.
+    """Return the points of a dataset as a `pandas.DataFrame`.
 
     Parameters
     ----------
     dataset : Dataset
         As ``responses.nc``, or a part of it.
     *more : str
-        Dimensions that have a row for each entry, too.
+        Further dimensions with a row for each entry.
 
     Returns
     -------
     DataFrame
-        Columns are dimensions, then variables with one value in a row; values of every coordinate
-        or contact of a system have their own, as ``x_max[h]``. Flags are words. Cells that are no
-        sweep point are left out.
+        Columns are dimensions, then variables with one value in a row, with a column for every
+        coordinate or contact of a system, as ``x_max[h]``. Flags are words. Cells that are no sweep
+        point are left out.
     """
     rows, columns = (*dataset["status"].dims, *more), dict[str, Any]()
     if not rows:
@@ -223,7 +225,7 @@ def to_dataframe(dataset: "xr.Dataset", *more: str) -> Any:
 
 
 def as_html(dataset: "xr.Dataset") -> str:
-    """Table of a dataset's points; of a single one with a row for each of its values."""
+    """HTML table of a dataset's points, a row each; a single point has a row for each value."""
     shown = to_dataframe(dataset)
     return str((shown if dataset["status"].dims else shown.T)._repr_html_())
 

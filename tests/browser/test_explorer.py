@@ -52,7 +52,7 @@ WATCH = """(() => {{
 
 
 def browse(address, page, steps, **how):
-    """What steps in a browser return; the page is closed afterwards."""
+    """Run steps in a browser on a page, close the page, and return the steps' result."""
 
     async def run():
         async with tab(address, page.url, **how) as opened:

@@ -341,7 +341,7 @@ def test_impossible_request_is_one_clear_line(gapsweep, folder, arguments, messa
 @pytest.mark.parametrize(
     ("right", "wrong", "named"),
     [
-        ("[[0.4e-3, 0.4e-3]]", "[[0.4, 0.4]]", ""),  # in millimetres
+        ("[[0.4e-3, 0.4e-3]]", "[[0.4, 0.4]]", "gap = 0.4 m: more than"),  # in millimetres
         ("[12.0, 20.0]", "[3000.0, 9425.0]", "omega = 9425 Hz"),  # in rad/s
         ("zeta = 0.03", "zeta = 3", "zeta = 3"),  # in percent
     ],

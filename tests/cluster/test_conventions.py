@@ -62,7 +62,7 @@ def test_a_file_that_breaks_them_is_complained_of(tmp_path):
 
 
 def complaints(*files):
-    """What the checker has against each file of a folder, by its name."""
+    """Messages of the CF compliance checker on each file, by file name."""
     checker = Path(sys.executable).with_name("compliance-checker")
     command = [checker, "-t", "cf:1.11", "-f", "json_new", "-o", "found.json"]
     folder, names = files[0].parent, [file.name for file in files]

@@ -77,7 +77,7 @@ def at(responses, **where):
 
 
 def direct(study, responses):
-    """What `respond` says of all fixed starts of the first scene, in order."""
+    """Stored responses of fixed initial conditions, each part with the result of `respond`."""
     here = at(responses, initial_condition=responses["start"].values == "fixed")
     n = study.structure.n
     q_0, v_0 = (here[name].values.reshape(-1, n) for name in ("x_0", "v_0"))

@@ -1,4 +1,4 @@
-"""Whose fault a failure is, and that it never takes the place of a result."""
+"""Failures are attributed to their cause, and never replace a result."""
 
 import os
 import subprocess

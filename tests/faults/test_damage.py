@@ -43,7 +43,7 @@ def sound(tmp_path_factory, client):
 
 
 def damages(path, n_flips, n_truncations, seed):
-    """The same file with one bit, or its end, changed."""
+    """Damaged versions of a file: one bit flipped, or the end cut off; each with a name."""
     whole = path.read_bytes()
     generator = random.Random(seed)
     for _ in range(n_flips):

@@ -130,7 +130,7 @@ def test_what_stands_in_the_place_of_a_file_is_one_line(gapsweep, finished, tmp_
 
 PIPES = {
     "status": ("run.json", 1),
-    "report": ("SHA256SUMS", 0),
+    "report": ("SHA256SUMS", 1),
     "claims": ("claims.json", 1),
     "run tiny.toml --out": ("responses.nc", 0),  # it is rewritten
     "run tiny.toml --cache c-cache --out": ("../c-cache/claims", 1),

@@ -54,7 +54,7 @@ def test_poison_points_get_their_own_status_and_all_others_complete(poisoned, tm
         "killing": gs.Status.KILLED,
         "leaving": gs.Status.KILLED,
         "hanging": gs.Status.TIMED_OUT,
-        "undefined": gs.Status.DIVERGED,
+        "undefined": gs.Status.MODEL_INVALID,
     }
     omega = ds.omega.values.tolist().index(12.0)
     said = [message(poisoned, tmp_path, (r, 0, 0, omega, 0)) for r in range(1, 6)]
@@ -62,7 +62,7 @@ def test_poison_points_get_their_own_status_and_all_others_complete(poisoned, tm
     assert said[1] == "its process was ended by SIGKILL"
     assert said[2] == "its process ended with exit code 7"
     assert said[3] == "exceeded the time limit of 5 s"
-    assert said[4].startswith("diverged before t = ")
+    assert said[4].startswith("model_invalid before t = ")
 
 
 def test_hanging_point_in_a_sweep_does_not_end_the_sweep(poisoned, tmp_path):

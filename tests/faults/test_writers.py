@@ -43,7 +43,7 @@ def writer(path, first, n, often):
 
 
 def held(path, names):
-    """Which of some points are there, each of them with its own number."""
+    """The names of points that a cache holds, after a check of their results."""
     with Cache(path) as cache:
         found = cache.find(keys(*names))
         there = [names[i] for i in found.at.tolist()]

@@ -140,7 +140,7 @@ def test_basins_of_two_wells():
 
 
 def period_of(run):
-    """Of a free motion that started at rest: between its last two maxima."""
+    """Period of a free motion from zero velocity: time between its last two maxima."""
     return float(np.diff(run.t_extrema[1::2])[-1])
 
 

@@ -380,7 +380,7 @@ def test_time_in_contact_is_that_beyond_the_walls(j_2, t_0):
 
 
 def ends(label):
-    """Of many motions, as text."""
+    """End states of motions at 37 frequencies, as hexadecimal text."""
     law = gs.contact_law(label, K_c=1.4e4, gap=SYMMETRIC)
     run = gs.simulate(gs.systems.paper_oscillator(), law, np.linspace(3.0, 29.0, 37), t_end=2.0)
     return run.x_end.tobytes().hex() + run.v_end.tobytes().hex()

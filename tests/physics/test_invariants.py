@@ -75,7 +75,7 @@ class Case:
 
     @cached_property
     def motion(self):
-        """With the tangent; all its records."""
+        """The motion of the case, with its tangent and all records."""
         return self.run(tangent=True)
 
     @cached_property
@@ -91,7 +91,7 @@ class Case:
 
     @property
     def unit(self):
-        """What a monodromy matrix is multiplied by to be one of states in units of `size`."""
+        """Factors from a monodromy matrix to the matrix for states in units of `size`."""
         return self.size / self.size[:, None]
 
     @cached_property
@@ -443,7 +443,7 @@ def test_mirror_images_of_a_model_and_its_start_move_as_mirror_images(case):
 
 
 def rescaled(case, mass, length, time):
-    """The same motion in other units."""
+    """The case in other units of mass, length and time."""
     model = rescaled_model(case.model, mass, length, time)
     start = {
         name: np.array(value) * (length / time if name == "v_0" else length)

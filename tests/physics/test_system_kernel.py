@@ -228,6 +228,7 @@ def test_a_table_that_one_contact_leaves_is_named_by_the_status():
         ({"stop": HARD, "wall": gs.Tanh(2e3, HARD.gap, 1e4)}, {}, "all"),
         (HARD, {"restart": True}, "restart"),
         (HARD, {"controller": "ode45"}, "ode45"),
+        (HARD, {"contact_force": "as_written"}, "contact_force = 'as_written': needs"),
     ],
 )
 def test_what_has_no_compiled_steps_is_refused(law, options, named):

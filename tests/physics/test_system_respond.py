@@ -59,7 +59,7 @@ def coupled(K_c=2e3, coupling=150.0):
 
 
 def two_equal_machines():
-    """That move alike, with a stop between them."""
+    """Two equal machines with equal loads, and a stop between them."""
     one = np.array([[90.0, 55.0], [-55.0, 200.0]])
     return gs.System(
         mass=np.eye(4), damping=0.3 * np.eye(4), stiffness=np.kron(np.eye(2), one),
@@ -347,7 +347,7 @@ def fluttering(stiffness, *, mass, loss, cubic, contact, load):
 
 
 def neighbours_part(system, law, omega, found, n_periods):
-    """How much farther apart two motions are after so many forcing periods, by no tangent."""
+    """Growth factor of the distance of two motions in some forcing periods, without tangent."""
     state = np.concatenate([found.x_end, found.v_end])
     both = np.stack([state, state + 1e-9 * np.array([1.0, -1.0, 1.0, 1.0])])
     run = gs.simulate(

@@ -97,7 +97,7 @@ def test_nearly_every_free_swing_keeps_its_energy_within_100_rtol(rtol):
 
 
 def _in_clock(response, clock):
-    """What of a response must not change by a bit with the clock."""
+    """Values of a response that must be bit-equal for all time units."""
     return (
         response.response_class,
         response.n_steps,

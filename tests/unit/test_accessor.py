@@ -518,7 +518,7 @@ def test_branches_that_gapsweep_computes_are_drawn(ax):
 
 @pytest.fixture(scope="module")
 def unforced(responses):
-    """As of a system that nothing forces: over a number of its own, and no frequency."""
+    """Responses as of an unforced system: over a parameter `speed`, without frequency."""
     one = responses.isel(omega=0, drop=True)
     faster = one.copy()
     for name in ("x_max", "amplitude", "extrema"):

@@ -39,7 +39,7 @@ def same(a, b, omega):
 
 
 def own_share(p, q):
-    """How many points of two samples have their nearest neighbour in their own, one by one."""
+    """Share of the points of two samples whose nearest neighbour is in the same sample."""
     n_own = 0
     for ours, theirs in ((p, q), (q, p)):
         for i, point in enumerate(ours):

@@ -163,7 +163,7 @@ def test_where_all_is_growing_it_is_seen():
 
 
 def of_system(coordinate, K_ratio=1.0):
-    """The same responses, of one coordinate of a system: two contacts feel the arm alone."""
+    """Responses of one coordinate of a system, with two contacts on the arm only."""
     system = {
         "coordinates": ["body", "arm"],
         "contacts": {"lever": [0.0, -2.0], "stop": [0.0, 1.0], "between": [1.0, -1.0]},

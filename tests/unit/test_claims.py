@@ -187,6 +187,28 @@ def test_verdicts_are_fit_for_json_and_in_order():
     assert test == {**expected, "holds": None, "n": 1}
 
 
+def test_claims_are_counted_with_each_other_setting_too():
+    """A claim that does not depend on a setting counts with its own verdict."""
+
+    def holding(id, holds, **others):
+        tests = {None: [], True: [Test("", Number(2.0), ">", 1.0)]}
+        tests[False] = [Test("", Number(0.0), ">", 1.0)]
+        with_others = {words: tests[one] for words, one in others.items()}
+        return Claim(id, "", "", "", lambda run: (tests[holds], "", with_others)).decided(Run({}))
+
+    claims = [holding(1, True, at_rest=False), holding(2, True, coarse=None), made(3, 2.0)]
+    decided = [*claims[:2], claims[2].decided(Run({}))]
+    assert [one["otherwise"] for one in decided] == [
+        {"at_rest": REFUTED}, {"coarse": UNDECIDABLE}, {},
+    ]  # fmt: skip
+    found = counted(decided)
+    assert found["counts"] == {CONFIRMED: 3, REFUTED: 0, PARTLY: 0, UNDECIDABLE: 0}
+    assert found["otherwise"] == {
+        "at_rest": {CONFIRMED: 2, REFUTED: 1, PARTLY: 0, UNDECIDABLE: 0},
+        "coarse": {CONFIRMED: 2, REFUTED: 0, PARTLY: 0, UNDECIDABLE: 1},
+    }
+
+
 def test_open_tests_are_named():
     sentence = made(5, math.nan, 0.9, floor=0.2).decided(Run({}))["sentence"]
     assert sentence == "Measured. Open (no number, or within its uncertainty): size; size."
@@ -202,9 +224,11 @@ def test_what_the_run_has_not_leaves_a_claim_undecidable():
 @pytest.mark.parametrize(
     ("found", "said"),
     [
-        (None, "must return a list of tests and a sentence, not None"),
+        (None, "must return a list of tests, a sentence.*, not None"),
         (([], "said", 3), "must return a list of tests"),
         (([Number(1.0)], "said"), "must return a list of tests"),
+        (([], "said", {"rest": [1]}), "must return a list of tests"),
+        (([], "said", {"\n": []}), "must be one printable line"),
         (([], 5), "sentence: must be text, not 5"),
         (([], "half \ud800"), "sentence: must be one printable line, without '.ud800'"),
         (([], "two\nlines"), "sentence: must be one printable line"),

@@ -1,4 +1,4 @@
-"""How kernels are compiled, and that none is loaded after an edit."""
+"""Compilation of kernels; after an edit of the source no cached kernel is loaded."""
 
 import math
 

@@ -1,4 +1,4 @@
-"""What a run shows while it goes on."""
+"""Display of a run's progress."""
 
 import time
 from dataclasses import replace
@@ -7,7 +7,8 @@ from types import SimpleNamespace
 import pytest
 
 from gapsweep import console
-from gapsweep.console import busy, progress_bar, sentence
+from gapsweep.console import busy, print_table, print_text, progress_bar, sentence
+from gapsweep.errors import printable
 from gapsweep.execution.progress import Progress
 
 
@@ -18,6 +19,15 @@ def test_the_sentence_has_the_counts_and_the_time_left():
         assert part in text
     assert "left" not in sentence(replace(progress, seconds_left=None))
     assert len(sentence(Progress(138_578, 100_000, 38_000, 9, seconds_left=1e5))) <= 76
+
+
+@pytest.mark.parametrize("sign", ["\x1b", "\x9b", "\u202e", "\u2066", "\u200f", "\u200b", "\ufeff"])
+def test_signs_that_reorder_or_hide_a_text_are_not_printed(capsys, sign):
+    print_text(f"a{sign}b")
+    print_table(["c"], [[f"d{sign}e"]])
+    assert "".join(capsys.readouterr().out.split()) == "abcde"
+    assert sentence(Progress(10, 2, stage=f"a{sign}b")) == "ab"
+    assert printable(f"K_c\tε ≤ 10⁻³\n{sign}") == "K_c\tε ≤ 10⁻³\n"
 
 
 def test_until_the_first_point_is_computed_machine_code_is_awaited():

@@ -1,4 +1,4 @@
-"""What the page of `gapsweep explore` computes, and how it asks; without a browser."""
+"""Results and questions of the page of `gapsweep explore`, without a browser."""
 
 import asyncio
 import gc
@@ -68,7 +68,7 @@ LINEAR = gs.systems.paper_oscillator(alpha=0.0)
 
 
 def linear_amplitude(oscillator, omega):
-    """Of a forced linear oscillator, from its transfer function."""
+    """Amplitude of a forced linear oscillator, from its transfer function."""
     ratio = omega / oscillator.omega_n
     static = oscillator.forcing / (oscillator.mass * oscillator.omega_n_rad**2)
     return static / np.hypot(1.0 - ratio**2, 2.0 * oscillator.zeta * ratio)

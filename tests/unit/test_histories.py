@@ -37,7 +37,7 @@ LINEAR = {"alpha": 0.0, "forcing": 4.0, "omega_n": 5.0, "mass": 3.0, "zeta": 0.0
 
 
 def linear_amplitude(omega, K_c=0.0):
-    """Of the linear oscillator with the contact spring always engaged [m]."""
+    """Amplitude [m] of the linear oscillator with the contact spring always engaged."""
     w, w_n = 2 * np.pi * omega, 2 * np.pi * 5.0
     return 4.0 / 3.0 / np.hypot(w_n**2 + K_c / 3.0 - w**2, 2 * 0.03 * w_n * w)
 
@@ -147,7 +147,7 @@ def test_failures_are_statuses():
 def test_raising_and_undefined_laws_are_statuses():
     labels = ["tests.laws:raising", "tests.laws:undefined"]
     found = histories(study_of(SCENE | {"t_end": 1.0, "representation": labels}))
-    assert_array_equal(found["status"], [[Status.ERROR, Status.DIVERGED]])
+    assert_array_equal(found["status"], [[Status.ERROR, Status.MODEL_INVALID]])
 
 
 def test_study_without_histories_has_none():

@@ -103,9 +103,12 @@ def test_more_terms_never_fit_worse_and_a_constraint_never_better(rungs):
     assert (constrained >= free).all()
 
 
-def test_the_condition_grows_at_least_as_the_sizes_of_the_columns_differ(rungs):
-    # The leading monomials of degree n in metres differ by range**n in size.
-    assert (rungs["poly_condition"] > RANGE ** -rungs["degree"].astype(float)).all()
+@pytest.mark.parametrize(("unit", "metre"), [("m", 1.0), ("mm", 1e3), ("4 mm", 250.0)])
+def test_the_condition_grows_at_least_as_the_sizes_of_the_columns_differ(rungs, unit, metre):
+    # The columns of 1 and of the leading monomial, whose mean square is range**(2 n) / (2 n + 1).
+    n = rungs["degree"].astype(float)
+    sizes = (RANGE * metre) ** n / np.sqrt(2.0 * n + 1.0)
+    assert (rungs["poly_condition"].sel(unit=unit) > np.maximum(sizes, 1.0 / sizes)).all()
 
 
 def test_harder_contact_needs_a_higher_degree(rungs):

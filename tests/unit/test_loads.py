@@ -19,7 +19,7 @@ TIGHT = {"rtol": 1e-10, "atol": 1e-13}
 
 
 def linear_amplitude(stiffness, omega):
-    """Of the default mass, damping and forcing on one linear spring [m]."""
+    """Amplitude [m] of the default mass, damping and forcing on one linear spring."""
     o, omega_rad = LINEAR, 2.0 * math.pi * omega
     damping = 2.0 * o.decay_rate * o.mass
     return o.forcing / math.hypot(stiffness - o.mass * omega_rad**2, damping * omega_rad)

@@ -58,7 +58,7 @@ def ax():
 
 
 def colours(axes, x, y):
-    """What is seen at places of an axes, as RGBA."""
+    """Rendered RGBA colours at places of an axes."""
     axes.figure.canvas.draw()
     seen = np.asarray(axes.figure.canvas.buffer_rgba()) / 255.0
     at = axes.transData.transform(np.column_stack([np.ravel(x), np.ravel(y)])).astype(int)

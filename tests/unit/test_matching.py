@@ -17,7 +17,7 @@ costs = hnp.arrays(
 
 
 def merit(values):
-    """What is optimised: matches first, then the total cost."""
+    """Objective of the matching: number of matches first, then the total cost."""
     return -np.count_nonzero(values <= LIMIT), values.sum()
 
 

@@ -73,7 +73,7 @@ def test_a_coordinate_of_a_system_is_chosen_by_name():
 
 
 def levels(axes, side):
-    """Where dashed lines stand across an axes, or up it."""
+    """Positions of the dashed lines of an axes along one side."""
     ends = (getattr(line, f"get_{side}data")() for line in axes.get_lines())
     dashed = (line.get_linestyle() == "--" for line in axes.get_lines())
     return sorted(end[0] for end, is_one in zip(ends, dashed, strict=True) if is_one)

@@ -105,8 +105,7 @@ GAP = gs.Gap(4e-4, 4e-4)
 IN_PYTHON = {
     "label for a law": (
         lambda: gs.respond(paper_oscillator(), "piecewise", omega=9.0),
-        "law = 'piecewise': must be a contact law, as "
-        "gapsweep.contact_law('piecewise', K_c, gap) is",
+        "law = 'piecewise': must be a contact law, as gs.contact_law('piecewise', K_c, gap)",
     ),
     "label for a function": (
         lambda: gs.law("tanh-1e4", 1.4e4, GAP),

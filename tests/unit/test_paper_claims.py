@@ -12,7 +12,7 @@ from workflows.paper.cftool import RATIOS as RANDOM_RATIOS
 from workflows.paper.cftool import UNITS
 from workflows.paper.ladders import CONSTRAINTS, DEGREES, PARAMETERS, RATIOS, VARIABLES
 from workflows.paper.language import SETTINGS, At, Quantity, alike
-from workflows.paper.measures import named, ranges
+from workflows.paper.measures import median, named, ranges
 from workflows.paper.refined import BASINS, CLOUD, MOTIONS, WINDOWS
 from workflows.paper.scenes import EXACT, STARTS, TANGENTS, WEAK
 
@@ -87,7 +87,7 @@ class Drawn(Run):
         return np.where(agree, shared, other)
 
     def levels(self, own, name, scene, shape):
-        """How often a law agrees: below and above 15 Hz, in periodic motion and in chaos."""
+        """Shares of agreement of a law: below 15 Hz, above it, and in chaotic motion."""
         low, high, chaotic = own.choice(LEVELS, 3)
         omega = np.array(self.study.grid.omega)
         if np.ravel(shape)[0] != omega.size:
@@ -134,7 +134,7 @@ class Drawn(Run):
         return found
 
     def extrema(self, label, scene, shape):
-        """Of every class as many as any, or only of chaos many."""
+        """Random extrema: 2 to 19 for every point, or 20 for chaotic points and 2 for others."""
         n = self.rng("few").integers(2, 20, shape)
         if self.rng("kind").random() < 0.5:
             n = np.where(self.values("response_class", label, scene, shape) == 1, 20, 2)
@@ -188,7 +188,7 @@ class Drawn(Run):
             axes = {
                 "gap": scene["gap"], "K_c": scene["K_c"], "constraint": list(CONSTRAINTS),
                 "degree": list(DEGREES), "family": list(TANGENTS), "ratio": list(RATIOS),
-                "parameter": list(PARAMETERS),
+                "parameter": list(PARAMETERS), "unit": list(UNITS),
             }  # fmt: skip
             dims = {variable: dims for variable, (dims, *_) in VARIABLES.items()}
         elif name == "cftool":
@@ -256,8 +256,9 @@ class Drawn(Run):
         else:
             assert name == "histories"
             bins, omega = np.arange(0.0, 10.0, 1 / 12), np.repeat([11.0, 21.75], len(STARTS))
-            labels = ["piecewise@paper", "piecewise-noevents@paper", "tanh-1e6@paper"]
-            spectrum = 10.0 ** self.rng(name).uniform(-4, 0, (omega.size, 3, bins.size))
+            labels = self.study.spec.history[0].representation
+            shape = (omega.size, len(labels), bins.size)
+            spectrum = 10.0 ** self.rng(name).uniform(-4, 0, shape)
             return xr.Dataset(
                 {"spectrum": (("history", "representation", "frequency_bin"), spectrum),
                  "omega": ("history", omega),
@@ -271,7 +272,7 @@ class Drawn(Run):
 
 @pytest.fixture(scope="module")
 def outcomes(study):
-    """Every outcome that every test of every claim has had, over many drawn runs.
+    """Every outcome that every test of every claim has had, over many drawn runs, by setting.
 
     A claim whose tests have all gone both ways is not drawn again.
     """
@@ -283,9 +284,11 @@ def outcomes(study):
             if draw >= N_FEW and all({True, False} <= seen for _, seen in known.values()):
                 continue
             with suppress(NotInRunError):  # nothing of a kind was drawn
-                for i, test in enumerate(claim.find(run)[0]):
-                    known.setdefault(i, (test.says, set()))[1].add(test.holds)
-    return {(id, i): seen for id, known in found.items() for i, seen in known.items()}
+                tests, _, others = claim.find(run)
+                for words, one in {"": tests, **others}.items():
+                    for i, test in enumerate(one):
+                        known.setdefault((words, i), (test.says, set()))[1].add(test.holds)
+    return {(id, *key): seen for id, known in found.items() for key, seen in known.items()}
 
 
 @pytest.mark.packaging
@@ -346,6 +349,36 @@ def test_a_claim_is_decided_with_every_setting_that_it_uses(rest, verdict):
     assert f"rest: {verdict}" in decided["sentence"]
 
 
+@pytest.mark.parametrize("id", [3, 65, 66, 67, 68, 69, 70, 71, 82])
+@pytest.mark.filterwarnings("ignore")
+def test_claims_on_located_contacts_are_decided_with_both_contact_forces(study, id):
+    """The unlocated and smooth laws have one solver, the located one has two."""
+    decided = CLAIMS[id - 1].decided(Drawn(study, 0))
+    both = [*SETTINGS["force"].values()]
+    assert f"{both[0]}: " in decided["sentence"]
+    assert f"{both[1].capitalize()}: " in decided["sentence"]
+    assert (both[1] in decided["otherwise"]) is (id != 82)
+
+
+@pytest.mark.parametrize("id", [58, 74])
+@pytest.mark.filterwarnings("ignore")
+def test_numbers_that_are_typed_in_are_named_so(study, id):
+    decided = CLAIMS[id - 1].decided(Drawn(study, 0))
+    assert "typed in from benchmarks/one_method.py" in decided["sentence"]
+    assert all("typed in" in test["says"] for test in decided["tests"])
+
+
+def test_the_difference_of_medians_is_that_of_the_pairs():
+    """Frequencies differ by decades and the two laws by a tenth of one at each."""
+    decades, of = np.linspace(-6.0, 0.0, 41), np.arange(41.0)
+    far, near = median(decades + 0.1, of), median(decades, of)
+    assert far.floor > 0.5
+    paired = far - near
+    assert (paired.value, paired.floor) == pytest.approx((0.1, 0.0), abs=1e-12)
+    unpaired = far - median(decades[:20], of[:20])
+    assert unpaired.floor > 0.5
+
+
 def test_claims_quote_the_paper():
     for claim in CLAIMS:
         assert "'" in claim.text, claim.id
@@ -359,5 +392,9 @@ def test_bands_in_words():
 
 
 def test_names_are_those_of_the_paper():
-    names = {"poly-13": "Poly-13", "ratpoly-5/3": "RatPoly 5/3", "piecewise": "exact law"}
+    names = {
+        "poly-13": "Poly-13", "ratpoly-5/3": "RatPoly 5/3", "piecewise": "exact law",
+        "logarctan-1e4": "log-arctan", "tanh-1e9@paper": "tanh-1e9 (rtol 1e-4)",
+        "piecewise-noevents@finer": "without events (rtol 1e-6)",
+    }  # fmt: skip
     assert {label: named(label) for label in names} == names

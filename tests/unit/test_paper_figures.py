@@ -291,11 +291,28 @@ def test_figures_are_those_the_run_has_points_for(kept):
     assert numbers(responses_of(WEAK, K_c=(2e4,))) == []
 
 
+def test_captions_compare_frequencies_with_those_of_the_paper():
+    responses = responses_of(WEAK, K_c=(1.4e4, 1.4e6))
+    period, trough = responses["period_multiple"], responses["x_min"]
+    period.loc[
+        {"representation": "logarctan-1e4", "omega": [22.0, 26.0], "initial_condition": 0}
+    ] = 3
+    trough.loc[
+        {"representation": "ratpoly-5/3", "omega": slice(3.0, 7.0), "initial_condition": 0}
+    ] = -1.0
+    drawn = {d.name: d.caption for d in drawn_of(responses)}
+    assert "Here period 3 (number of frequencies): log-arctan 22-26 Hz (2)." in drawn["Fig. 6b"]
+    for start, found in (("rest", "RatPoly 5/3 3-7 Hz (5)"), ("+0.4 mm", "none")):
+        words = f"negative mean from {start} (number of frequencies): {found}."
+        assert words in drawn["Fig. 8c"]
+        assert words not in drawn["Fig. 8b"]
+
+
 def test_the_bands_come_first_and_empty_sections_are_left_out():
     (drawn,) = rendered(sections(Run({"responses": responses_of(WEAK)})))
     assert drawn["anchor"] == "paper"
     (table,) = drawn["tables"]
-    assert {row[0] for row in table["rows"]} == {"8b"}
+    assert {row[0] for row in table["rows"]} == {"6b", "8b"}
     assert [is_picture(each["svg"]) for each in drawn["figures"]] == [True] * 2
     few = Run({"responses": responses_of(["poly-5"], K_c=(2e4,))})
     assert rendered(sections(few)) == []

@@ -1,4 +1,4 @@
-"""What a figure shows as CSV and as JSON: the same numbers, and how they are drawn."""
+"""Data of figures as CSV and as JSON: equal numbers, and their style."""
 
 import base64
 import csv

@@ -1,6 +1,7 @@
-"""What cannot be used is refused in one line that names the value and what to do."""
+"""Invalid input gives an error of one line with the value and the remedy."""
 
 import math
+import tempfile
 from decimal import Decimal
 from fractions import Fraction
 
@@ -19,6 +20,10 @@ TABLES = {
 OSCILLATOR, LAW = paper_oscillator(), gs.Piecewise(1.4e4, GAP)
 
 
+def spring(x):
+    return 1e4 * x
+
+
 def simulated(**changes):
     given = {"oscillator": OSCILLATOR, "law": LAW, "omega": 9.0, "t_end": 0.1}
     return gs.simulate(**(given | changes))
@@ -33,7 +38,28 @@ REFUSED = {
     "no frequency": (lambda: simulated(omega=[]), r"omega = \[\]: .* at least one"),
     "None for a frequency": (lambda: simulated(omega=None), "omega: missing; write omega = 9"),
     "None for a start": (lambda: simulated(x_0=None), "x_0 = None: must be a number"),
-    "no law": (lambda: simulated(law=None), r"law = None: .* gapsweep\.contact_law\("),
+    "no law": (lambda: simulated(law=None), r"law = None: .* gs\.contact_law\("),
+    "function for a law": (lambda: answered(law=spring), r"law = .* gs\.law\(function, K_c, gap\)"),
+    "function for a contact": (
+        lambda: gs.respond(
+            gs.System(mass=[[1.0]], stiffness=[[1.0]], contacts={"a": [1.0]}),
+            {"a": spring},
+            q_0=1.0,
+        ),
+        r"law = .* gs\.law\(function, K_c, gap\)",
+    ),
+    "own law without its gap": (lambda: gs.law(spring, K_c=1.0), r"'gap'; .*write gs\.law\("),
+    "misspelt K_c": (lambda: gs.law(spring, Kc=1.0, gap=GAP), r"'K_c'; .*write gs\.law\("),
+    "misspelt start": (lambda: answered(xo=0.0), r"'xo'; .*x_0.*write gs\.respond\("),
+    "misspelt end": (lambda: simulated(tend=1.0), r"'tend'; .*t_end.*write gs\.simulate\("),
+    "misspelt criterion": (lambda: gs.Steady(n_period=3), r"'n_period'; .*write gs\.Steady\("),
+    "label without numbers": (lambda: gs.contact_law("tanh-1e4"), r"'K_c'; .*gs\.contact_law\("),
+    "basins without starts": (lambda: gs.basins(OSCILLATOR, LAW, 9.0), r"'x'; .*gs\.basins\("),
+    "branches of no law": (lambda: gs.branches(OSCILLATOR), r"'law'; .*write gs\.branches\("),
+    "curve of nothing": (lambda: gs.special_curve(OSCILLATOR), r"'point'; .*gs\.special_curve\("),
+    "error of nothing": (lambda: gs.static_error(), r"'law'; .*write gs\.static_error\("),
+    "misspelt workers": (lambda: gs.run(TABLES, worker=2), r"'worker'; .*write gs\.run\("),
+    "misspelt cache": (lambda: gs.plan(TABLES, caches="a"), r"'caches'; .*write gs\.plan\("),
     "law by its label": (lambda: simulated(law="tanh-1e4"), r"'tanh-1e4': .*contact_law\("),
     "no oscillator": (
         lambda: simulated(oscillator=None),
@@ -165,6 +191,7 @@ CALLED = {
     "timeout": [0, -1.0, float("nan"), "a", None],
     "out": ["n" * 400, "a\0b", 3],
     "cache": ["n" * 400, "a\0b", 3],
+    "scheduler": [3, b"tcp://127.0.0.1:8786"],
 }
 
 
@@ -175,7 +202,7 @@ CALLED = {
 )
 def test_arguments_of_a_run_are_refused_before_anything_starts(tmp_path, monkeypatch, name, value):
     monkeypatch.chdir(tmp_path)
-    calls = [gs.run, *([gs.query] * (name in ("workers", "cache")))]
+    calls = [gs.run, *([gs.query] * (name in ("workers", "cache", "scheduler")))]
     calls += [gs.plan] * (name in ("timeout", "cache"))
     for call in calls:
         with pytest.raises(gs.GapsweepError, match=f"^{name} = .*: must be ") as refused:
@@ -183,6 +210,14 @@ def test_arguments_of_a_run_are_refused_before_anything_starts(tmp_path, monkeyp
         assert "\n" not in str(refused.value)
         assert len(str(refused.value)) < 300
     assert not list(tmp_path.iterdir())
+
+
+def test_a_folder_too_long_for_sockets_is_named_before_a_cluster_starts(tmp_path, monkeypatch):
+    """Names of sockets have up to 107 bytes (man 7 unix); those of workers add 32."""
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / ("n" * 100)))
+    (tmp_path / ("n" * 100)).mkdir()
+    with pytest.raises(gs.ClusterError, match=r"TMPDIR = .*: must have <= .* TMPDIR=/tmp"):
+        gs.query(gs.Study.from_dict(TABLES), cache=tmp_path / "cache")
 
 
 def test_a_refusal_of_many_blocks_is_short():

@@ -74,7 +74,7 @@ def made(folder, sizes, **more):
 
 
 def in_own_units(responses):
-    """The same responses, of a coordinate whose unit only the user knows."""
+    """The responses, with a coordinate of unknown unit."""
     return responses.assign(x_max=responses["x_max"].drop_attrs())
 
 
@@ -246,7 +246,8 @@ def decided(sentence="Holds."):
         }
         for i, verdict in enumerate(VERDICTS, start=1)
     ]
-    return {"counts": dict.fromkeys(VERDICTS, 1), "claims": claims}
+    counts = dict.fromkeys(VERDICTS, 1)
+    return {"counts": counts, "otherwise": {HOSTILE: counts}, "claims": claims}
 
 
 PART = {
@@ -457,14 +458,16 @@ def test_solvers_are_told_with_what_they_take_from_elsewhere(tmp_path):
         "solver": {"controller": "ode45", "restart": True, "rtol": 1e-4},
         "protocol": {
             "off": {"restart": False, "start_jitter": 0.0},
+            "written": {"contact_force": "as_written"},
             "moved": {"start_jitter": 1e-9},
         },
     }
     told = dict(provenance(responses.assign_attrs(study_json=json.dumps(study))))
     usual = "engine compiled, rtol 0.0001, atol rtol × static deflection, controller ode45"
-    assert told["Solver"] == f"{usual}, restart True"
-    assert told["Solver of @off"] == usual
-    assert told["Solver of @moved"] == f"{usual}, restart True, start_jitter 1e-9"
+    assert told["Solver"] == f"{usual}, restart True, contact_force by_mode"
+    assert told["Solver of @off"] == f"{usual}, contact_force by_mode"
+    assert told["Solver of @written"] == f"{usual}, restart True, contact_force as_written"
+    assert told["Solver of @moved"] == f"{told['Solver']}, start_jitter 1e-9"
 
 
 def test_the_model_of_a_system_is_what_its_function_made():
@@ -647,8 +650,8 @@ def test_figures_are_not_written_where_a_link_leads(tmp_path):
 def test_the_page_says_how_it_was_made(page):
     text = page.read_text()
     assert (
-        "<dd>engine compiled, rtol 1e-9, atol rtol × static deflection, controller native</dd>"
-        in text
+        "<dd>engine compiled, rtol 1e-9, atol rtol × static deflection, controller native, "
+        "contact_force by_mode</dd>" in text
     )
     assert "0.133 min for 16 sweep points" in text  # half a second each
     settings = re.search(r"<pre[^>]*>(.*?)</pre>", text, re.S)[1]

@@ -1,6 +1,7 @@
 """Steady responses: closed forms, energy balance, period multiples, outcomes."""
 
 import math
+import re
 import time
 from dataclasses import fields, replace
 from functools import partial
@@ -52,6 +53,33 @@ def test_autonomous_motions_that_are_not_begun_in_time_have_timed_out():
     starts = np.linspace(0.1, 1.0, 200)[:, None]
     found = gs.respond(system, gs.Piecewise(1.0, gs.Gap(0.1, 0.1)), q_0=starts, time_limit=1e-3)
     assert {*found.status} == {Status.TIMED_OUT}
+
+
+def test_a_slow_law_of_a_user_ends_soon_after_its_time_limit():
+    def slow(x):
+        for _ in range(1000):
+            x = math.sin(x)
+        return 0.0 * x
+
+    law = gs.law(slow, K_c=0.0, gap=SYMMETRIC)
+    assert gs.simulate(paper_oscillator(), law, 9.0, n_periods=1).status is Status.OK  # compiles
+    begin = time.thread_time()
+    run = gs.simulate(paper_oscillator(), law, 9.0, n_periods=10**6, time_limit=0.1)
+    assert run.status is Status.TIMED_OUT
+    assert time.thread_time() - begin < 10.0
+
+
+@pytest.mark.parametrize("engine", ["compiled", "scipy"])
+def test_where_a_force_is_no_number_the_model_is_invalid(engine):
+    def undefined(x, far):
+        return math.nan if x > 5e-4 else (math.inf if x < -far else -1e9 * x * abs(x))
+
+    # Beyond 5e-4 m no number; left of -far infinite; a spring that pushes outwards diverges.
+    laws = [gs.law(undefined, K_c=0.0, gap=SYMMETRIC, far=far) for far in (5e-4, 1e9)]
+    found = gs.respond(paper_oscillator(alpha=0.0), laws, 9.0, [4e-4, -0.1], engine=engine)
+    assert [*found.status] == [Status.MODEL_INVALID, Status.DIVERGED]
+    assert "force" in found.message[0]
+    assert "force" not in found.message[1]
 
 
 @pytest.mark.parametrize("time_limit", [0.0, -1.0, math.nan, "1"])
@@ -218,6 +246,22 @@ def test_any_number_of_looks_may_be_taken():
     steady = gs.Steady(settle_tol=1e-50, n_periods=2, max_period_multiple=1)
     response = gs.respond(paper_oscillator(), gs.Piecewise(1.4e6, ASYMMETRIC), 11.0, steady=steady)
     assert response.t_simulated > math.log(1e50) / paper_oscillator().decay_rate
+
+
+def test_a_motion_without_damping_names_the_damping_of_its_model():
+    ends, law, given = gs.Steady(max_periods=60), gs.Piecewise(1.0, gs.Gap(0.5, 0.5)), 0.11
+    held = gs.Oscillator(mass=1.0, omega_n=0.16, zeta=0.0, forcing=0.3)
+    found = gs.respond(held, law, given, steady=ends)
+    assert found.status is Status.UNRESOLVED
+    assert "zeta" in found.message
+    stiffness, push = [[2.0, -1.0], [-1.0, 1.0]], gs.Harmonic(amplitude=[0.3, 0.0])
+    matrices = {"mass": np.eye(2), "stiffness": stiffness, "contacts": {"a": [1.0, 0.0]}}
+    found = gs.respond(gs.System(**matrices, forcing=[push]), law, given, steady=ends)
+    assert found.status is Status.UNRESOLVED
+    assert "zeta" not in found.message
+    remedy = re.search(r"damping = (.*)", found.message).group(1)
+    damped = gs.System(**matrices, forcing=[push], damping=eval(remedy, {"np": np}))
+    assert gs.respond(damped, law, given).status is Status.OK
 
 
 def test_response_that_leaves_the_fitted_range_keeps_its_values():

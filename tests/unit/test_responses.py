@@ -21,7 +21,7 @@ INPUTS = next(each for each in fields(Response) if each.name == "inputs")
 
 @pytest.fixture(scope="module")
 def responses():
-    """Of every class, of several laws in turn."""
+    """Responses of every class, alternating between several laws."""
     steady = gs.Steady(settle_tol=1e-2, max_decay_times=6.0)
     laws = [
         gs.Piecewise(1.4e6, ASYMMETRIC),

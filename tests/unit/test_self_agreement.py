@@ -1,4 +1,4 @@
-"""Which protocols of the exact law are a floor, and which are representations like any other."""
+"""Protocols of the exact law that measure reproducibility, and those that do not."""
 
 import json
 
@@ -36,6 +36,7 @@ def test_tighter_or_jittered_is_a_floor(protocol):
         {"rtol": 1e-8},
         {"rtol": 5e-10, "atol": 1e-11},
         {"rtol": 5e-10, "restart": True},
+        {"rtol": 5e-10, "contact_force": "as_written"},
         {"engine": "scipy", "rtol": 1e-10, "atol": 1e-13},
         {"start_jitter": 1e-5},
         {"start_jitter": 1e-9, "rtol": 1e-4},

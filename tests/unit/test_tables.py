@@ -1,4 +1,4 @@
-"""What a terminal shows fits 80 columns and breaks between words."""
+"""Terminal output fits 80 columns and breaks between words."""
 
 import json
 from pathlib import Path

@@ -86,6 +86,7 @@ def test_a_call_and_a_study_have_the_same_doubts(name):
     found = list(doubts_of(study_of(changed)))
     assert len(found) == (begins is not None)
     assert all(text.startswith(begins) for text in found)
+    assert [*doubts_of(study_of(changed), "far")] == [*found, "far"]
     oscillator = gs.Oscillator(**machine)
     given = dict(zip(("x_0", "v_0"), start, strict=True))
     assert warned(gs.simulate, oscillator, law, omega, **given, n_periods=1) == found

@@ -21,7 +21,7 @@ from gapsweep.status import Status
 from . import paper_figures as draw
 from . import scenes
 from .answer import answer
-from .measures import KINDS, late_periods, ranges
+from .measures import AS_DRAWN, KINDS, late_periods, listed, named, ranges
 from .scenes import (
     EXACT,
     HARD_ASYMMETRIC,
@@ -39,7 +39,7 @@ LIMITS = (EXACT, NO_EVENTS, "tanh-1e6", "tanh-1e9")
 PROTOCOLS = {"": "", "@paper": "; the paper's solver"}  # as labels end
 FREE, RATIOS = ("poly-13", "poly-21"), ("ratpoly-3/5", "ratpoly-5/3", "ratpoly-5/5")
 STATIC = {
-    "2a": ((scenes.SOFT,), ("poly-3", "poly-7", *FREE)),
+    "2a": ((scenes.SOFT,), tuple(f"poly-{degree}" for degree in range(3, 22, 2))),
     "2b": ((scenes.SOFT,), (*FREE, *(law + CONSTRAINED for law in FREE))),
     "2c": ((scenes.HARD, scenes.VERY_SOFT), FREE),
     "3a": ((scenes.SOFT,), ("ratpoly-3/2", "ratpoly-5/3")),
@@ -66,26 +66,29 @@ _PAPER = (
     "with those found here with the tight solver. A dash: none; +4: four narrower bands more."
 )
 _SCAN = (
-    "Shares of the frequencies from 12 to 30 Hz at which the exact law has period 3, inside and "
-    "outside the band of Figs 6b and 8b, 17-21 Hz, from 41 displacements and 5 velocities. Table 1 "
-    "states rest, from which there is none. The other figures agree with +0.4 mm too: evidence, no "
-    "proof."
+    "Share of the frequencies from 12 to 30 Hz at which the exact law has period 3, inside and "
+    "outside the band of Figs 6b and 8b, 17-21 Hz, over the initial condition (41 displacements, 5 "
+    "velocities). Table 1 states rest, which leads to none. The other figures agree with +0.4 mm "
+    "too: evidence, no proof."
 )
 _RATIONAL = (
-    " 3/2 is odd here, being the least-squares optimum; the paper's 3/2 is not, and has a negative "
+    " 3/2 is the least-squares optimum and odd; the paper's 3/2 is not odd, and has a negative "
     "force in most of the gap."
 )
 _RUNGS = (
-    "Errors of the smooth laws are integrals over the range, those of fits means over points. "
-    "None is shown below 1e-15. Dotted: the paper's bound for its weak grade."
+    "Error of the contact force over the degree or the convergence parameter: integrals over the "
+    "range for smooth laws, means over points for fits; none below 1e-15. Dotted: the paper's "
+    "bound for its weak grade."
 )
 _PEAKS = (
-    "Peaks from fixed initial conditions; the report's figures of each case have the sweeps too. "
-    "The exact law has a panel, and larger dots behind the others. Dashed: the upper wall."
+    "Peak displacement in the steady state over the forcing frequency, from fixed initial "
+    "conditions. The exact law has its own panel, and larger dots behind each other law. Dashed: "
+    "the upper wall."
 )
-_EXTREMA = "All steady zero-velocity displacements; dashed: walls."
+_EXTREMA = (
+    "Displacements at zero velocity in the steady state over the forcing frequency. Dashed: walls."
+)
 _SAME = "Red: peak or trough differ by more than 2 % of the gap; they are the same at"
-_AS_DRAWN = 0.02  # of the gap's width: the smallest difference that a plot shows
 
 
 def sections(run: Run) -> Iterator[Part]:
@@ -124,6 +127,7 @@ def figures(run: Run) -> Iterator[Figured]:
             n = np.count_nonzero(scene["status"] != Status.NOT_REQUESTED)
             counts = ", ".join(filter(None, (f"{n} points", draw.without_response(scene))))
             words += f"{caption_of_marks(figure)} {counts}."
+            words += "" if solver or name not in ("6a", "6b", "8c") else _compared(name, scene)
             yield _figured(figure, f"{name}{', their solver' * bool(solver)}", *at, words, solver)
     if "histories" in run.datasets:
         yield from _histories(run["histories"])
@@ -149,9 +153,10 @@ def _static_figures(run: Run) -> Iterator[Figured]:
             for K_c in stiffnesses
         )
         words = (
-            f"Shade: the gap. Largest force in the gap [N], by row: {'; '.join(leaks)}; the "
-            f"forcing is {abs(static['forcing'].item()):g} N. Every force is proportional to K_c: "
-            f"relative errors are the same at every stiffness.{_RATIONAL * (name == '3a')}"
+            f"Contact force near the gap (shaded), and its error over the fit range. Largest force "
+            f"in the gap [N], by row: {'; '.join(leaks)}; the forcing is "
+            f"{abs(static['forcing'].item()):g} N. Every force is proportional to K_c: relative "
+            f"errors are the same at every stiffness.{_RATIONAL * (name == '3a')}"
         )
         figure = force_curves(static, forces, stiffnesses)
         yield _figured(figure, name, stiffnesses, SYMMETRIC, words)
@@ -199,7 +204,7 @@ def _apart(scene: xr.Dataset, *layers: draw.Layer) -> NDArray[np.bool_]:
         scene[["x_max", "x_min"]].sel(representation=law).isel(initial_condition=starts[0])
         for law, starts in layers
     ]
-    near = _AS_DRAWN * (scene["j_1"] + scene["j_2"])
+    near = AS_DRAWN * (scene["j_1"] + scene["j_2"])
     same = abs(ends[0] - ends[1]).to_dataarray().max("variable", skipna=False) <= near
     return np.asarray(~same)
 
@@ -211,6 +216,24 @@ def _starts(scene: xr.Dataset) -> dict[str, int]:
         for name, (x, v) in reversed(scenes.STARTS.items())
         if (at := np.flatnonzero((abs(scene["x_0"] - x) < 1e-12) & (scene["v_0"] == v))).size
     }
+
+
+def _compared(name: str, scene: xr.Dataset) -> str:
+    """Frequencies that the paper states, and range and number of those of each law here."""
+    starts = {f" from {start}": [at] for start, at in _starts(scene).items()}
+    if name[0] in "67":
+        starts = {"": list(range(scene.sizes["initial_condition"]))}
+    words = ""
+    for _, paper, kind, band in (one for one in BANDS if one[0] == name and one[2] in DIFFERENT):
+        words += f" Paper: {paper} Hz."
+        for start, at in starts.items():
+            some = scene.sel(omega=slice(*band)).isel(initial_condition=at)
+            hits, found = KINDS[kind][1](some).any("initial_condition"), []
+            for law in labels_of(some):
+                w = some["omega"].values[hits.sel(representation=law).values]
+                found += [f"{named(law)} {w[0]:g}-{w[-1]:g} Hz ({w.size})"] if w.size else []
+            words += f" Here {kind}{start} (number of frequencies): {listed(found)}."
+    return words
 
 
 def _histories(histories: xr.Dataset) -> Iterator[Figured]:
@@ -226,18 +249,24 @@ def _histories(histories: xr.Dataset) -> Iterator[Figured]:
         for label, found in zip(labels_of(scene), late_periods(scene).T.tolist(), strict=True)
     )
     words = (
-        f"Last {draw.SHOWN_PERIODS} forcing periods, and spectrum (Hann window). Periods to 2 % of "
-        f"the gap (root mean square), by row: {'; '.join(periods)}."
+        f"Displacement in the last {draw.SHOWN_PERIODS} forcing periods, and its spectrum (Hann "
+        f"window). {_FIG_11} Here, to 2 % of the gap (root mean square), by row: "
+        f"{'; '.join(periods)}."
     )
     figure = draw.histories_and_spectra(scene)
     yield _figured(figure, "11, their solver", *HARD_ASYMMETRIC, words, PROTOCOLS["@paper"])
 
 
+_FIG_11 = (
+    "The paper has period 1 with events and period 3 without them and with tanh at 11 Hz, and "
+    "period 2 at 21.75 Hz."
+)
 # Figure, the paper's words, the kind of response that is looked for, within which frequencies [Hz].
 BANDS = (
     ("6a", "superharmonic near 2", "largest amplitude", (1.2, 3.0)),
     ("6a", "RatPoly: subharmonic 11-12", "period above 1", (4.0, 30.0)),
     ("6a", "RatPoly: peak below 0 from 22", "peak below 0", (15.0, 30.0)),
+    ("6b", "subharmonic (log-arctan: none) 17-21", "period 3", (12.0, 30.0)),
     ("6c", "jump near 12", "largest amplitude", (0.0, 30.0)),
     ("6c", "chaos 13-15", "chaos", (10.0, 30.0)),
     ("6c", "RatPoly: 15-18, subharmonic 21-22", "period above 1", (13.0, 30.0)),
@@ -245,11 +274,13 @@ BANDS = (
     ("8b", "transitions near 6 and 7", "period above 1", (5.2, 8.5)),
     ("8b", "RatPoly, arctan: after the jump", "period not 1", (10.0, 17.0)),
     ("8b", "subharmonic 17-21", "period 3", (12.0, 30.0)),
+    ("8c", "RatPoly: negative mean to 20", "negative mean", (0.0, 20.0)),
     ("8c", "RatPoly: larger above 20; tanh: never", "crosses 0", (0.0, 30.0)),
     ("9", "more behaviour 10-12", "period not 1", (9.0, 13.0)),
     ("9", "higher periods 12-20", "period above 1", (12.0, 20.0)),
     ("9", "log-arctan: beyond 20", "period not 1", (20.0, 30.0)),
 )
+DIFFERENT = ("period above 1", "period 3", "peak below 0", "negative mean")  # in Figs 6a, 6b, 8c
 _LAWS = ("exact", "Poly", "RatPoly", "tanh", "arctan", "log-arctan")
 _HYPHEN = "\u2011"  # at which no line is broken
 _BANDS_HEAD = ["Fig.", "Paper [Hz]", "Here [Hz]", "From", *_LAWS]

@@ -19,6 +19,7 @@ from gapsweep.model.labels import contact_law
 from gapsweep.model.oscillator import Gap
 from gapsweep.study.study import Study
 
+from .cftool import UNITS
 from .scenes import TANGENTS
 
 Array = NDArray[np.float64]
@@ -37,7 +38,7 @@ VARIABLES = {
     "poly_r_squared": (_POLY, "1", "coefficient of determination of a polynomial"),
     "poly_in_gap_force": (_POLY, "m", "largest in-gap force of a polynomial"),
     "poly_outside_error": (_POLY, "m", "largest force error of a polynomial outside the gap"),
-    "poly_condition": (("degree",), "1", "condition number of least squares in powers of x [m]"),
+    "poly_condition": (("degree", "unit"), "1", "condition number of least squares in powers of x"),
     "poly_smallest_degree": (
         ("K_c", "gap"),
         "1",
@@ -74,9 +75,10 @@ def ladders(study: Study) -> xr.Dataset:
     """
     gaps, K_c, x_max = study.grid.gaps, np.array(study.grid.K_c), study.spec.fit.range
     values = _stacked([_errors(gap, x_max) for gap in gaps])
-    x = np.linspace(-x_max, x_max, N_FIT_POINTS)
-    powers = [np.vander(x, degree + 1, increasing=True) for degree in DEGREES]
-    values["poly_condition"] = np.array([np.linalg.cond(columns) for columns in powers])
+    scaled = [x_max * scale * np.linspace(-1.0, 1.0, N_FIT_POINTS) for scale in UNITS.values()]
+    values["poly_condition"] = np.array(
+        [[np.linalg.cond(np.vander(x, degree + 1)) for x in scaled] for degree in DEGREES]
+    )
     leak = np.multiply.outer(K_c, values["poly_in_gap_force"][:, 0])
     enough = leak < _LEAK * abs(study.oscillator.forcing)
     first = np.array(DEGREES)[enough.argmax(axis=-1)]
@@ -92,6 +94,7 @@ def ladders(study: Study) -> xr.Dataset:
             "degree": list(DEGREES),
             "constraint": list(CONSTRAINTS),
             "ratio": list(RATIOS),
+            "unit": list(UNITS),
             "family": list(TANGENTS),
             "parameter": ("parameter", list(PARAMETERS), {"units": "m-1"}),
         },

@@ -7,7 +7,7 @@ other value of the settings that its quantities have used.
 """
 
 import math
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from itertools import product
@@ -16,10 +16,12 @@ from typing import Any
 from gapsweep.analysis.claims import Claim, Found, NotInRunError, Number, Run, Test, verdict
 
 SETTINGS: dict[str, dict[str, str]] = {
-    "start": {"+0.4 mm": "start at +0.4 mm", "rest": "start at rest"},
+    "start": {"+0.4 mm": "from +0.4 mm", "rest": "from rest"},
+    # Inside a step that a located contact ends; as protocols of the exact law end.
+    "force": {"": "contact force as Eq. 1b", "-mode": "contact force by mode"},
     "share": {
-        "amplitude": "errors as shares of the exact amplitude",
-        "gap": "errors as shares of the exact amplitude or half of the gap, the larger one",
+        "amplitude": "errors relative to the exact amplitude",
+        "gap": "errors relative to the exact amplitude or half of the gap, the larger one",
     },
     "gap": {"1.5/1.5": "gap 1.5 mm", "1.1/1.1": "gap 1.1 mm", "1.8/1.8": "gap 1.8 mm"},
     "unit": {"m": "x in m", "mm": "x in mm", "4 mm": "x as a share of 4 mm"},
@@ -31,7 +33,7 @@ _MARKS = {True: "✓", False: "✗", None: "open"}
 
 @dataclass(frozen=True)
 class At:
-    """A run, the settings with which it is read, and which of them were used."""
+    """A run, settings other than the first values, and which settings were used."""
 
     run: Run
     settings: dict[str, str]
@@ -39,7 +41,7 @@ class At:
 
     def __getitem__(self, setting: str) -> str:
         self.used.add(setting)
-        return self.settings[setting]
+        return self.settings.get(setting, next(iter(SETTINGS[setting])))
 
 
 Read = Callable[[At], Number]
@@ -99,6 +101,11 @@ class Quantity:
             noun = {"minus": f"difference of {self.what}"}
             what = noun.get(word, f"ratio of {self.what.partition(' [')[0]}")
         return Quantity(what, tuple(part(*two) for two in pairs(self, other)), self.form)
+
+    def listed(self, at: At) -> str:
+        """What the numbers are, and each by its name."""
+        numbers = (f"{name} {self.shown(read(at).value)}".strip() for name, read in self.parts)
+        return f"{self.what}: {', '.join(numbers)}"
 
     def scaled(self, number: float) -> float:
         """A threshold as the numbers are read."""
@@ -201,20 +208,28 @@ def claim(
     where, words = (place, "") if isinstance(place, str) else (place.place, f"{place.words}. ")
 
     def find(run: Run) -> Found:
-        first = {name: next(iter(values)) for name, values in SETTINGS.items()}
-        at = At(run, first)
+        at = At(run, {})
         tests, found = _decided(comparisons, at)
-        others = list(_with_other_settings(comparisons, at, tests))
-        shown = [
-            f"{q.what}: {', '.join(f'{n} {q.shown(r(at).value)}'.strip() for n, r in q.parts)}"
-            for q in context
-        ]
-        own, open_to = verdict(test.holds for test in tests), unstated
-        if any(name == DECISIVE and text != own for name, _, text in others):
-            open_to = f"Not in the text: the {DECISIVE} of x. {SETTINGS[DECISIVE]['m']}: {own}"
-        said = [f"{says}: {text}" for _, says, text in others]
-        sentence = ". ".join(filter(None, [open_to, found, *shown, *said])) + "."
-        return ([] if open_to else tests), sentence.replace(f"{where}, ", "")
+        own, is_open_to = verdict(t.holds for t in tests), unstated
+        used = [name for name in SETTINGS if name in at.used]
+        usual = ", ".join(next(iter(SETTINGS[name].values())) for name in used if name != "share")
+        said = [is_open_to, f"{usual}: {own}" if usual else "", found]
+        said += [q.listed(at) for q in context]
+        others = {}
+        for name, (value, says) in ((n, v) for n in used for v in [*SETTINGS[n].items()][1:]):
+            with suppress(NotInRunError):
+                again, words = _decided(comparisons, At(run, {name: value}))
+                other = verdict(t.holds for t in again)
+                if name != DECISIVE:
+                    others[says] = again
+                elif other != own:
+                    is_open_to = said[0] = f"Not in the text: the {DECISIVE} of x"
+                if other != own or name != "share":  # a share that changes nothing is not named
+                    more = f" ({words})" if other != own and name != DECISIVE else ""
+                    said.append(f"{says}: {other}{more}")
+        said = [one.replace(f"{where}, ", "") for one in said if one]
+        sentence = ". ".join(one[0].upper() + one[1:] for one in said) + "."
+        return ([], sentence, {}) if is_open_to else (tests, sentence, others)
 
     return Claim(id, where, quote, f"{words}{note}".strip(), find)
 
@@ -222,21 +237,3 @@ def claim(
 def _decided(comparisons: Iterable[Comparison], at: At) -> tuple[list[Test], str]:
     found = [comparison.decided(at) for comparison in comparisons]
     return [test for tests, _ in found for test in tests], "; ".join(text for _, text in found)
-
-
-def _with_other_settings(
-    comparisons: Iterable[Comparison], at: At, tests: list[Test]
-) -> Iterator[tuple[str, str, str]]:
-    """Verdicts with the other values of settings that were used: setting, its words, verdict.
-
-    Another share is left out where the verdict is the same; what was found is added where not.
-    """
-    own = verdict(test.holds for test in tests)
-    for name in sorted(at.used):
-        for value, says in list(SETTINGS[name].items())[1:]:
-            with suppress(NotInRunError):
-                again, words = _decided(comparisons, At(at.run, {**at.settings, name: value}))
-                other = verdict(test.holds for test in again)
-                if other != own or name != "share":
-                    more = f" ({words})" if other != own and name != DECISIVE else ""
-                    yield name, f"With {says}", f"{other}{more}"

@@ -23,7 +23,7 @@ from gapsweep.status import Status
 
 from .language import At, Quantity
 from .refined import FINEST, runs
-from .scenes import EXACT, RELEASED, REST, STARTS, width
+from .scenes import EXACT, NO_EVENTS, RELEASED, STARTS, width
 
 Scene = tuple[float, str]
 Band = tuple[float, float]
@@ -46,19 +46,22 @@ COMPARABLE = 10.0**0.5  # "can be comparable": within half a decade
 AS_DRAWN = 0.02  # "minimal", "agree well" in a diagram: this share of the gap is what a plot shows
 ALL = (0.0, 30.0)  # Hz
 _BANDS_SHOWN = 3
-_PROTOCOLS = {"paper": "1e-4", "finer": "1e-6", "jitter": "from 1 nm away"}
 _LEAST = 1e-12  # of the gap's width: distances below this are rounding
 
-NAMES = {"logarctan": "log-arctan", "piecewise": "exact law"}
+NAMES = {
+    EXACT: "exact law", NO_EVENTS: "without events", "truth": "reference",
+    "logarctan": "log-arctan", "@paper": " (rtol 1e-4)", "@finer": " (rtol 1e-6)",
+    "@half": " at half the tolerance", "@jitter": " from 1 nm away",
+}  # fmt: skip
 
 
 def named(label: str) -> str:
     """The paper's name of a representation, with its protocol."""
-    law, _, protocol = label.partition("@")
+    law, at, protocol = label.partition("@")
     family, _, parameter = law.partition("-")
-    name = {"poly": "Poly-{}", "ratpoly": "RatPoly {}"}.get(family, NAMES.get(family, family))
-    of = {"": "", **_PROTOCOLS}.get(protocol, protocol)
-    return f"{'no events' if parameter == 'noevents' else name.format(parameter)} {of}".strip()
+    fits = {"poly": f"Poly-{parameter}", "ratpoly": f"RatPoly {parameter}"}
+    own = law if at and "tan" in family else NAMES.get(family, family)
+    return NAMES.get(law, fits.get(family, own)) + NAMES.get(at + protocol, "")
 
 
 def listed(names: Iterable[str]) -> str:
@@ -76,6 +79,11 @@ def ranges(omega: NDArray[np.float64], hits: Bools) -> str:
     shown = [f"{omega[i]:g}" if j == i + 1 else f"{omega[i]:g}-{omega[j - 1]:g}" for i, j in widest]
     more = f" and {len(bands) - len(shown)} narrower" if len(bands) > len(shown) else ""
     return f"{', '.join(shown)} Hz{more}"
+
+
+def solved(at: At, label: str) -> str:
+    """A label; with the setting of the contact force if the paper's solver locates its contacts."""
+    return label + at["force"] if label == f"{EXACT}@paper" else label
 
 
 # --- quantities of no figure ----------------------------------------------------------------------
@@ -125,38 +133,46 @@ def steepest(rungs: xr.DataArray) -> float:
     return float(np.max(rungs.values[1:] / rungs.values[:-1]))
 
 
+class Median(Number):
+    """A median over frequencies; the difference of two is the median of the differences."""
+
+    def __sub__(self, other: Number) -> Number:
+        pairs = self._pairs(other)
+        return median(pairs[0] - pairs[1], self.of) if pairs else super().__sub__(other)
+
+
+def median(values: NDArray[np.float64], of: NDArray[np.float64] | None) -> Median:
+    """A median, and half of its 95 % interval (a sign test's) as uncertainty."""
+    if values.size < 4:
+        raise NotInRunError("too few motions of that kind")
+    n, spread = values.size, math.sqrt(values.size)
+    low, high = np.sort(values)[[int(0.5 * n - spread), int(0.5 * n + spread)]]
+    return Median(float(np.median(values)), 0.5 * float(high - low), n, values, of)
+
+
 def distance(one: str, other: str, chaotic: bool | None = None) -> Quantity:
     """Distance of two motions in the fourth forcing period, in widths of the gap.
 
-    The median over frequencies of the root mean square, with its 95 % interval as uncertainty; of
-    the frequencies at which the exact law's response is chaotic, or periodic, if that is given.
+    The median over frequencies of the root mean square; of the frequencies at which the exact
+    law's response is chaotic, or periodic, if that is given.
     """
     kinds = {None: "", True: ", chaotic frequencies", False: ", periodic frequencies"}
 
     def read(at: At) -> Number:
         motions = at.run.select("motions", start=at["start"])
         x = motions["x"].transpose("representation", "omega", "sample")
-        apart = (x.sel(representation=one) - x.sel(representation=other)) / motions["width"]
+        ours, theirs = (x.sel(representation=solved(at, label)) for label in (one, other))
+        apart = (ours - theirs) / motions["width"]
         rms = np.sqrt((apart**2).mean("sample").values)
-        decades = np.log10(np.maximum(rms, _LEAST))
+        found = np.full(rms.size, True)
         if chaotic is not None:
             wanted = ResponseClass.CHAOTIC if chaotic else ResponseClass.PERIODIC
-            decades = decades[(motions["response_class"] == wanted).values]
-        if decades.size < 4:
-            raise NotInRunError("too few motions of that kind")
-        n, spread = decades.size, math.sqrt(decades.size)
-        low, high = np.sort(decades)[[int(0.5 * n - spread), int(0.5 * n + spread)]]
-        return Number(float(np.median(decades)), 0.5 * float(high - low), n)
+            found = (motions["response_class"] == wanted).values
+        decades = np.log10(np.maximum(rms, _LEAST))
+        return median(decades[found], motions["omega"].values[found])
 
-    return Quantity("distance after 4 periods, gap widths",
-                    ((f"{_short(one)} from {_short(other)}{kinds[chaotic]}", read),),
-                    ".2g", log=True)  # fmt: skip
-
-
-def _short(label: str) -> str:
-    law, _, protocol = label.partition("@")
-    law = {"piecewise": "events", "piecewise-noevents": "no events"}.get(law, law)
-    return f"{law} {_PROTOCOLS.get(protocol, protocol)}".strip()
+    name = f"{named(one)} from {named(other)}{kinds[chaotic]}"
+    return Quantity("distance after 4 periods, gap widths", ((name, read),), ".2g", log=True)
 
 
 # --- what is looked for in a response -------------------------------------------------------------
@@ -195,6 +211,10 @@ KINDS: dict[str, tuple[tuple[str, ...], Callable[[xr.Dataset], xr.DataArray]]] =
     ),
     "largest amplitude": (("amplitude",), lambda p: p["amplitude"] == p["amplitude"].max()),
     "peak below 0": (("x_max",), lambda p: p["x_max"] < 0.0),
+    "negative mean": (
+        ("x_max", "x_min", "amplitude"),
+        lambda p: 0.5 * (p["x_max"] + p["x_min"]) < -TENTH * p["amplitude"],
+    ),
     "crosses 0": (("x_max", "x_min"), lambda p: p["x_max"] * p["x_min"] < 0.0),
 }
 
@@ -214,26 +234,6 @@ def starting(run: Run, start: str) -> Bools:
     return found[start]
 
 
-def _hits(
-    run: Run, label: str, scene: Scene, kind: str, band: Band = ALL, start: str = REST
-) -> xr.DataArray:
-    """Which responses of a law are of a kind."""
-    names, is_kind = KINDS[kind]
-    points = run.points(label, *scene, *names, band=band, start=starting(run, start))
-    return is_kind(points).assign_coords(omega=points["omega"])
-
-
-def frequencies(
-    run: Run, label: str, scene: Scene, kind: str, band: Band = ALL, start: str = REST
-) -> tuple[NDArray[np.float64], Bools]:
-    """Frequencies that were asked for, and at which of them some response is of a kind."""
-    responses = _hits(run, label, scene, kind, band, start)
-    omega, where = np.unique(responses["omega"].values, return_inverse=True)
-    found = np.zeros(omega.size, dtype=bool)
-    np.logical_or.at(found, where, responses.values)
-    return omega, found
-
-
 # --- the paper's figures --------------------------------------------------------------------------
 
 
@@ -247,7 +247,7 @@ class Table:
 
     def __getitem__(self, labels: str | tuple[str, ...]) -> Quantity:
         def part(label: str) -> tuple[str, Callable[[At], Number]]:
-            return named(label), lambda at: self.number(at, label)
+            return named(label), lambda at: self.number(at, solved(at, label))
 
         of = (labels,) if isinstance(labels, str) else labels
         return Quantity(self.what, tuple(part(label) for label in of), self.form)
@@ -377,30 +377,37 @@ class Figure:
         """Share of the responses that are of a kind."""
         return self.table(
             f"responses with {kind}{_hertz(band)}",
-            lambda at, label: share(self._of_kind(at, label, kind, band)),
+            lambda at, label: share(self._hits(at, label, kind, band)),
             ".0%",
         )
 
     def count(self, kind: str, band: Band = ALL) -> Table:
         """At how many frequencies some response is of a kind."""
-
-        def number(at: At, label: str) -> Number:
-            hits = self._of_kind(at, label, kind, band)
-            return Number(float(np.unique(hits["omega"].values[hits.values]).size))
-
-        return self.table(f"frequencies with {kind}{_hertz(band)}", number, ".0f")
+        return self.table(
+            f"frequencies with {kind}{_hertz(band)}",
+            lambda at, label: Number(float(self._frequencies(at, label, kind, band).sum())),
+            ".0f",
+        )
 
     def share_of_frequencies(self, kind: str, band: Band = ALL) -> Table:
         """Share of the frequencies at which some response is of a kind."""
+        return self.table(
+            f"share of the frequencies with {kind}{_hertz(band)}",
+            lambda at, label: share(self._frequencies(at, label, kind, band)),
+            ".0%",
+        )
 
-        def number(at: At, label: str) -> Number:
-            omega, hits = frequencies(at.run, label, self.scene(at), kind, band, self.start_of(at))
-            return share(hits, omega)
+    def _hits(self, at: At, label: str, kind: str, band: Band) -> xr.DataArray:
+        """Which responses are of a kind."""
+        names, is_kind = KINDS[kind]
+        points = self.points(at, label, *names, band=band)
+        return is_kind(points).assign_coords(omega=points["omega"])
 
-        return self.table(f"share of the frequencies with {kind}{_hertz(band)}", number, ".0%")
-
-    def _of_kind(self, at: At, label: str, kind: str, band: Band) -> xr.DataArray:
-        return _hits(at.run, label, self.scene(at), kind, band, self.start_of(at))
+    def _frequencies(self, at: At, label: str, kind: str, band: Band) -> xr.DataArray:
+        """At which frequencies some response is of a kind."""
+        hits = self._hits(at, label, kind, band)
+        omega, where = np.unique(hits["omega"].values, return_inverse=True)
+        return xr.DataArray(np.bincount(where, hits.values) > 0.0, {"omega": omega}, "omega")
 
     def of_points(
         self,

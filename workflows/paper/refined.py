@@ -47,12 +47,11 @@ BASINS = {
 WINDOWS = (
     EXACT, f"{EXACT}@half", f"{EXACT}@jitter", "tanh-1e6", "arctan-1e6", "logarctan-1e6",
 )  # fmt: skip
-CLOUD = (EXACT, *(f"{law}@paper" for law in (EXACT, NO_EVENTS, "tanh-1e6", "tanh-1e9")))
+_PAPER = tuple(f"{law}@paper" for law in (EXACT, NO_EVENTS, "tanh-1e6", "tanh-1e9"))
+_PAPER += (f"{EXACT}@paper-mode",)
+CLOUD = (EXACT, *_PAPER)
 TRUTH = "truth"  # the exact law with the tightest tolerances
-MOTIONS = (
-    TRUTH, f"{EXACT}@jitter", f"{EXACT}@paper", f"{EXACT}@finer", f"{NO_EVENTS}@paper",
-    f"{NO_EVENTS}@finer", "tanh-1e6@paper", "tanh-1e9@paper",
-)  # fmt: skip
+MOTIONS = (TRUTH, f"{EXACT}@jitter", f"{EXACT}@finer", f"{NO_EVENTS}@finer", *_PAPER)
 N_PERIODS, _PER_PERIOD = 4, 64
 _X_0, _V_0 = np.array(list(STARTS.values())).T[..., None]  # to broadcast against frequencies
 _VARIABLES = {
@@ -201,9 +200,8 @@ def _motion(study: Study, label: str, omega: float, start: str) -> Floats:
     settings: dict[str, Any] = {"rtol": 1e-12, "atol": 1e-15}
     if label != TRUTH:
         solver, x_0 = study.solver(label), x_0 + study.start_jitter(label)
-        settings = {
-            n: getattr(solver, n) for n in ("engine", "rtol", "atol", "controller", "restart")
-        }
+        names = ("engine", "rtol", "atol", "controller", "restart", "contact_force")
+        settings = {name: getattr(solver, name) for name in names}
     law = _law(EXACT if label == TRUTH else label, HARD_ASYMMETRIC)
     t_end = N_PERIODS / omega
     motion = simulate(

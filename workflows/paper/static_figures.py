@@ -51,12 +51,14 @@ def force_curves(static: xr.Dataset, forces: Forces, stiffnesses: Sequence[float
     near = np.abs(x - 0.5 * (low + high)) <= (0.5 + _MARGIN) * (high - low)
     styles = lines(list(dict.fromkeys(name.removesuffix(CONSTRAINED) for name in forces)))
     for row, K_c in zip(panels, stiffnesses, strict=True):
-        for label, force in forces.items():
+        shades = np.linspace(0.2 if len(forces) > 8 else 1.0, 1.0, len(forces))
+        for (label, force), shade in zip(forces.items(), shades, strict=True):
             law = label.removesuffix(CONSTRAINED)
             look = {
                 "color": colour(law) if law == label else _DARK,
                 "linewidth": 2.2 if law == EXACT else 1.3,
                 "linestyle": styles[law],
+                "alpha": 1.0 if law == EXACT else shade,
                 "label": f"_{label}",
             }
             row[0].plot(x[near], K_c * force[near], **look)

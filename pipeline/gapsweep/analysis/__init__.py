@@ -1,1 +1,1 @@
-"""What the results say: datasets in, datasets out."""
+"""Analysis of results: functions from datasets to datasets."""

@@ -79,7 +79,7 @@ class Number:
         return Number(value, _spread(pairs[0] - value * pairs[1]) / below, n)
 
     def _pairs(self, other: "Number") -> tuple[Floats, Floats] | None:
-        """The values at the points that both have; None if they are not of the same points."""
+        """Values of both numbers at their common known points; None if their points differ."""
         if self.each is None or other.each is None or self.each.shape != other.each.shape:
             return None
         if self.of is None or other.of is None or not np.array_equal(self.of, other.of):
@@ -117,7 +117,7 @@ def mean(values: ArrayLike, of: ArrayLike | None = None) -> Number:
 
 
 def _spread(deviations: Floats) -> float:
-    """Two standard errors of a mean, given what its values deviate by."""
+    """Two standard errors of a mean, from the deviations of its values."""
     return 2.0 * math.sqrt(float(np.sum(deviations**2)) + 1.0) / deviations.size
 
 
@@ -153,7 +153,7 @@ class Test:
         Name of the compared quantity.
     """
 
-    __test__ = False  # no test of pytest's
+    __test__ = False  # pytest must not collect it
 
     says: str
     number: Number
@@ -178,7 +178,8 @@ class Test:
         return bool(_HOLDS[self.op](number.value, self.threshold))
 
 
-Found = tuple[list[Test], str]
+Others = Mapping[str, list[Test]]
+Found = tuple[list[Test], str] | tuple[list[Test], str, Others]
 
 
 @dataclass(frozen=True, slots=True)
@@ -196,7 +197,8 @@ class Claim:
         The quoted sentence or figure, and reasons for tests and thresholds.
     find : callable
         Function from a `Run` to tests and a sentence with the result. Without tests the sentence
-        names the missing information.
+        names the missing information. If a setting is not known, such as an initial condition, the
+        tests with its other values are a third result, by the words for each value.
     """
 
     id: int
@@ -213,9 +215,9 @@ class Claim:
     def decided(self, run: "Run") -> dict[str, Any]:
         """Return the claim with its verdict, as in ``claims.json``."""
         try:
-            tests, sentence = _checked(self.find(run))
+            tests, sentence, others = _checked(self.find(run))
         except NotInRunError as missing:
-            tests, sentence = [], f"Not decided: {missing}."
+            tests, sentence, others = [], f"Not decided: {missing}.", {}
         found = verdict(test.holds for test in tests)
         if unsettled := [test.says for test in tests if test.holds is None]:
             more = f" and {len(unsettled) - 3} more" if len(unsettled) > 3 else ""
@@ -229,27 +231,38 @@ class Claim:
             "verdict": found,
             "sentence": sentence,
             "why": self.why,
+            "otherwise": {words: verdict(test.holds for test in o) for words, o in others.items()},
             "tests": [_as_json(test) for test in tests],
         }
 
 
-def _checked(found: Any) -> Found:
-    """What a claim's function has returned.
+def _checked(found: Any) -> tuple[list[Test], str, Others]:
+    """Tests, sentence and tests with other settings that a claim's function has returned.
 
     Raises
     ------
     TypeError
-        If that is not what it must be.
+        If they have other types.
     """
+    others = found[2] if isinstance(found, tuple) and len(found) == 3 else {}
     if not (
         isinstance(found, tuple)
-        and len(found) == 2
-        and isinstance(found[0], list)
-        and all(isinstance(test, Test) for test in found[0])
+        and len(found) in (2, 3)
+        and isinstance(others, Mapping)
+        and all(_are_tests(tests) for tests in (found[0], *others.values()))
     ):
-        raise TypeError(f"must return a list of tests and a sentence, not {found!r:.40}")
-    _check_texts("result", sentence=found[1])
-    return found
+        raise TypeError(
+            f"must return a list of tests, a sentence, and at most a dict of lists of tests, "
+            f"not {found!r:.40}"
+        )
+    _check_texts(
+        "result", sentence=found[1], **{f"setting {words!r:.40}": words for words in others}
+    )
+    return found[0], found[1], others
+
+
+def _are_tests(tests: Any) -> bool:
+    return isinstance(tests, list) and all(isinstance(test, Test) for test in tests)
 
 
 def _check_texts(whose: str, **texts: Any) -> None:
@@ -301,9 +314,22 @@ def verdict(holds: Iterable[bool | None]) -> str:
 
 
 def counted(decided: list[dict[str, Any]]) -> dict[str, Any]:
-    """Return decided claims and the number of claims per verdict, for JSON."""
-    counts = Counter(entry["verdict"] for entry in decided)
-    return {"counts": {name: counts[name] for name in VERDICTS}, "claims": decided}
+    """Return decided claims and the number of claims per verdict, for JSON.
+
+    ``otherwise`` has these numbers with each other setting; a claim without a verdict for it counts
+    with its own.
+    """
+
+    def counts(words: str) -> dict[str, int]:
+        found = Counter(one["otherwise"].get(words, one["verdict"]) for one in decided)
+        return {name: found[name] for name in VERDICTS}
+
+    others = dict.fromkeys(words for one in decided for words in one["otherwise"])
+    return {
+        "counts": counts(""),
+        "otherwise": {words: counts(words) for words in others},
+        "claims": decided,
+    }
 
 
 def _as_json(test: Test) -> dict[str, Any]:

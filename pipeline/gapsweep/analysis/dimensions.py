@@ -1,7 +1,7 @@
 """Dimensions of the datasets of a run, and selections along them.
 
-A scene has one stiffness, one gap and one value of every further parameter: the dimensions of
-scenes are all but representation, frequency and initial condition.
+A parameter set has one stiffness, one gap and one value of every further parameter: its dimensions
+are all except representation, frequency and initial condition.
 """
 
 from collections.abc import Hashable, Iterable, Iterator, Mapping
@@ -23,7 +23,7 @@ Bools = NDArray[np.bool_]
 REPRESENTATION, SWEPT = "representation", ("omega", "initial_condition")
 
 At = Mapping[str, int]
-# What a dataset says of the study, and of the code behind its points.
+# Attributes of a dataset that describe the study and the code of its points.
 _OF_STUDY = (
     "title", "study", "study_json", "system_json", "creator_name", "license",
     "numerics_fingerprint",
@@ -31,12 +31,12 @@ _OF_STUDY = (
 
 
 def of_study(responses: xr.Dataset) -> dict[str, Any]:
-    """Attributes that a dataset made from responses has from them."""
+    """Attributes of responses that datasets made from them inherit."""
     return {name: responses.attrs[name] for name in _OF_STUDY if name in responses.attrs}
 
 
 def swept(values: xr.DataArray) -> list[str]:
-    """The dimensions that are swept in a scene: nothing that is not forced has frequencies."""
+    """The dimensions within a parameter set; unforced systems have no frequencies."""
     return [dim for dim in SWEPT if dim in values.dims]
 
 
@@ -46,19 +46,19 @@ def point_dims(responses: xr.Dataset) -> tuple[str, ...]:
 
 
 def scene_dims(dims: Iterable[Hashable]) -> list[str]:
-    """Those among a sweep point's dimensions that are of scenes, in their order."""
+    """The dimensions of parameter sets among those of a sweep point, in their order."""
     return [str(dim) for dim in dims if dim not in (REPRESENTATION, *SWEPT)]
 
 
 def over(dims: tuple[str, ...], of_points: tuple[str, ...]) -> tuple[str, ...]:
-    """Dimensions of a metric in a study, from those in a study of stiffness and gap alone.
+    """Dimensions of a metric in a study, from those in a study that sweeps stiffness and gap.
 
     Parameters
     ----------
     dims : tuple of str
-        Some of `POINT_DIMS`, and dimensions of the metric's own.
+        Some of `POINT_DIMS`, and further dimensions of the metric.
     of_points : tuple of str
-        As from `point_dims`.
+        Dimensions of a sweep point, as from `point_dims`.
     """
     left_out = {REPRESENTATION, *SWEPT} - set(dims)
     own = (dim for dim in dims if dim not in POINT_DIMS)
@@ -66,27 +66,27 @@ def over(dims: tuple[str, ...], of_points: tuple[str, ...]) -> tuple[str, ...]:
 
 
 def scenes(dataset: xr.Dataset, dims: Iterable[str]) -> Iterator[dict[str, int]]:
-    """Every position along some dimensions, the last one fastest."""
+    """Positions along some dimensions, as index by name; the last dimension varies fastest."""
     names = list(dims)
     for position in np.ndindex(*(dataset.sizes[name] for name in names)):
         yield dict(zip(names, position, strict=True))
 
 
 def cells(dims: Iterable[str], at: At) -> tuple[int | slice, ...]:
-    """Where in an array over the dimensions the values at a position lie."""
+    """Index of the values at a position in an array over the dimensions."""
     return tuple(at.get(dim, slice(None)) for dim in dims)
 
 
 def in_metres(responses: xr.Dataset) -> bool:
-    """Whether displacements are known to be in metres, and so to be comparable with the gap.
+    """Whether displacements are in metres, and so comparable with the gap; true for oscillators.
 
-    Coordinates of systems are in a unit of the user's, and a contact feels a combination of them.
+    Coordinates of systems are in a unit of the user, and a contact acts on a combination of them.
     """
     return responses["x_max"].attrs.get("units") == "m"
 
 
 def by_coordinate(dataset: xr.Dataset) -> Iterator[tuple[xr.Dataset, str]]:
-    """A dataset coordinate by coordinate, and the words that name each in a caption."""
+    """Parts of a dataset, one per coordinate of a system, each with its name for captions."""
     if COORDINATE not in dataset.dims:
         yield dataset, ""
         return
@@ -116,7 +116,7 @@ def with_rate(dataset: xr.Dataset, rate: float) -> xr.Dataset:
 
 
 def section_rate(responses: xr.Dataset) -> float:
-    """How often per second unforced periodic responses pass their section."""
+    """Median section points per second [Hz] of unforced periodic responses; 1 if unknown."""
     with np.errstate(divide="ignore", invalid="ignore"):
         rates = responses["period_multiple"].values / responses["period"].values
     known = rates[np.isfinite(rates)]
@@ -124,11 +124,11 @@ def section_rate(responses: xr.Dataset) -> float:
 
 
 def selected(dataset: xr.Dataset, wanted: Mapping[str, Any]) -> xr.Dataset:
-    """A selection by any coordinate of one dimension.
+    """Select a part of a dataset by coordinates that have one dimension.
 
     A value of a dimension's own coordinate reduces it to a scalar; lists, slices (both ends
-    included) and other coordinates (``start="sweep_up"``) keep the dimension. What is equal, see
-    `gapsweep.study.axis_selection`.
+    included) and other coordinates (``start="sweep_up"``) keep the dimension.
+    `gapsweep.study.axis_selection` defines which values are equal.
 
     Raises
     ------

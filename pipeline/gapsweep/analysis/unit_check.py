@@ -1,4 +1,4 @@
-"""Which cases of a study (stiffness, gap and further parameters) touch no wall."""
+"""Warnings of probable unit errors, of laws that all motions leave, and of untouched walls."""
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
@@ -6,23 +6,26 @@ from itertools import product
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from gapsweep.errors import ModelError
 from gapsweep.model.contact import ContactLaw
 from gapsweep.model.doubts import doubts
 from gapsweep.model.labels import AUTO, EXACT, is_fitted, law_of
 from gapsweep.model.oscillator import Gap
+from gapsweep.model.table import ForceTable
+from gapsweep.status import Status
 from gapsweep.study.grid import START, starts_of
 
 if TYPE_CHECKING:
     from gapsweep.study.study import Study
 
-_IN_CASE = ("representation", "omega", START)  # all other dimensions are of cases
-_SAMPLED = 16  # every so many points of a study show for most cases that a wall may be reached
+_IN_CASE = ("representation", "omega", START)  # dimensions within a parameter set
+_SAMPLED = 16  # every 16th point shows for most parameter sets that a wall may be reached
 
 
 def never_reached(values: Callable[[str], Any], dims: Sequence[str], labels: Sequence[str]) -> str:
-    """In which cases the exact law touches no wall, as one sentence; empty if in none.
+    """Sentence on the cases in which the exact law touches no wall; empty if there are none.
 
     Parameters
     ----------
@@ -53,8 +56,17 @@ def never_reached(values: Callable[[str], Any], dims: Sequence[str], labels: Seq
     )
 
 
+def out_of_range(status: NDArray[Any], labels: Sequence[str]) -> Iterator[str]:
+    """A sentence for each representation all of whose points left the range of its law."""
+    for label, some in zip(labels, status, strict=False):  # none if the file cannot be read
+        n = np.count_nonzero(some != Status.NOT_REQUESTED)
+        if 0 < n == np.count_nonzero(some == Status.OUT_OF_FIT_RANGE):
+            remedy = "increase range in [fit]" if is_fitted(label) else "extend its table"
+            yield f"{label}: all {n} points leave its range (out_of_fit_range); {remedy}"
+
+
 def bounded(study: "Study") -> str:
-    """The same of a study of oscillators before it is run, from the bounds of `advise`."""
+    """Sentence of `never_reached` before the run of a study, from the bounds of `advise`."""
     grid = study.grid
     asked = grid.requested.any(axis=0)
     within = tuple(i for i, dim in enumerate(grid.dims[1:]) if dim in _IN_CASE)
@@ -69,10 +81,11 @@ def bounded(study: "Study") -> str:
 
 
 def doubts_of(study: "Study", far: str = "", own: bool = True) -> Iterator[str]:
-    """Warnings of numbers of a study that are probably in another unit: the rules of calls.
+    """Warnings of numbers of a study that are probably in another unit, by the rules of calls.
 
-    A sentence `far` on walls out of reach replaces that on the gap. Without `own` no code of the
-    user is run: systems of functions have no warnings, force tables count as exact laws.
+    A sentence `far` on walls that are not reached comes last. User functions of contact laws, which
+    may never return, are not called; without `own` functions of systems are not called either, and
+    such systems have no warnings.
     """
     grid, model = study.grid, study.model
     axes = {name: grid.axes[name] for name in study.spec.model if name in grid.axes}
@@ -86,22 +99,24 @@ def doubts_of(study: "Study", far: str = "", own: bool = True) -> Iterator[str]:
     gaps = grid.gaps if {"gap", "j_1"} & grid.axes.keys() else (Gap(0.0, 0.0),)
     laws = []
     for label, gap, stiffness in product(grid.representations, gaps, {min(K_c), max(K_c)}):
-        with suppress(ModelError):  # of a law that cannot be used: reported where it is used
+        with suppress(ModelError):  # an invalid law is reported at its use
             laws.append(tuple(_laws(study, label, stiffness, gap, ratio, own)))
     omega, starts = grid.axes.get("omega", 0.0), starts_of(grid.axes).states
-    found = doubts([model.at(some) for some in points], laws, omega, starts) if laws else ()
-    yield from (each for each in found if not (far and each.startswith("gap")))
+    yield from doubts([model.at(some) for some in points], laws, omega, starts) if laws else ()
     yield from [far] * bool(far)
 
 
 def _laws(
     study: "Study", label: str, K_c: float, gap: Gap, ratio: float, own: bool
 ) -> Iterator[ContactLaw]:
-    """The laws of all contacts; in place of fits the exact law, which has their numbers."""
+    """The laws of all contacts; the exact law in place of fits and of user functions."""
     for name, one in zip(study.model.contacts, study.model.labels(law_of(label)), strict=True):
         given: dict[str, Any] = {"K_c": K_c, "gap": (gap.j_1, gap.j_2), "K_ratio": ratio}
         if name in study.spec.contact:
             given |= study.spec.contact[name].model_dump(exclude_none=True)
-        is_exact = one == AUTO or is_fitted(one) or (":" in one and not own)
+        law = study.own_law(one)  # its module has been imported in another process before
+        source = law and (law.load() if own else law.source)
+        is_code = law is not None and not isinstance(source, ForceTable)
+        is_exact = one == AUTO or is_fitted(one) or is_code
         walls = Gap(*given["gap"])
         yield study.law(EXACT if is_exact else one, given["K_c"], walls, given["K_ratio"])

@@ -1,4 +1,4 @@
-"""Studies to start from: those of the repository's ``workflows/``, which the wheel carries."""
+"""Command ``gapsweep init``, which copies example studies from ``workflows/`` of the package."""
 
 import shutil
 from pathlib import Path
@@ -8,7 +8,7 @@ import click
 from gapsweep.cli.options import echo
 from gapsweep.errors import StoreError
 
-# What is written, and the study file in it.
+# Files of each example, and its study file.
 STUDIES = {
     "quick": ("quick.toml", "quick.toml"),
     "two-masses": ("two_masses.toml", "two_masses.toml"),
@@ -38,7 +38,7 @@ def init(name: str) -> None:
 
 
 def _carried(name: str) -> Path:
-    """Path of an example study: in the installed package, or in the clone next to it."""
+    """Path of an example study: in the installed package, or else in the repository."""
     package = Path(__file__).parents[1]
     installed = package / "workflows" / name
     return installed if installed.exists() else package.parents[1] / "workflows" / name

@@ -1,4 +1,4 @@
-"""The command ``gapsweep``, and how errors become exit codes."""
+"""The command ``gapsweep``, and the translation of errors into exit codes."""
 
 import gc
 import os
@@ -56,10 +56,10 @@ for command in _COMMANDS:
 
 def main() -> None:
     """Run the command line and exit; an error is printed in one line, without a traceback."""
-    # In worker processes, too, no module of the current folder may stand in for a library.
+    # In worker processes, too, no module of the current folder may replace a library.
     os.environ["PYTHONSAFEPATH"] = "1"
-    # What imports and figures make lives on: looked through as often as usual, it takes an eighth
-    # of the time of a short run.
+    # Objects of imports and figures stay alive: garbage collection at the default rate takes an
+    # eighth of the time of a short run.
     gc.set_threshold(20_000, 25, 25)
     for number in STOPPING:  # Ctrl-C is one of them, batch systems send the others
         if signal.getsignal(number) is not signal.SIG_IGN:  # as nohup ignores SIGHUP
@@ -70,11 +70,11 @@ def main() -> None:
     try:
         sys.stdout.flush()
     except OSError:
-        # It has been said; at its end Python would try once more, and complain.
+        # The output is lost; at exit Python would try again to write it, and print an error.
         with suppress(OSError):
             sys.stdout.close()
     if code == INTERRUPTED:
-        # All is said: whoever presses Ctrl-C once more shall see no library's clean-up break.
+        # Another Ctrl-C must not interrupt the clean-up of libraries with a traceback.
         for number in STOPPING:
             signal.signal(number, signal.SIG_IGN)
     sys.exit(code)
@@ -92,7 +92,7 @@ def exit_code(arguments: list[str] | None = None) -> int:
             for line in str(error).splitlines():
                 echo(f"error: {line}", err=True)
             return FAULT
-        except OSError as error:  # of files, wherever one was met that is none of the usual
+        except OSError as error:  # of any file whose errors no other code handles
             where = f"{error.filename}: " if error.filename else ""
             echo(f"error: {where}{error.strerror or error}", err=True)
             return FAULT
@@ -106,11 +106,14 @@ def exit_code(arguments: list[str] | None = None) -> int:
 
 
 def _one_line_once() -> Callable[..., None]:
-    """A `warnings.showwarning`; whoever changes filters has Python forget what it has shown."""
+    """Function for `warnings.showwarning` that prints every UserWarning once, in one line.
+
+    Python forgets the warnings it has shown when a library changes the filters.
+    """
     shown = set()
 
     def show(message: Warning | str, category: type[Warning], *_: Any, **__: Any) -> None:
-        # Those of the libraries are not for the user.
+        # Warnings of libraries are not for the user.
         if category is UserWarning and str(message) not in shown:
             shown.add(str(message))
             echo(f"warning: {message}", err=True)

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 FINISHED, FAULT, SOME_FAILED, INTERRUPTED = 0, 1, 3, 130
 FEW = 5  # names that are listed
-ENGINES = ("compiled", "scipy")  # those of gapsweep.integrate.problem, without its imports
+ENGINES = ("compiled", "scipy")  # as in gapsweep.integrate.problem, without its imports
 
 study = click.argument("study", type=click.Path(path_type=Path))
 cache = click.option(
@@ -68,12 +68,12 @@ _LABELLED = ("representation", "gap")
 
 
 def echo(message: str = "", *, err: bool = False, nl: bool = True) -> None:
-    """Print a text without control characters, which a terminal would carry out."""
+    """Print a text without control characters, which a terminal would execute."""
     click.echo(printable(message), err=err, nl=nl)
 
 
 def first(names: Sequence[str]) -> str:
-    """The first `FEW` names and the number of the others."""
+    """Text of the first `FEW` names and of the number of further ones."""
     more = [f"{len(names) - FEW} more"] if len(names) > FEW else []
     return ", ".join([*names[:FEW], *more])
 
@@ -106,7 +106,7 @@ def at_work() -> Iterator["OnProgress"]:
 
 
 def selected(wanted: tuple[str, ...]) -> dict[str, Any]:
-    """``KEY=VALUE`` texts as arguments of `Study.select`."""
+    """Keyword arguments of `Study.select` from ``KEY=VALUE`` texts."""
     found = [_selected(text) for text in wanted]
     keys = [key for key, _ in found]
     for key in keys:

@@ -116,8 +116,8 @@ def _print(responses: xr.Dataset, form: Form) -> None:
     dims = [str(dim) for dim in responses["status"].dims]
     same = [dim for dim in dims if frame[dim].nunique() == 1 and dim not in form.columns]
     if same:
-        said = [f"{dim} {_word(frame[dim].iloc[0])}{_units(responses, dim)}" for dim in same]
-        print_text(", ".join(said))
+        words = [f"{dim} {_word(frame[dim].iloc[0])}{_units(responses, dim)}" for dim in same]
+        print_text(", ".join(words))
     names = [name for name in frame.columns if name not in same]
     rows = [[_word(value) for value in row] for row in frame[names].itertuples(index=False)]
     print_table([_head(responses, name) for name in names], rows)
@@ -141,7 +141,7 @@ def _head(responses: xr.Dataset, name: str) -> str:
 
 
 def _frame(responses: xr.Dataset, form: Form) -> Any:
-    """A row per sweep point with the selected variables; flags as words."""
+    """DataFrame with a row per sweep point and the selected variables; flags as words."""
     points = responses["status"].dims
     frame = to_dataframe(responses)
     if form.columns:
@@ -153,7 +153,7 @@ def _frame(responses: xr.Dataset, form: Form) -> Any:
 
 
 def _chosen(wanted: Sequence[str], known: Sequence[str]) -> list[str]:
-    """The selected columns; a variable selects those of all its coordinates or contacts."""
+    """The selected columns; a variable selects the columns of all its coordinates or contacts."""
     bases = [_base(name) for name in known]
     found = []
     for name in wanted:

@@ -100,9 +100,13 @@ def claims(folder: Path, study: Path | None, as_json: bool) -> int:
             (str(one["id"]), one["verdict"], f"{one['place']}: {one['claim']}\n{one['sentence']}")
             for one in decided["claims"]
         ]
-        counts = ", ".join(f"{n} {verdict}" for verdict, n in decided["counts"].items())
+        tallies = {f"{len(rows)} claims": decided["counts"], **decided.get("otherwise", {})}
+        lines = [
+            f"{words}: {', '.join(f'{n} {verdict}' for verdict, n in counts.items())}"
+            for words, counts in tallies.items()
+        ]
         print_table(("id", "verdict", "claim and result"), rows)
-    echo(f"{len(decided['claims'])} claims: {counts}")
+    echo("\n".join(lines))
     if study:
         echo(f"written: {folder / CLAIMS}")
     return FINISHED

@@ -59,7 +59,7 @@ def run(study: Path, engine: str | None, **how: Any) -> int:
         _say_failed("points", outcome.failures, f"'gapsweep status {outcome.folder}'")
     for file, counts in outcome.failed_motions.items():
         _say_failed("motions", counts, f"'status' in {file}")
-    for doubt in outcome.doubts:  # last, as they may say that the results are not about contact
+    for doubt in outcome.doubts:  # last, since they may put the results in doubt
         echo(doubt)
     return SOME_FAILED if outcome.failures or outcome.failed_motions else FINISHED
 

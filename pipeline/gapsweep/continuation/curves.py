@@ -29,7 +29,7 @@ from gapsweep.continuation.thresholds import CLOSES, CONDITION_DIFFERENCE, DIFFE
 from gapsweep.errors import ModelError
 from gapsweep.integrate.problem import Model, Solver
 from gapsweep.integrate.simulate import AnyLaw
-from gapsweep.model.oscillator import whole
+from gapsweep.model.oscillator import called_as, whole
 from gapsweep.variables import POINT
 
 Array = NDArray[np.float64]
@@ -78,6 +78,7 @@ class CurveEquations(OrbitEquations):
         )
 
 
+@called_as("gs.special_curve(branches, 0, 'forcing', between=(3.0, 5.0))")
 def special_curve(
     branches: xr.Dataset,
     point: int,

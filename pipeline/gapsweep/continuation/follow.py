@@ -22,7 +22,7 @@ from gapsweep.errors import ModelError
 from gapsweep.integrate.problem import Model, Models, Solver
 from gapsweep.integrate.simulate import AnyLaw, simulate
 from gapsweep.model.doubts import doubts, warn_of
-from gapsweep.model.oscillator import checked, whole
+from gapsweep.model.oscillator import called_as, checked, whole
 from gapsweep.response.respond import respond_models
 from gapsweep.response.result import Response, ResponseClass, Steady
 
@@ -31,6 +31,7 @@ Array = NDArray[np.float64]
 DEFAULT_RTOL = 1e-11
 
 
+@called_as("gs.branches(oscillator, law, along='omega', between=(6.0, 12.0)), in Hz")
 def branches(
     oscillator: Model | Callable[..., Model],
     law: AnyLaw,

@@ -29,7 +29,7 @@ class Identity:
 
     @property
     def halves(self) -> float:
-        """How far the second half of the orbit is from repeating the first half."""
+        """Distance of the second half of the orbit from the first half."""
         k = len(self.section)
         return self.repeats(k // 2) if k > 1 and k % 2 == 0 else np.inf
 

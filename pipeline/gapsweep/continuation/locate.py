@@ -1,4 +1,4 @@
-"""Where a function of orbits changes its sign along a step of a branch.
+"""Location of sign changes of a function of orbits along a step of a branch.
 
 Orbits of a step are sought on hyperplanes across its chord, from cubic polynomials through its
 ends and along their tangents. Roots are those of Chandrupatla's method.

@@ -36,7 +36,7 @@ Numbers = NDArray[np.intp]
 
 @dataclass(slots=True, kw_only=True)
 class Reference:
-    """What stays fixed while one orbit is sought, of n branches."""
+    """Scales and reference states of n branches, fixed while Newton's method corrects an orbit."""
 
     size: Array  # shape (n, n_states); sizes of the components of the state
     duration: Array  # shape (n,); scale of periods [s]; 1 where the forcing sets them
@@ -131,7 +131,7 @@ class OrbitEquations:
         return tuple(float(w.value(s)) for w, s in zip(self.windows, places, strict=False))
 
     def place(self, orbit: Orbit) -> float:
-        """Where an orbit is in the first window: from 0 to 1 inside."""
+        """Position of an orbit in the first window: 0 to 1 inside."""
         is_free = self.family.is_conservative
         return float(self.windows[0].place(orbit.amplitude if is_free else orbit.parameters[0]))
 

@@ -161,7 +161,7 @@ def walls(equations: OrbitEquations, orbit: Orbit, contact: int) -> dict[int, fl
 
 
 def _beyond(orbit: Orbit, contact: int, side: int, wall: float) -> tuple[Array, Array]:
-    """How far outer and inner turning points lie beyond a wall [m], in descending order."""
+    """Distances of outer and inner turning points beyond a wall [m], in descending order."""
     maxima, minima = orbit.turning[contact]
     if side > 0:
         return maxima - wall, minima - wall

@@ -1,1 +1,1 @@
-"""How a study is carried out on a Dask cluster."""
+"""Computation of a study on a Dask cluster: plan, tasks, workers, and export of datasets."""

@@ -1,9 +1,9 @@
 """Assemble the cached results of a study into `responses.nc` and `attractors.nc`.
 
-The files are exports: they can be written again from the cache at any time and are then
-identical but for their file-level provenance. Results go to their place by position, piece
-by piece (whole scenes, neighbours), so that memory stays small. Attractors are a property of
-a scene, not of a point: they are grouped here, from all starts of a scene.
+The files are exports: they can be rewritten from the cache at any time and are then
+identical except for their file-level provenance. Results are placed by position, piece by piece
+(neighbouring parameter sets with all initial conditions), so that memory stays small. Attractors
+are a property of a parameter set, not of a point: they are grouped here.
 """
 
 import json
@@ -38,12 +38,12 @@ def export(
     *,
     made_from: str = "",
 ) -> None:
-    """Write both files from the cache.
+    """Write ``responses.nc`` and ``attractors.nc`` from the cache.
 
     Parameters
     ----------
     made_from : str
-        Kept in the files' attribute `made_from`.
+        Value of the files' attribute `made_from`.
 
     Raises
     ------
@@ -63,14 +63,14 @@ def fill(
     cache: Cache,
     selection: Selection | None = None,
 ) -> None:
-    """Fill empty datasets with responses and attractors of a study.
+    """Fill empty datasets with the cached responses and attractors of a study.
 
     Parameters
     ----------
     dataset, others : netCDF4.Dataset
-        What becomes `responses.nc` and `attractors.nc`.
+        The datasets of `responses.nc` and `attractors.nc`.
     selection : Selection, optional
-        Part of the study to write; attractors are then those of the selected starts.
+        Part of the study to write; attractors are then those of the selected initial conditions.
     """
     grid = study.grid if selection is None else study.grid.cut(selection)
     laws = {label: study.own_law(label) for label in grid.representations}
@@ -103,7 +103,7 @@ def fill(
 
 
 def attributes_of(study: Study) -> dict[str, str]:
-    """Attributes of both files that say whose they are."""
+    """Attributes of both files: study, measured laws, fingerprint of the numerics."""
     return {
         **study.attributes,
         **_tables(study),
@@ -112,7 +112,7 @@ def attributes_of(study: Study) -> dict[str, str]:
 
 
 def _tables(study: Study) -> dict[str, str]:
-    """What the measured laws of the sweeps are: to those who read files, these are but names."""
+    """Attribute ``tables_json``: points, range and symmetry of the swept laws from tables."""
     labels = {law_of(label) for label in study.grid.representations}
     laws = {n: own.load() for n in sorted(labels) if (own := study.own_law(n)) is not None}
     found = {
@@ -124,7 +124,7 @@ def _tables(study: Study) -> dict[str, str]:
 
 
 def _numbers(plan: Plan, grid: Grid, selection: Selection | None) -> NDArray[np.int32]:
-    """Number in the plan of every cell that is written, -1 where there is none."""
+    """Number in the plan of the point of every cell that is written, -1 without a point."""
     number = np.full(plan.shape, -1, np.int32)
     number.flat[plan.cells] = np.arange(plan.n_points)
     if selection is not None:
@@ -133,11 +133,11 @@ def _numbers(plan: Plan, grid: Grid, selection: Selection | None) -> NDArray[np.
 
 
 class _PieceResults:
-    """What the cache has of a piece, some of its starts at a time.
+    """Cached results of a piece of the grid, for part of its initial conditions at a time.
 
-    It is asked more than once, to group the responses and to write them. Most pieces have but one
-    part, and it is kept; of others only what was there the first time is taken again, for other
-    runs write.
+    The results are read twice, to group them and to write them. Most pieces have one part, which is
+    kept in memory. The second reading of others takes only points that were found the first time,
+    since other runs write to the cache.
     """
 
     def __init__(self, plan: Plan, cache: Cache, study: Study, numbers: NDArray[np.int32]) -> None:
@@ -147,7 +147,7 @@ class _PieceResults:
         self._kept: tuple[slice, tuple[Found, NDArray[np.intp]]] | None = None
 
     def of(self, starts: slice) -> tuple[Found, NDArray[np.intp]]:
-        """What there is of some starts, and the place of each point among their cells."""
+        """Results of some initial conditions, and the cell of each in the piece, as indices."""
         if self._kept is not None and self._kept[0] == starts:
             return self._kept[1]
         self._kept = None
@@ -174,14 +174,14 @@ def _point_arrays(
     hosts: list[str],
     directions: NDArray[np.float64],
 ) -> Arrays:
-    """Values of all variables over some starts of a piece, but for the number of the attractor."""
+    """Values of all variables but ``attractor`` in a piece, for some initial conditions."""
     responses, shape = found.responses, requested.shape
     values = {
         name: np.full((*shape, *layout.within(v).values()), v.missing, v.dtype)
         for name, v in layout.variables.items()
         if name != "attractor"
     }
-    # Unless a result follows:
+    # For requested points without a result:
     values["status"][requested] = Status.INTERRUPTED
     values["response_class"][requested] = ResponseClass.FAILED
     scene = np.ravel_multi_index(tuple(at[:-1]), shape[:-1])
@@ -196,7 +196,7 @@ def _point_arrays(
 def _grouped(
     layout: Layout, piece: Piece, stored: _PieceResults, units: NDArray[np.float64]
 ) -> tuple[Attractors, NDArray[np.int32]]:
-    """The attractors of the scenes of a piece, and the number of that of every point."""
+    """The attractors of a piece, and the number of the attractor of every point."""
     shape = tuple(part.stop - part.start for part in piece)
     grouping, cells = Grouping(units), []
     for starts in layout.starts():
@@ -213,7 +213,7 @@ def _grouped(
 def _attractor_arrays(
     layout: Layout, found: Attractors, shape: tuple[int, ...], directions: NDArray[np.float64]
 ) -> Arrays:
-    """Values of all variables of `attractors.nc` over the scenes of a piece."""
+    """Values of all variables of `attractors.nc` in a piece of the grid."""
     leaders, most = found.leaders, int(found.number.max(initial=0)) + 1
     place = (*np.unravel_index(found.scene, shape), found.number)
     longest = {
@@ -237,13 +237,13 @@ def _attractor_arrays(
 def _sections(
     study: Study, layout: Layout, piece: Piece, stored: _PieceResults, requested: NDArray[np.bool_]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """What the sections of the scenes of a piece are measured by, as `Study.sections`."""
+    """Units of the states and directions of the contacts in a piece, as from `study.model`."""
     rates = np.full(requested.shape[:-1], np.nan)
     if "omega" not in layout.grid.axes:
         for starts in layout.starts():
             found, at = stored.of(starts)
             _set_rates(rates, found.responses, tuple(at[:-1]))
-    # Nobody asks for the others, and a user's function may have no system there.
+    # Only for requested cells: a user's function may have no system elsewhere.
     asked = np.flatnonzero(requested.any(axis=-1))
     places = {name: place[asked] for name, place in layout.places(piece).items()}
     of = layout.grid.structure
@@ -258,13 +258,10 @@ def _sections(
 def _set_rates(
     rates: NDArray[np.float64], responses: Responses, scene: tuple[NDArray[np.intp], ...]
 ) -> None:
-    """Set how often per second the responses of every scene pass their section, where not known.
-
-    Of forced ones their scenes say that.
-    """
+    """Set unknown section rates [1/s] of unforced parameter sets from their first response."""
     columns = responses.columns
     first = np.isnan(rates[scene]) & (columns["period"] > 0.0)
-    some = np.flatnonzero(first)[::-1]  # in the end the first one's
+    some = np.flatnonzero(first)[::-1]  # the first response is assigned last
     found = columns["period_multiple"][some] / columns["period"][some]
     rates[tuple(at[some] for at in scene)] = found
 

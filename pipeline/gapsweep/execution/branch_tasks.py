@@ -1,7 +1,7 @@
-"""Branches of a study's scenes on Dask: one task per scene.
+"""Branches of a study's parameter sets on Dask: one task for each set.
 
-A scene is computed in the worker. If its worker dies, or its contact law or system is user code, it
-is computed in an isolated process; what happens to that process is the status of the scene.
+A task runs in the worker. If its worker dies, or its contact law or system is user code, it runs in
+an isolated process; the failure of that process is the status of the parameter set.
 """
 
 import hashlib
@@ -36,10 +36,10 @@ from gapsweep.study.spec import BranchesTable
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BranchScene:
-    """What the branches of one scene depend on."""
+    """All inputs of the branches of one parameter set."""
 
-    point: Points  # one sweep point, whose model, laws and frequency are those of the scene
-    # Where the parameter is one of a system: the system as its function.
+    point: Points  # a sweep point with the model, laws and frequency of the set
+    # The system as a function of the parameter, if this is a parameter of a system.
     system: AlongParameter | None
     window: Window
     table: BranchesTable
@@ -47,7 +47,7 @@ class BranchScene:
 
     @property
     def key(self) -> str:
-        """Content key: SHA-256 of all that the branches depend on, the code included."""
+        """Content key: SHA-256 of all inputs of the branches, including the code."""
         kind = self.point.kind
         whole = {
             "software": dict(software()),
@@ -64,7 +64,7 @@ class BranchScene:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Followed:
-    """Branches of a scene as a Dataset, or why there are none."""
+    """Branches of a parameter set as a Dataset, or the status and message of the failure."""
 
     status: Status
     message: str = ""
@@ -72,7 +72,9 @@ class Followed:
 
 
 def follow(scene: BranchScene) -> Any:
-    """Dataset of the branches of a scene, as of `gapsweep.branches`; attractors in their order.
+    """Dataset of the branches of a parameter set, as from `gapsweep.branches`.
+
+    The attractors are in the order of the argument.
 
     Raises
     ------
@@ -99,7 +101,7 @@ def follow(scene: BranchScene) -> Any:
     for _ in range(table.follow):
         found.follow()
     made = dataset(found)
-    made.encoding.clear()  # the family, which need not be picklable
+    made.encoding.clear()  # removes the family, which may not be picklable
     return made
 
 
@@ -113,7 +115,7 @@ def _law(
 
 
 def _task(scene: BranchScene, timeout: float | None) -> Followed:
-    """Body of a Dask task; with a time limit [s] in an isolated process."""
+    """Body of a Dask task: branches of one parameter set; isolated if there is a time limit [s]."""
     try:
         if timeout is None:
             return Followed(Status.OK, branches=follow(scene))
@@ -121,19 +123,19 @@ def _task(scene: BranchScene, timeout: float | None) -> Followed:
             return Followed(Status.OK, branches=isolated(follow, scene))
     except CallError as lost:
         return Followed(lost.status, lost.message)
-    except Exception as error:  # the task boundary: of any type, it is the scene's own result
+    except Exception as error:  # the task boundary: any error is a result
         return Followed(*failure(error))
 
 
 def followed(
     scenes: Sequence[BranchScene], client: Client, timeout: float, waiting: Callable[[], None]
 ) -> Iterator[tuple[int, Followed]]:
-    """Branches of scenes as they arrive, each with the number of its scene.
+    """Branches of parameter sets in the order of completion, each with its position in `scenes`.
 
     Parameters
     ----------
     timeout : float
-        Time [s] that a scene may take in an isolated process.
+        CPU time limit [s] of a parameter set in an isolated process.
     waiting : callable
         Called until there is a worker.
 
@@ -148,7 +150,7 @@ def followed(
     completed = as_completed(loop=client.loop)
     try:
         while left or in_flight:
-            # One for each thread: a worker that dies takes no other scene with it.
+            # One task for each thread: a worker that dies loses no other task.
             while left and len(in_flight) < max(sum(client.nthreads().values()), 1):
                 number, alone = left.pop()
                 limit = timeout if alone else None
@@ -165,5 +167,5 @@ def followed(
             else:
                 yield number, one
     finally:
-        with suppress(Exception):  # Dask may raise anything if the cluster has gone already
+        with suppress(Exception):  # Dask may raise any error if the cluster has ended
             client.cancel(list(in_flight))

@@ -1,6 +1,7 @@
-"""The Dask cluster a run works on: a local one, or any that is already there."""
+"""The Dask cluster of a run: a local one, or one that runs already."""
 
 import logging
+import os
 import tempfile
 import time
 import warnings
@@ -19,22 +20,23 @@ from gapsweep.study.software import software
 _CONNECT_SECONDS = 10
 _WAIT_SECONDS = 0.1
 _LOOK_SECONDS = 0.01
-# What goes wrong on a worker becomes the status of its points; its log only repeats it.
+_LONGEST_PLACE = 71  # characters: multiprocessing adds 32, and macOS allows 103 in all
+# Errors on a worker become the status of its points; its log only repeats them.
 _SILENT = logging.CRITICAL
 _LOCAL_SETTINGS = {
-    # Points of a lost worker are tried again by us, where they can harm nobody.
+    # gapsweep retries the points of a lost worker in isolated processes.
     "distributed.scheduler.allowed-failures": 0,
-    # Dask's logs of messages hold the sweep points that were in them: a thousand tasks' worth.
+    # Dask's logs of messages would keep the sweep points of a thousand tasks in memory.
     "distributed.admin.low-level-log-length": 10,
-    # A hundred times a second Dask would look where every thread is; nobody looks at that here.
+    # Dask would sample the stack of every thread a hundred times a second.
     "distributed.worker.profile.enabled": False,
-    # Nor need its processes be looked at more often than once a second.
+    # Dask's monitors need not run more often than once a second.
     "distributed.admin.tick.interval": "1s",
     "distributed.admin.system-monitor.interval": "5s",
     "distributed.worker.memory.monitor-interval": "1s",
 }
 
-# Nothing is served to whoever connects.
+# HTTP routes, which a cluster without dashboard does not serve.
 _ROUTES = "distributed.scheduler.http.routes", "distributed.worker.http.routes"
 
 
@@ -77,6 +79,12 @@ def cluster(
 
 @contextmanager
 def _local(workers: int, dashboard: bool) -> Iterator[Client]:
+    place = tempfile.gettempdir()
+    if os.name == "posix" and len(os.fsencode(place)) > _LONGEST_PLACE:
+        raise ClusterError(
+            f"TMPDIR = {place}: must have <= {_LONGEST_PLACE} characters (of the names of workers' "
+            "sockets); write TMPDIR=/tmp gapsweep run ..."
+        )
     # Free ports on the loopback, so that no other cluster is disturbed. Temporary TLS keys, so that
     # no other process of the machine can run code in the workers or in this process.
     options: dict[str, Any] = {"host": "127.0.0.1", "security": True, "silence_logs": _SILENT}
@@ -85,7 +93,7 @@ def _local(workers: int, dashboard: bool) -> Iterator[Client]:
     with (
         tempfile.TemporaryDirectory(prefix="gapsweep-", ignore_cleanup_errors=True) as folder,
         dask.config.set({"temporary-directory": folder}),
-        _quiet("distributed.batched"),  # of connections to workers that died
+        _quiet("distributed.batched"),  # logger of connections to dead workers
         worker_process(folder) as process,  # which imports while the scheduler starts
         LocalCluster(n_workers=0, **pages, **options) as local,
     ):
@@ -109,7 +117,7 @@ def _local(workers: int, dashboard: bool) -> Iterator[Client]:
 
 @contextmanager
 def _quiet(name: str) -> Iterator[None]:
-    """Switch a logger off."""
+    """Silence a logger during the block."""
     logger = logging.getLogger(name)
     level = logger.level
     logger.setLevel(_SILENT)
@@ -120,12 +128,12 @@ def _quiet(name: str) -> Iterator[None]:
 
 
 def check_workers(client: Client, waiting: Callable[[], None] = lambda: None) -> None:
-    """Retire the workers that run other code; `waiting` is called until there is a worker.
+    """Retire workers with other versions of the code; `waiting` is called until one connects.
 
     Raises
     ------
     ClusterError
-        If no other workers would be left, or the client is asynchronous.
+        If no worker would be left, or the client is asynchronous.
 
     Warns
     -----
@@ -155,7 +163,7 @@ def check_workers(client: Client, waiting: Callable[[], None] = lambda: None) ->
 
 
 def _refusal(answer: Mapping[str, str] | BaseException) -> str:
-    """Why a worker that answers so with its `software` is refused; empty if it is not."""
+    """Reason to refuse a worker, given its `software` or an error; empty if it is accepted."""
     if isinstance(answer, BaseException):
         return (
             f"cannot run gapsweep ({first_line(answer)}); install the same version in the "
@@ -171,5 +179,5 @@ def _refusal(answer: Mapping[str, str] | BaseException) -> str:
 
 
 def first_line(error: BaseException) -> str:
-    """What an error says, short enough for a message."""
+    """First line of an error's message, or its class name without a message."""
     return (str(error) or type(error).__name__).splitlines()[0]

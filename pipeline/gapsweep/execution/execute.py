@@ -1,10 +1,10 @@
 """Carry out a plan on a Dask cluster and store every result as it arrives.
 
-The client is the only writer. A bounded window of tasks is in flight, so that the size of
-the study does not show in the scheduler's memory. Tasks are taken in random order, claimed and
-looked up once more before they are sent out, so that two runs on one cache share the work. When a
-worker is lost, its points are computed again one by one where they can harm nobody; only what
-fails alone is marked as failed.
+The client is the only writer. A bounded number of tasks is in flight, so that the scheduler's
+memory does not grow with the study. Tasks are taken in random order, claimed and looked up in the
+cache before they are submitted, so that two runs on one cache share the work. When a worker dies,
+its points are retried one by one in isolated processes; only a point that fails there is marked
+as failed.
 """
 
 import time
@@ -44,28 +44,28 @@ from gapsweep.study.points import KEY
 from gapsweep.study.software import software
 from gapsweep.study.study import Study
 
-# A task takes at most this part of a thread's share of what is left, so that all end together.
+# A task takes at most this part of a thread's share of the points, so that all end together.
 _PART_OF_SHARE = 0.5
 _MIN_BATCH = 64
-_KNOWN = 0.1  # of the points, from which on the costs of the others are estimated
+_KNOWN = 0.1  # share of the points to compute before the remaining time is estimated
 _WINDOW = 3  # tasks in flight per worker thread
 _COMMIT_SECONDS = 0.5
 _COMMIT_POINTS = 4096
-# Workers that a suspect may lose, before it is taken for guilty although it was alone.
+# Workers that may die of an isolated task before its points are marked as killed.
 _MAX_ATTEMPTS = 5
-_MAX_LOSSES = 20  # no fault of the job: far more than workers die of anything else
+_MAX_LOSSES = 20  # lost results of a job: far more than workers die of other causes
 _WAIT_SECONDS = 0.1
 _CLUSTER_LOST = "the cluster was lost; run again to resume"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Job:
-    """What one task computes, how often its worker died of it, and its result with a worker."""
+    """The points of one task, with its numbers of failed attempts and of lost results."""
 
     rows: Rows  # shape (n,); all of one representation
     claimed: tuple[int, int]  # first and last number claimed
     tiles: list[Tile]
-    rest: Rows  # what follows in their sweeps
+    rest: Rows  # later points of their sweeps
     attempts: int = 0
     losses: int = 0
 
@@ -86,18 +86,18 @@ def execute(
     Parameters
     ----------
     batch : int, optional
-        Points per task; None lets measured costs decide.
+        Points per task; None chooses it from measured costs.
     timeout : float
-        Time [s] that one point may take before it is given up as ``timed_out``.
+        CPU time limit [s] of one point, whose status is then ``timed_out``.
     retry_failed : bool
-        Whether stored failures are computed again.
+        Whether to recompute points with a stored failure.
     on_progress : callable, optional
         Called with the `Progress` after every task.
 
     Raises
     ------
     ClusterError
-        If all workers run other code, or the cluster is lost; what arrived is stored.
+        If all workers run other code, or the cluster is lost; completed results are stored.
     """
     timeout = min(timeout, LONGEST)
     check_workers(client, partial(tell, on_progress, plan.progress, "waiting for workers"))
@@ -113,7 +113,7 @@ def execute(
 
 
 class _Execution:
-    """One run: points waiting, tasks in flight, results not yet stored."""
+    """State of the computation of a plan: waiting points, tasks in flight, unstored results."""
 
     def __init__(
         self,
@@ -131,7 +131,7 @@ class _Execution:
         # The last windows of all points of a task are in memory at once, state by state.
         self.largest_batch = 2 * MAX_BATCH // study.structure.n_states
         self.largest_hit = Status.OUT_OF_FIT_RANGE if retry_failed else max(Status)
-        # What must be computed although it is stored: failures, and what follows them in a sweep.
+        # Stored points to recompute: failures, and later points of their sweeps.
         self.is_stale = plan.is_missing & (plan.status >= 0)
         self.progress = plan.progress
         self.is_repeated = repeated(plan)
@@ -143,9 +143,9 @@ class _Execution:
         self.n_left = np.zeros((plan.shape[0], 2), int)
         self._count(missing, 1)
         self.n_once = plan.n_missing - len(missing)  # computed under another label only
-        # What comes before new points: the rest of a block, and of long sweeps.
+        # Points taken before new ones: the rest of a block, and of long sweeps.
         self.begun: deque[Rows] = deque()
-        # What another run has claimed: looked at again when nothing else is left.
+        # Points claimed by another run: tried when no other points are left.
         self.elsewhere: list[Rows] = []
         self.n_threads = 1
         self.suspects: deque[_Job] = deque()
@@ -168,7 +168,7 @@ class _Execution:
                 future = next(completed)
                 self._receive(future, self.in_flight.pop(future))
             elif self.elsewhere:
-                # The other run may be waiting for what we have not let go of yet.
+                # The other run may be waiting for claims that this run still holds.
                 self.commit()
                 time.sleep(_WAIT_SECONDS)
             else:
@@ -195,14 +195,14 @@ class _Execution:
             completed.add(future)
 
     def _next_job(self) -> _Job | None:
-        """Points for one task, as many as fill it; None if there is nothing to do now."""
+        """A job of claimed points that fill one task; None if no points are available now."""
         while (drawn := self._drawn()) is not None:
             rows, rest = drawn
             claimed = int(rows[0]), int(max(rows[-1], rest[-1] if rest.size else 0))
             if not self.claims.take(*claimed):
                 self.elsewhere.append(np.union1d(rows, rest))
                 continue
-            # Only now: what was stored before we claimed it has been seen.
+            # After the claim: the lookup sees all results stored before it.
             self.n_new -= len(rows)
             wanted = self._not_stored(rows)
             if wanted.size:
@@ -213,8 +213,8 @@ class _Execution:
         return None
 
     def _drawn(self) -> tuple[Rows, Rows] | None:
-        """Points that would fill a task, and what follows in their sweeps; None: none is left."""
-        # While it is not known what a law costs, another law: each worker then compiles its own.
+        """Points that fill a task, and the later points of their sweeps; None if none is left."""
+        # Until the cost of a law is known, take another law: workers then compile in parallel.
         if not self.begun or not self.costs.knows(self._kind(self.begun[0][0])):
             block = next(self.blocks, None)
             if block is not None:
@@ -230,7 +230,7 @@ class _Execution:
         return drawn, rest
 
     def _room(self, point: np.intp) -> int:
-        """Points that a task takes, so that it is not long and all threads have work to the end."""
+        """Number of points in a task: few enough that it is short and all threads end together."""
         if self.batch:
             return self.batch
         share = max(int(_PART_OF_SHARE * self.n_new / self.n_threads), _MIN_BATCH)
@@ -241,12 +241,12 @@ class _Execution:
         return int(representation[point]), int(is_swept[point])
 
     def _count(self, rows: Rows, sign: int) -> None:
-        """Add points to those that are left, or take them off."""
+        """Add points to the counts of missing points (`sign` 1), or subtract them (-1)."""
         representation, is_swept = self.kinds
         np.add.at(self.n_left, (representation[rows], is_swept[rows]), sign)
 
     def _take_back(self) -> None:
-        """What other runs gave up of their claims is drawn again."""
+        """Queue points that other runs had claimed and have released."""
         held = []
         for rows in self.elsewhere:
             ends = int(rows[0]), int(rows[-1])
@@ -258,7 +258,10 @@ class _Execution:
         self.elsewhere = held
 
     def _not_stored(self, rows: Rows) -> Rows:
-        """The points still to be computed; some are, by us under another label, or by others."""
+        """The points without a stored result; points found in the cache are counted as done.
+
+        This run has stored them under another label, or another run has.
+        """
         status = self.cache.status(self.plan.keys[rows])
         is_hit = (status >= 0) & (status <= self.largest_hit) & ~self.is_stale[rows]
         hits = rows[is_hit & self.plan.is_missing[rows]]
@@ -288,27 +291,27 @@ class _Execution:
 
     def _receive(self, future: Future, job: _Job) -> None:
         if is_gone(future):
-            self._compute_anew(job)
+            self._retry_lost(job)
             return
         try:
             result = future.result()
-        except ClusterError:  # of the worker itself, so of none of its points
+        except ClusterError:  # an error of the worker, not of its points
             raise
-        except Exception as error:  # a task's own, of any type, becomes the failure of its points
-            if is_gone(future) or future.status != "error":  # there again, perhaps, by now
-                self._compute_anew(job)
+        except Exception as error:  # any error of a task is the failure of its points
+            if is_gone(future) or future.status != "error":  # lost, perhaps being recomputed
+                self._retry_lost(job)
             else:
                 if not isinstance(error, KilledWorker):
-                    check_workers(self.client)  # one with other code may have joined
+                    check_workers(self.client)  # a worker with other code may have joined
                 self._take_up(job, error)
         else:
             if result.software == software():
                 self._keep(job, result)
                 return
-            check_workers(self.client)  # one with other code has joined
-            self._compute_anew(job)
+            check_workers(self.client)  # a worker with other code has joined
+            self._retry_lost(job)
 
-    def _compute_anew(self, job: _Job) -> None:
+    def _retry_lost(self, job: _Job) -> None:
         if job.losses == _MAX_LOSSES:
             raise ClusterError(
                 f"a result was lost {_MAX_LOSSES} times because workers died before it was "
@@ -317,7 +320,7 @@ class _Execution:
         self.suspects.append(replace(job, losses=job.losses + 1))
 
     def _take_up(self, job: _Job, error: Exception) -> None:
-        """Compute a job that failed as a whole once more, alone; or give it up."""
+        """Retry a failed job point by point in isolation, or mark its points as failed."""
         if job.attempts < (_MAX_ATTEMPTS if isinstance(error, KilledWorker) else 1):
             self.suspects.append(replace(job, attempts=job.attempts + 1))
             return
@@ -355,7 +358,7 @@ class _Execution:
             self.begun.append(job.rest)
 
     def commit(self) -> None:
-        """Store what has arrived; only then may others look for it."""
+        """Store the completed results, and then release the claims on their points."""
         if self.arrived:
             self.cache.commit(self.arrived)
         for claimed in self.held:
@@ -364,13 +367,13 @@ class _Execution:
         self.last_commit = time.monotonic()
 
     def cancel(self) -> None:
-        with suppress(Exception):  # Dask may raise anything if the cluster has gone already
+        with suppress(Exception):  # Dask may raise any error if the cluster has ended
             self.client.cancel(list(self.in_flight))
         self.in_flight.clear()
 
 
 def is_gone(future: Future) -> bool:
-    """Whether a result went with its worker before anybody fetched it.
+    """Whether the result of a task was lost with its worker before it was fetched.
 
     Raises
     ------

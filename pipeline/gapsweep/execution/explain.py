@@ -1,4 +1,4 @@
-"""Why a sweep point is a hit or a miss: its identity against what is stored."""
+"""Explanations why sweep points are in the cache or missing, from identities of stored points."""
 
 import json
 from collections.abc import Iterator, Mapping
@@ -17,13 +17,13 @@ from gapsweep.study.points import Points
 from gapsweep.study.schema import UNITS
 from gapsweep.study.study import Study
 
-# Fields in which two points differ: what is asked for, and what is stored.
+# Fields in which two points differ, each with the requested and the stored value.
 Differences = dict[str, tuple[str, str]]
 
 
 @dataclass(frozen=True, slots=True)
 class Explanation:
-    """What is stored of one sweep point.
+    """Stored status of one sweep point, or its differences from the nearest stored point.
 
     Attributes
     ----------
@@ -32,10 +32,10 @@ class Explanation:
     status : str
         Stored status, or ``"missing"``.
     host, message : str
-        Of a stored result.
+        Machine and message of a stored result.
     differences : dict of str to (str, str)
-        For a missing point, the fields in which the nearest stored one differs: what is asked
-        for, and what is stored.
+        For a missing point, the fields in which the nearest stored one differs, each with the
+        requested and the stored value.
     """
 
     label: str
@@ -46,7 +46,7 @@ class Explanation:
 
 
 def explain(study: Study, plan: Plan, cache: Cache | None, limit: int) -> Iterator[Explanation]:
-    """Explain the first points of a plan, at most `limit` of them; None: there is no cache yet."""
+    """Explain the first points of a plan, at most `limit`; `cache` is None if there is none."""
     points = range(min(plan.n_points, limit))
     nearest: dict[int, Differences] = {}
     if cache and (missing := [point for point in points if plan.status[point] < 0]):
@@ -72,10 +72,10 @@ def explain(study: Study, plan: Plan, cache: Cache | None, limit: int) -> Iterat
 def _differing(
     asked: Points, previous: NDArray[np.void], slab: Slab, contents: Stored
 ) -> Differences:
-    """In what a point differs from the one of a slab that is most like it."""
+    """Fields in which a requested point differs from the most similar point of a slab."""
     differing = _differences(_fields(asked.kind.identity), _fields(slab.identity))
     stored, (numbers,) = contents.numbers, asked.numbers
-    if stored.shape[1] != len(numbers):  # of systems of another structure
+    if stored.shape[1] != len(numbers):  # points of systems of another structure
         return differing
     unlike, is_other = stored != numbers, contents.previous != previous
     row = int(np.argmin(unlike.sum(axis=1) + is_other))
@@ -108,7 +108,7 @@ def _label(study: Study, cell: int) -> str:
 
 
 def _fields(identity: str) -> dict[str, str]:
-    """An identity's fields by dotted name, as text; none if a run cannot have written it."""
+    """Fields of an identity by dotted name, as text; empty if it is not in a run's form."""
     try:
         whole = json.loads(identity)
         others = {name: whole[name] for name in ("numerics", "schema", "versions")}

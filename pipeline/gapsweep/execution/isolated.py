@@ -1,12 +1,12 @@
 """Function calls in a separate Python process, which may crash, hang or run out of memory.
 
-The process is a fresh interpreter that imports no script of the caller. Calls and answers travel
-over a socket of their own, so output of the called code disturbs nobody.
+The process is a fresh interpreter that imports no script of the caller. Calls and results travel
+over a private socket, so output of the called code does not mix with them.
 """
 
 import ctypes
 import os
-import pickle  # of a process that we started, over a private connection
+import pickle  # only for data of the process started here, over a private connection
 import signal
 import subprocess
 import sys
@@ -30,7 +30,7 @@ from gapsweep.user_code.load import TEMPORARY
 
 try:
     import resource
-except ImportError:  # not a POSIX system: calls have no limits there but that of time
+except ImportError:  # not a POSIX system: there only the time of calls is limited
     resource = None  # type: ignore[assignment]  # `_limit` tests for the missing module
 
 Result = TypeVar("Result")
@@ -39,15 +39,15 @@ LONGEST = 1e8  # s: the operating system takes no infinite limit
 _START_SECONDS = 120.0
 _LOOK_SECONDS = 0.1
 _LEAVE_SECONDS = 2.0
-# A call that is late by the clock, and uses a smaller share of the processor, waits in vain. A call
-# with a larger share runs on a busy machine, and has up to 50 time limits.
+# A call beyond its time limit on the clock is ended if it used a smaller share of the processor.
+# With a larger share the machine is busy: the call has up to 50 times the limit on the clock.
 _IDLE = 0.02
-_PR_SET_PDEATHSIG = 1  # of Linux's prctl
+_PR_SET_PDEATHSIG = 1  # option of prctl on Linux
 _CHILD = "from gapsweep.execution.isolated import serve; serve()"
 
 
 class CallError(Exception):
-    """A call that returned nothing; `status` is `KILLED`, `TIMED_OUT`, `MODEL_INVALID`, `ERROR`."""
+    """Failure of a call; its `status` is `KILLED`, `TIMED_OUT`, `MODEL_INVALID` or `ERROR`."""
 
     def __init__(self, status: Status, message: str) -> None:
         super().__init__(status, message)
@@ -57,7 +57,7 @@ class CallError(Exception):
 class Isolated:
     """Run calls in a separate process; a context manager.
 
-    The first call starts the process, and so does a call after one that has ended it.
+    The first call starts the process, as does a call after one that ended the process.
 
     Parameters
     ----------
@@ -65,8 +65,8 @@ class Isolated:
         Processor time [s] that a call may take, rounded up to seconds; wall time if the call
         leaves the processor idle.
     memory : int, optional
-        Address space [bytes] that the process may add to what it has at its start; by default the
-        memory of the machine, or of the container.
+        Address space [bytes] that the process may add to its initial one; by default the memory of
+        the machine, or of the container.
     """
 
     def __init__(self, timeout: float, memory: int | None = None) -> None:
@@ -80,21 +80,21 @@ class Isolated:
         self._end(_LEAVE_SECONDS)
 
     def __call__(self, function: Callable[..., Result], *arguments: Any) -> Result:
-        """Return what a function returns for arguments that can be pickled.
+        """Call a function with picklable arguments in the process, and return its result.
 
         Raises
         ------
         CallError
-            If it raises, ends its process or takes too long.
+            If the function raises, ends its process or takes too long.
         ClusterError
             If the process runs other code than the caller.
         """
         return self.within(self.timeout, function, *arguments)
 
     def within(self, timeout: float, function: Callable[..., Result], *arguments: Any) -> Result:
-        """A call with a time limit [s] of its own."""
+        """Call a function as `__call__` does, with this time limit [s]."""
         if self._process is not None and self._process.poll() is not None:
-            self._end()  # not by this call
+            self._end()  # ended since the last call
         try:
             process = self._process or self._started()
             call = pickle.dumps((function, arguments))
@@ -121,14 +121,14 @@ class Isolated:
                 stdin=subprocess.DEVNULL,
                 stdout=subprocess.DEVNULL,
                 stderr=subprocess.DEVNULL,
-                start_new_session=True,  # deaf to Ctrl-C; its group holds all that it starts
+                start_new_session=True,  # gets no Ctrl-C; its group holds all processes it starts
             )
         if self._answer(process, _START_SECONDS) != software():
             raise ClusterError("the code of gapsweep changed during the run; run again to resume")
         return process
 
     def _answer(self, process: "subprocess.Popen[bytes]", timeout: float) -> Any:
-        """What the process sends next."""
+        """The next object that the process sends; a CallError if it ends or takes too long."""
         began, spent = time.monotonic(), _processor_seconds(process.pid)
         try:
             while not self._pipe.poll(_LOOK_SECONDS) and process.poll() is None:
@@ -142,12 +142,12 @@ class Isolated:
             raise _lost(process, timeout) from None
         except (CallError, OSError):
             raise
-        except Exception as error:  # an object of the user's may raise anything when it is read
+        except Exception as error:  # unpickling a user's object may raise any error
             raise CallError(*failure(error)) from None
 
     def _end(self, patience: float = 0.0) -> None:
-        """Let the process clean up for some seconds, then end all that it has started."""
-        # Another thread whose call this ends comes here too, and finds no process.
+        """End the process and its children, after `patience` seconds for its clean-up."""
+        # Another thread, whose call this ends, calls this too and finds no process.
         process, self._process = self._process, None
         if process is not None:
             self._pipe.close()
@@ -159,7 +159,7 @@ class Isolated:
 
 
 def failure(error: BaseException) -> tuple[Status, str]:
-    """Status and message of a call that raised."""
+    """Status and message of a call that raised an error."""
     if isinstance(error, ModelError):
         return Status.MODEL_INVALID, str(error)
     return Status.ERROR, described(error)
@@ -170,7 +170,7 @@ def _too_long(timeout: float) -> CallError:
 
 
 def _lost(process: "subprocess.Popen[bytes]", timeout: float) -> CallError:
-    """How a process ended that has closed its connection."""
+    """CallError that says how a process ended that has closed its connection."""
     try:
         code = process.wait(_LEAVE_SECONDS)
     except subprocess.TimeoutExpired:
@@ -191,7 +191,7 @@ def _processor_seconds(pid: int) -> float:
 
 
 def serve() -> None:
-    """Answer calls until the caller closes the connection."""
+    """Main loop of the isolated process: run calls until the caller closes the connection."""
     if sys.platform == "linux":  # the caller may be killed while a call hangs
         ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
     pipe, at_start = Connection(int(sys.argv[1])), psutil.Process().memory_info().vms
@@ -215,9 +215,9 @@ def _limit(name: str, value: int) -> None:
 
 def _result(call: bytes) -> bytes:
     try:
-        function, arguments = pickle.loads(call)  # of the process that started this one
+        function, arguments = pickle.loads(call)  # sent by the process that started this one
         return pickle.dumps(function(*arguments))
-    except ClusterError as error:  # of the process itself, so of none of its points
+    except ClusterError as error:  # an error of the process, not of its points
         return pickle.dumps(error)
-    except BaseException as error:  # a law may raise SystemExit, or what is no Exception at all
+    except BaseException as error:  # a law may raise any BaseException, as SystemExit
         return pickle.dumps(CallError(*failure(error)))

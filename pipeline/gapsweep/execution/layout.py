@@ -1,4 +1,4 @@
-"""Where in the files of a run the points of a grid belong, and what these files hold."""
+"""Layout of the files of a run: positions of the grid's points, dimensions and variables."""
 
 import math
 from collections.abc import Collection, Iterator, Mapping
@@ -29,17 +29,17 @@ Arrays = dict[str, NDArray[Any]]
 
 # Sweep points in memory, and in a chunk of the file, at a time.
 _PIECE = 4096
-# Attractors of a scene in a chunk: few have more.
+# Attractors of a parameter set in a chunk: few have more.
 _ATTRACTORS = 4
 
 
-# Where in a variable over the grid some neighbouring points lie: whole scenes, with all starts.
+# Slices of a variable over the grid: neighbouring parameter sets with all initial conditions.
 Piece = tuple[slice, ...]
 
 
 @dataclass(frozen=True)
 class Layout:
-    """How the points of a grid lie in the files.
+    """Positions of a grid's points in the files, and the variables of the files.
 
     Attributes
     ----------
@@ -47,9 +47,9 @@ class Layout:
     sizes : dict of str to int
         Lengths of the padded lists, and of the dimensions within a point.
     uneven : collection of str
-        Labels of tables of the user's whose forces differ from side to side.
+        Labels of user tables with a force that is not odd in the displacement.
     mean_load : float
-        Of the model, where it is not swept [N].
+        Mean load [N] of the model if it is not swept.
     """
 
     grid: Grid
@@ -59,25 +59,25 @@ class Layout:
 
     @classmethod
     def of(cls, grid: Grid, steady: Steady, **symmetry: Any) -> "Layout":
-        """Of a grid; `symmetry` are `uneven` and `mean_load`."""
+        """The layout of a grid; `symmetry` holds `uneven` and `mean_load`."""
         return cls(grid, sizes_of(grid.structure, steady), **symmetry)
 
     @property
     def variables(self) -> dict[str, Variable]:
-        """Of `responses.nc`."""
+        """Variables of `responses.nc`."""
         return self._described(VARIABLES)
 
     @property
     def attractor_variables(self) -> dict[str, Variable]:
-        """Of `attractors.nc`, over its attractors."""
+        """Variables of `attractors.nc` over its attractors."""
         return self._described(ATTRACTOR_VARIABLES)
 
     def coordinates(self, dims: Collection[str]) -> Found:
-        """The coordinates that dimensions bring along."""
+        """The coordinates of a dataset with these dimensions."""
         return coordinates(dims, self.grid.structure)
 
     def _described(self, variables: Mapping[str, Variable]) -> dict[str, Variable]:
-        """The variables that the models have, with their units where these are known."""
+        """The variables that exist for the models, with their units where these are known."""
         structure = self.grid.structure
         return {
             name: described(variable, structure)
@@ -86,12 +86,12 @@ class Layout:
         }
 
     def within(self, variable: Variable) -> dict[str, int]:
-        """Dimensions that a variable has within a point, and their sizes."""
+        """Sizes of a variable's dimensions other than those of the grid, by name."""
         return {dim: self.sizes[dim] for dim in variable.dims if dim in self.sizes}
 
     @property
     def chunk(self) -> tuple[int, ...]:
-        """Sizes of a chunk of a variable over the grid: starts first, then frequencies."""
+        """Chunk sizes of a variable: large along initial conditions first, then frequencies."""
         sizes, room = {}, _PIECE
         for dim in sorted(self.grid.dims[::-1], key=lambda dim: (dim != START, dim != "omega")):
             sizes[dim] = max(1, min(len(self.grid.axes[dim]), room))
@@ -99,15 +99,16 @@ class Layout:
         return tuple(sizes[dim] for dim in self.grid.dims)
 
     def pieces(self) -> Iterator[Piece]:
-        """Pieces of the grid, as large as a chunk, but with all starts."""
+        """Pieces of the grid, as large as a chunk, but with all initial conditions."""
         *sizes, _ = zip(self.grid.shape, self.chunk, strict=True)
         parts = ([slice(i, min(i + k, n)) for i in range(0, n, k)] for n, k in sizes)
         yield from product(*parts, [slice(0, len(self.grid.starts))])
 
     def is_symmetric(self, piece: Piece) -> NDArray[np.bool_]:
-        """Whether every scene of a piece is known to be its own mirror image, flat.
+        """Whether each parameter set of a piece is known to be symmetric under x to -x, flat.
 
-        Of a user's function the walls have to say it: equally far from the origin, equally stiff.
+        It is if both walls have the same distance and stiffness, no mean load acts, and the law is
+        no uneven table.
         """
         if not self.grid.structure.is_odd:
             return np.zeros(math.prod(part.stop - part.start for part in piece[:-1]), bool)
@@ -129,26 +130,26 @@ class Layout:
         return self.grid.coordinates()
 
     def places(self, piece: Piece) -> dict[str, NDArray[np.intp]]:
-        """Where on every axis but the starts' the scenes of a piece lie, flat."""
+        """Positions of a piece's parameter sets on every axis but initial conditions, flat."""
         dims = self.grid.dims[:-1]
         return {dim: self._over(piece, dim, np.arange(len(self.grid.axes[dim]))) for dim in dims}
 
     def _over(self, piece: Piece, dim: str, values: NDArray[Any]) -> NDArray[Any]:
-        """Values along a dimension, for every scene of a piece, flat."""
+        """Values along a dimension, for every parameter set of a piece, flat."""
         axis = self.grid.dims.index(dim)
         shape = [part.stop - part.start for part in piece[:-1]]
         along = np.expand_dims(values[piece[axis]], [i for i in range(len(shape)) if i != axis])
         return np.broadcast_to(along, shape).ravel()
 
     def starts(self) -> Iterator[slice]:
-        """Parts of all starts that are written at a time."""
+        """Slices of the initial conditions, each written at a time."""
         n_starts = len(self.grid.starts)
         for first in range(0, n_starts, _PIECE):
             yield slice(first, min(first + _PIECE, n_starts))
 
 
 def define(dataset: netCDF4.Dataset, layout: Layout) -> None:
-    """Dimensions, coordinates and variables of `responses.nc`."""
+    """Create dimensions, coordinates and variables of `responses.nc`."""
     dims, chunk = layout.grid.dims, layout.chunk
     _define_coordinates(dataset, layout, dims)
     for name in (EXTREMUM, SECTION_POINT):
@@ -159,7 +160,7 @@ def define(dataset: netCDF4.Dataset, layout: Layout) -> None:
 
 
 def define_attractors(dataset: netCDF4.Dataset, layout: Layout) -> None:
-    """Dimensions, coordinates and variables of `attractors.nc`; it grows with their number."""
+    """Create dimensions, coordinates and variables of `attractors.nc`, unlimited in attractors."""
     scenes, chunk = layout.grid.dims[:-1], layout.chunk[:-1]
     _define_coordinates(dataset, layout, scenes)
     for name, size in {**layout.sizes, ATTRACTOR: None}.items():
@@ -189,7 +190,7 @@ def _define_coordinates(dataset: netCDF4.Dataset, layout: Layout, dims: tuple[st
 
 
 def _name_auxiliary(dataset: netCDF4.Dataset, layout: Layout, dims: tuple[str, ...]) -> None:
-    """CF: data variables name the coordinates that are no dimension, but lie along theirs."""
+    """Set the CF attribute ``coordinates``: auxiliary coordinates along a variable's dimensions."""
     found = layout.coordinates(dims)
     for name, variable in dataset.variables.items():
         if name not in found:
@@ -220,7 +221,7 @@ def _create(
         complevel=1,
         chunksizes=chunk,
         fletcher32=chunk is not None,
-        chunk_cache=1,  # every chunk is written once: to keep it would only fill memory
+        chunk_cache=1,  # every chunk is written once: a cache would only take memory
     )
     if chunk:
         # Chunks never written read as missing; without the attribute integers stay integers.
@@ -236,7 +237,7 @@ def _describe(created: "netCDF4.Variable[Any]", variable: Variable) -> None:
 
 
 def set_flags(variable: Any, flags: tuple[tuple[str, int], ...]) -> None:
-    """Meanings of the values of a flag variable."""
+    """Set the CF attributes for the values and meanings of a flag variable."""
     if flags:
         variable.flag_values = np.array([value for _, value in flags], dtype=variable.dtype)
         # CF separates meanings by blanks.

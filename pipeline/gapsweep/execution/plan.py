@@ -1,4 +1,4 @@
-"""What a run has to do: decided here, without doing any of it."""
+"""The plan of a run: all sweep points of a study, and which of them must be computed."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -15,28 +15,28 @@ from gapsweep.study.grid import Selection
 from gapsweep.study.points import KEY
 from gapsweep.study.study import Study
 
-# Points whose numbers are in memory at a time.
+# Points in memory at a time while keys are computed.
 _PART = 65_536
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Plan:
-    """Every sweep point of a study, in the order of computation, and what the cache holds of it.
+    """All sweep points of a study, in the order of computation, with their status in the cache.
 
     Attributes
     ----------
     cells : ndarray of int, shape (n_points,)
         Flat position of each point in the study's grid.
     follows : ndarray of bool, shape (n_points,)
-        Which points of sweeps start where the one before them ends.
+        Whether a point of a sweep starts from the end state of the point before it.
     keys : ndarray of void, shape (n_points,)
         Content keys.
     status : ndarray of int8, shape (n_points,)
         Stored status, or `MISSING`.
     is_missing : ndarray of bool, shape (n_points,)
-        Which points are to be computed.
+        Whether a point must be computed.
     shape : tuple of int
-        Of the study's grid.
+        Shape of the study's grid.
     """
 
     cells: NDArray[np.int64]
@@ -64,21 +64,21 @@ class Plan:
 
     @property
     def n_failed(self) -> int:
-        """Stored points without a result."""
+        """Number of stored points without a result."""
         return int(np.sum(self.status > Status.OUT_OF_FIT_RANGE))
 
     @property
     def progress(self) -> Progress:
-        """Counts before anything is computed; stored failures that are hits count as failed."""
+        """Counts before the computation; cached failures that are not retried count as failed."""
         n_failed = int(np.sum(~self.is_missing & (self.status > Status.OUT_OF_FIT_RANGE)))
         return Progress(self.n_points, self.n_hits, n_failed=n_failed)
 
     def representation(self, points: NDArray[np.intp]) -> NDArray[np.int64]:
-        """Number of the representation of some points."""
+        """Position of the representation of some points in the study."""
         return self.cells[points] // int(np.prod(self.shape[1:]))
 
     def previous(self, points: NDArray[np.intp]) -> NDArray[np.void]:
-        """Keys of the points that some points start from; zero where there is none."""
+        """Keys of the preceding points in sweeps; zero for points that follow none."""
         found = self.keys[points - 1]
         found[~self.follows[points]] = np.zeros(1, KEY)
         return found
@@ -97,10 +97,10 @@ def plan(
     ----------
     study : Study
     cache : Cache, optional
-        Nothing is stored if None.
+        None if there is no cache yet.
     selection : Selection, optional
-        Part of the study that is wanted; all if None. Points of a sweep that lead to a
-        selected one are wanted too.
+        Part of the study; all if None. The points of a sweep before a selected point are
+        included.
     retry_failed : bool
         Whether stored failures count as missing.
     """
@@ -116,8 +116,8 @@ def plan(
         for rows, points in study.points(cells[part]):
             keys[part.start + rows] = points.keys(follows[part][rows])
     status = np.full(len(keys), MISSING, np.int8) if cache is None else cache.status(keys)
-    # What lies beyond a lost row of a sweep was computed when it was there, and still holds. But
-    # what started elsewhere, since a point before it had failed that has a result now, does not.
+    # Stored points after a lost point of a sweep stay valid: they were computed from its result.
+    # Points that started from another state, since an earlier point had failed, are recomputed.
     missing = status < 0
     if cache is not None:
         missing |= _after(_started_elsewhere(cache, keys, status, follows), follows)
@@ -127,7 +127,7 @@ def plan(
 
 
 def _parts(follows: NDArray[np.bool_]) -> Iterator[slice]:
-    """Parts of all points, each of some whole sweeps."""
+    """Slices of the points, each of whole sweeps."""
     starts = np.flatnonzero(~follows)
     at = np.unique(np.searchsorted(starts, range(0, len(follows), _PART)))
     firsts = [*starts[at[at < len(starts)]].tolist(), len(follows)]
@@ -137,7 +137,7 @@ def _parts(follows: NDArray[np.bool_]) -> Iterator[slice]:
 def _started_elsewhere(
     cache: Cache, keys: NDArray[np.void], status: NDArray[np.int8], follows: NDArray[np.bool_]
 ) -> NDArray[np.bool_]:
-    """Which stored points did not start where they would start now."""
+    """Mask of stored points that started from another point than they would now."""
     rows = np.flatnonzero(follows | np.append(follows[1:], False))
     is_first = ~follows[rows]
     started, has_end = cache.origins(keys[rows])
@@ -148,7 +148,7 @@ def _started_elsewhere(
 
 
 def _after(failed: NDArray[np.bool_], follows: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """The failed points and all behind them in their sweeps, which may now start elsewhere."""
+    """Mask of the failed points and of all later points of their sweeps."""
     so_far = np.append(0, np.cumsum(failed))
     first = np.maximum.accumulate(np.where(follows, 0, np.arange(len(follows))))
     return np.asarray(so_far[1:] > so_far[first])

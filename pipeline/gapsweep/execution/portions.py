@@ -1,4 +1,4 @@
-"""Which missing points make a task: in what order they come, and how many of them fill one."""
+"""Division of the missing points into tasks: their order, and their number in a task."""
 
 import random
 import time
@@ -10,17 +10,17 @@ from numpy.typing import NDArray
 
 from gapsweep.execution.plan import Plan
 
-# Short against a user's patience and against what a kill may cost; until then, the more points
-# share the lanes, the less each costs: a third in 16,384 of what it costs in 250.
+# Short enough for progress and for the loss by a kill. The more points share the lanes, the less
+# each costs: in a task of 16,384 a third of the cost in a task of 250.
 _TASK_SECONDS = 4.0
-# A task has the time of one point: it aims at so much of it, for costs differ.
+# A task has the time limit of one point: it aims at this part of it, since costs differ.
 _PART_OF_TIMEOUT = 0.25
 MAX_BATCH = 16384
 _RECENT_SECONDS = 60.0
-_FEW = np.array([256, 16])  # points of each kind that tell little of the cost of others
+_FEW = np.array([256, 16])  # points of each kind with a weight equal to the mean of other kinds
 # Before any cost is known: a compiled kernel wants its lanes filled, scipy takes seconds a point.
 _FIRST_BATCH = {"compiled": 16, "scipy": 1}
-# A long sweep comes back in parts, so that a kill costs one of them and not the whole sweep.
+# A long sweep is computed in parts, so that a kill loses one part and not the whole sweep.
 SWEEP_PART = 16
 
 # Numbers of points in the plan, ascending.
@@ -28,7 +28,7 @@ Rows = NDArray[np.intp]
 
 
 def repeated(plan: Plan) -> NDArray[np.bool_]:
-    """Which points a study names under several labels."""
+    """Mask of points that occur under several labels of a study, with equal keys."""
     # By the first eight bytes: numbers are sorted faster than whole keys, and in less memory.
     heads = plan.keys.view(np.uint64)[:: plan.keys.itemsize // 8]
     _, number, counts = np.unique(heads, return_inverse=True, return_counts=True)
@@ -36,7 +36,7 @@ def repeated(plan: Plan) -> NDArray[np.bool_]:
 
 
 def once(plan: Plan, is_repeated: NDArray[np.bool_]) -> Rows:
-    """What is missing; of fixed starts that are named under several labels, the first."""
+    """The missing points; only the first of equal points with a fixed initial condition."""
     in_sweep = plan.follows | np.append(plan.follows[1:], False)
     alone = np.flatnonzero(plan.is_missing & is_repeated & ~in_sweep)
     _, first = np.unique(plan.keys[alone], return_index=True)
@@ -46,13 +46,13 @@ def once(plan: Plan, is_repeated: NDArray[np.bool_]) -> Rows:
 
 
 def is_first_of_sweep(rows: Rows, follows: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Which points begin a sweep, or go on with one of which the part before is not among them."""
+    """Mask of points that begin a sweep, or whose preceding point is not among `rows`."""
     is_next = np.diff(rows, prepend=-2) == 1
     return np.asarray(~(is_next & follows[rows]))
 
 
 def cut(rows: Rows, follows: NDArray[np.bool_], room: int) -> tuple[Rows, Rows, Rows]:
-    """As many points as there is room for, what follows in their sweeps, and all others."""
+    """Divide points: those of a task of size `room`, later points of their sweeps, and others."""
     is_first = is_first_of_sweep(rows, follows)
     sweep = np.cumsum(is_first) - 1
     firsts = np.flatnonzero(is_first)
@@ -64,21 +64,21 @@ def cut(rows: Rows, follows: NDArray[np.bool_], room: int) -> tuple[Rows, Rows, 
 
 
 class Costs:
-    """Mean cost of the points of each kind, as far as it is known.
+    """Mean CPU time of the points of each kind, as far as it has been measured.
 
-    A kind is the number of a representation and 1 for points of sweeps, which fill few lanes.
+    A kind is the number of a representation, and 1 for points of sweeps, which fill few lanes.
     """
 
     def __init__(self, engine: str, timeout: float, n_representations: int) -> None:
         self.unknown = _FIRST_BATCH[engine]
         self.aim = min(_TASK_SECONDS, _PART_OF_TIMEOUT * timeout)  # s for a task
         self.seconds, self.n_points = np.zeros((2, n_representations, 2))
-        # When tasks came back of late, and the processor time [s] of all tasks until then.
+        # Times at which recent tasks were completed, and CPU time [s] of all tasks until then.
         self.spent: deque[tuple[float, float]] = deque()
 
     def add(self, kind: tuple[int, int], n_points: int, seconds: float, spent: float) -> None:
-        """Learn from a task that has spent some processor time [s], that of compiling included."""
-        if not self.n_points[kind[0]].any():  # until now workers compiled, or waited for each other
+        """Add the measured costs of a task; `spent` is its CPU time [s] including compilation."""
+        if not self.n_points[kind[0]].any():  # until now workers compiled or waited
             self.spent.clear()
         now, before = time.monotonic(), self.spent[-1][1] if self.spent else 0.0
         self.spent.append((now, before + spent))
@@ -88,13 +88,14 @@ class Costs:
         self.n_points[kind] += n_points
 
     def knows(self, kind: tuple[int, int]) -> bool:
-        """Whether a point of this kind has been computed."""
+        """Whether the cost of this kind has been measured."""
         return bool(self.n_points[kind])
 
     def seconds_left(self, n_left: NDArray[np.integer]) -> float | None:
-        """Time [s] that points take; None until every representation is compiled.
+        """Remaining time [s] of the points; None until every representation is compiled.
 
-        From the processor time that tasks got per second of late: the machine may be busy.
+        Computed from costs and from the recent CPU time of tasks per second: the machine may be
+        busy.
 
         Parameters
         ----------
@@ -108,13 +109,13 @@ class Costs:
         (begin, before), (now, spent) = self.spent[0], self.spent[-1]
         if spent == before or now - begin < _TASK_SECONDS:
             return None
-        # A kind of which few points are known costs about what others do.
+        # A kind with few measured points is taken to cost about as much as others.
         mean = self.seconds.sum(axis=0) / np.maximum(n_all, 1.0)
         cost = (self.seconds + _FEW * mean) / (self.n_points + _FEW)
         return float(np.sum(n_left * cost) * (now - begin) / (spent - before))
 
     def room(self, kind: tuple[int, int]) -> int:
-        """Points that fill a task."""
+        """Number of points of a kind that fill a task."""
         if not self.knows(kind):
             return self.unknown
         cost = self.seconds[kind] / self.n_points[kind]
@@ -122,11 +123,11 @@ class Costs:
 
 
 def shuffled(plan: Plan, missing: Rows) -> Iterator[Rows]:
-    """What is missing, in random order of blocks of neighbours, which cost alike.
+    """The missing points in blocks of neighbours, in random order; neighbours have similar costs.
 
-    A block is as large as a task may be, of one representation, and made of whole sweeps. One of
-    each representation leads, in the study's order: the exact law is mostly the first, and its
-    kernel is another than that of the second.
+    A block has at most the size of a task, one representation, and whole sweeps. One block of each
+    representation comes first, in the study's order, so that workers compile different kernels:
+    mostly the exact law's and another one.
     """
     if not missing.size:
         return iter(())
@@ -146,6 +147,6 @@ def shuffled(plan: Plan, missing: Rows) -> Iterator[Rows]:
 
 
 def _halves(block: Rows, follows: NDArray[np.bool_]) -> tuple[Rows, Rows]:
-    """A block cut before one of its sweeps, drawn at random: runs that share no locks differ."""
+    """Cut a block in two at a random sweep: runs without common locks then do different work."""
     at = random.choice(np.flatnonzero(is_first_of_sweep(block, follows)))
     return block[:at], block[at:]

@@ -1,4 +1,4 @@
-"""What a run tells while it goes on."""
+"""Progress of a run, as its observer gets it."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -10,9 +10,9 @@ OnProgress = Callable[["Progress"], None]
 
 @dataclass(slots=True)
 class Progress:
-    """Counts of a run so far; handed to the observer after every task, and as stages begin.
+    """Counts of a run, given to the observer after every task and at the beginning of stages.
 
-    `stage` names what is done before or after the points; it is empty while they are computed.
+    `stage` names the step before or after the points; it is empty while points are computed.
     """
 
     n_points: int
@@ -20,7 +20,7 @@ class Progress:
     n_computed: int = 0
     n_failed: int = 0
     n_shared: int = 0  # computed meanwhile by another run on the same cache
-    seconds_left: float | None = None  # of computing points; None while it cannot be known
+    seconds_left: float | None = None  # for the remaining points; None while unknown
     stage: str = ""
 
     @property
@@ -29,6 +29,6 @@ class Progress:
 
 
 def tell(on_progress: OnProgress | None, progress: Progress, stage: str) -> None:
-    """Say what begins now, with the counts so far."""
+    """Call the observer, if any, with the name of the stage that begins and the counts."""
     if on_progress is not None:
         on_progress(replace(progress, stage=stage))

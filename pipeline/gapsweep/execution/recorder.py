@@ -1,4 +1,4 @@
-"""Keeps the state of a run in its folder, for other shells, while it goes on."""
+"""Record of a run's state in its folder, for other shells, during the run."""
 
 import time
 from contextlib import suppress
@@ -17,7 +17,7 @@ _STATE_SECONDS = 5.0
 
 
 class Recorder:
-    """Keeps `run.json` up to date while a run goes on, and hands progress on."""
+    """Observer of a run that keeps `run.json` up to date and passes the progress on."""
 
     def __init__(
         self,
@@ -42,7 +42,7 @@ class Recorder:
         return self
 
     def __call__(self, progress: Progress) -> None:
-        if not progress.stage:  # before and after the points nothing is counted
+        if not progress.stage:  # counts change only while points are computed
             n_computed, n_failed = progress.n_computed, progress.n_failed
             self.state = replace(self.state, computed=n_computed, failed=n_failed)
         is_begun = not progress.stage or self.written > -np.inf
@@ -52,12 +52,12 @@ class Recorder:
             self.on_progress(progress)
 
     def write(self) -> None:
-        """Store the state now."""
+        """Write the present state to `run.json`."""
         self._store(self.state)
         self.written = time.monotonic()
 
     def _store(self, state: RunState) -> None:
-        """Where another run of the study goes on in the same folder, that is what is told."""
+        """Write a state, unless another run in the same folder is still running."""
         if not state.is_hidden_in(self.folder):
             state.write(self.folder)
 
@@ -66,6 +66,6 @@ class Recorder:
             self._store(replace(self.state, state=FINISHED))
         elif self.written > -np.inf:
             state = INTERRUPTED if isinstance(error, KeyboardInterrupt) else FAILED
-            # The disk may be full: that is what the error says already.
+            # The disk may be full: the error reports that already.
             with suppress(StoreError):
                 self._store(replace(self.state, state=state, message=str(error)))

@@ -1,4 +1,4 @@
-"""Where the points of a sweep start: from the last point before them that has an end."""
+"""Initial states of sweep points: the end state of the last earlier point that has one."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,10 +14,10 @@ def origins(
     has_end: NDArray[np.bool_],
     before: NDArray[np.void],
 ) -> NDArray[np.void]:
-    """Keys of the points at whose ends points start that stand sweep after sweep; zero at rest.
+    """Keys of the points from whose end state each point starts; zero for rest.
 
-    `is_first` says which begin a sweep or a part of one, `has_end` which have an end (`Responses`);
-    `before` holds the origins of the first ones.
+    The points are in order, sweep after sweep. `is_first` marks the first point of a sweep or of a
+    part of one, `has_end` points with an end state; `before` holds the origins of first points.
     """
     numbers = np.arange(len(keys))
     first = np.maximum.accumulate(np.where(is_first, numbers, 0))
@@ -31,14 +31,15 @@ def origins(
 def start_of(
     cache: Cache, previous: NDArray[np.void], n_states: int
 ) -> tuple[NDArray[np.float64], NDArray[np.void]]:
-    """Where a sweep that has come to the point of a key goes on, and the key of whose end that is.
+    """State from which a sweep continues after the point `previous`, and the key of its origin.
 
-    At rest, a state of `n_states` zeros, and zero, if it has not begun.
+    The origin is the last point up to `previous` that has an end state. Without one, the state is
+    rest (`n_states` zeros) and the key zero.
 
     Raises
     ------
     StoreError
-        If that point is not stored.
+        If a point of the sweep is not stored.
     """
     while previous != np.zeros(1, KEY):
         place = cache.place(previous)

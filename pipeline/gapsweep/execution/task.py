@@ -1,7 +1,7 @@
-"""What a worker runs: sweep points in, responses out.
+"""The tasks of Dask workers: from sweep points to responses.
 
-A sweep point is the unit of work, of failure and of caching; a task carries several of
-them only because a task has a price of its own.
+A sweep point is the unit of work, of failure and of caching; a task has several points because
+every task takes some time of Dask.
 """
 
 import gc
@@ -37,12 +37,11 @@ from gapsweep.study.software import software, versions
 
 _RESTARTED = "the preceding point has no end state; started from the last point that has"
 
-# What was computed before has its machine code.
+# Kinds of points whose machine code is loaded.
 _warm: set[Kind] = set()
-# To compile it takes half a minute, on a busy machine minutes; what takes longer hangs in a law of
-# the user's own.
+# Compilation takes half a minute, on a busy machine minutes; a longer call hangs in a user law.
 WARM_UP_SECONDS = 600.0
-_NO_TIME = 1e9  # Hz: a period in which nothing moves
+_NO_TIME = 1e9  # Hz: a forcing period without notable motion
 
 States = NDArray[np.float64]
 Rows = NDArray[np.intp]
@@ -55,10 +54,10 @@ class Tile:
     """Sweep points of one kind that are computed together, sweep after sweep."""
 
     points: Points
-    # Of their kind, as the client says it: it keeps results of the same `software` only. Empty for
-    # what is not stored.
+    # Identity of their kind on the client, which keeps results of the same `software` only. Empty
+    # for points that are not stored.
     identity: str
-    # Shape (n,); content keys of the points, and of those that they start from.
+    # Shape (n,); content keys of the points, and of their preceding points.
     keys: NDArray[np.void]
     previous: NDArray[np.void]
     # Shape (m,); number of points of each sweep, that start where the one before them ends; a fixed
@@ -75,7 +74,7 @@ class Tile:
 
     @classmethod
     def of_one(cls, points: Points, state: States) -> "Tile":
-        """A single point, and where it starts if it is one of a sweep."""
+        """The tile of a single point; `state` is its initial state if it is of a sweep."""
         nothing, state = np.zeros(1, KEY), state.reshape(1, -1)
         return cls(points, "", nothing, nothing, np.ones(1, int), state, nothing)
 
@@ -85,30 +84,30 @@ class Tile:
         return np.cumsum(self.lengths) - self.lengths
 
     def slabs(self, responses: Responses, host: str) -> list[Slab]:
-        """Responses of all points in the form in which they are stored."""
-        said = ", ".join(f"{name} {number}" for name, number in versions().items())
+        """Responses of all points as slabs; a message marks points with an unplanned origin."""
+        libraries = ", ".join(f"{name} {number}" for name, number in versions().items())
         is_first = np.isin(np.arange(len(self)), self.firsts)
         started = origins(self.keys, is_first, responses.has_end, self.origins)
         for row in np.flatnonzero(started != self.previous).tolist():
             responses.messages.setdefault(row, _RESTARTED)
         tables = self.points.numbers, self.keys, started, responses
-        return list(slabs(self.identity, *tables, host, said))
+        return list(slabs(self.identity, *tables, host, libraries))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Task:
-    """What a worker is sent; one object, because Dask would search lists for futures."""
+    """The argument of a Dask task; one object, because Dask would search lists for futures."""
 
     tiles: list[Tile]
-    # Time [s] after which the worker process gives up, and with it all that it held; of points that
-    # are computed alone, the time for each.
+    # Time [s] after which the worker process ends itself and loses its results; for points in
+    # isolated processes, the CPU time limit of each.
     timeout: float
-    client: tuple[str, int]  # the client's `process`, which must not end that way
+    client: tuple[str, int]  # the client's `process`, which must not be ended
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TaskResult:
-    """Results as they are stored, their processor time [s], that of the task, its `software`."""
+    """Slabs of results, their CPU time [s], the CPU time of the whole task, the `software`."""
 
     slabs: list[Slab]
     seconds: float
@@ -117,7 +116,7 @@ class TaskResult:
 
 
 def compute(task: Task) -> TaskResult:
-    """Body of a Dask task."""
+    """Body of a Dask task: compute the points of a task in the worker."""
     for tile in task.tiles:
         load(tile.points.kind.solver.engine)
     is_ours = task.client == process()
@@ -129,13 +128,13 @@ def compute(task: Task) -> TaskResult:
         for tile in task.tiles:
             found += tile.slabs(respond_to(tile), platform.node())
     seconds = spent = time.thread_time() - begin
-    if len(_warm) > n_warm:  # that held compiling, which comes but once
+    if len(_warm) > n_warm:  # that includes compilation, which happens once
         seconds = sum(slab.seconds for slab in found)
     return TaskResult(found, seconds, spent, software())
 
 
 def compute_isolated(task: Task) -> TaskResult:
-    """Body of a Dask task: like `compute`, but nothing that a point does can harm the worker."""
+    """Body of a Dask task like `compute`, with every point in an isolated process."""
     found = []
     with Isolated(task.timeout, get_worker().memory_manager.memory_limit) as isolated:
 
@@ -151,7 +150,7 @@ def compute_isolated(task: Task) -> TaskResult:
 
 
 def response_of(isolated: Isolated, points: Points, state: States) -> Responses:
-    """The response of one point; what became of its process is its status."""
+    """The response of one point in an isolated process, whose failure becomes its status."""
     tile = Tile.of_one(points, state)
     try:
         isolated.within(WARM_UP_SECONDS, warm_up, tile)
@@ -169,12 +168,12 @@ def load(engine: str) -> None:
 
 @cache
 def _freeze(*_: str) -> None:
-    """Spare the garbage collector of a worker what some engines have loaded."""
+    """Exclude the objects loaded by some engines from garbage collection in a worker."""
     gc.freeze()
 
 
 def process() -> tuple[str, int]:
-    """What tells this process from all others."""
+    """Machine and number of this process, which identify it in a cluster."""
     return platform.node(), os.getpid()
 
 
@@ -183,10 +182,10 @@ _watch = threading.local()
 
 @contextmanager
 def _ending_after(seconds: float) -> Iterator[None]:
-    """End this process if the block takes longer; a block around it then has its time once more.
+    """End this process if the block takes longer; the time of an outer block restarts after it.
 
-    Kernels run without the interpreter's lock. A worker whose user code holds the lock for ever is
-    restarted by Dask, after ``distributed.scheduler.worker-ttl``.
+    Kernels run without the interpreter's lock. Dask restarts a worker whose user code never
+    releases the lock, after ``distributed.scheduler.worker-ttl``.
     """
     outer: threading.Timer | None = getattr(_watch, "timer", None)
     if outer is not None:
@@ -207,7 +206,7 @@ def _exiting_after(seconds: float) -> threading.Timer:
 
 
 def respond_to(tile: Tile, ask: Ask | None = None) -> Responses:
-    """Steady responses of a tile; a failure is one with its status.
+    """Steady responses of a tile; failures are responses with a status and a message.
 
     The first points of all sweeps advance together, then the second ones, and so on. A point whose
     predecessor has no end state starts from the last one that has; `origins` says which.
@@ -216,8 +215,8 @@ def respond_to(tile: Tile, ask: Ask | None = None) -> Responses:
     ----------
     tile : Tile
     ask : callable, optional
-        Responses of independent points from states, shape (n, n_states); here and all in one call
-        if None.
+        Function that returns responses of independent points from states, shape (n, n_states);
+        None computes them in this process, all in one call.
     """
     states, first, lengths = tile.states.copy(), tile.firsts, tile.lengths
     order, parts = [], []
@@ -234,7 +233,7 @@ def respond_to(tile: Tile, ask: Ask | None = None) -> Responses:
 
 
 def _together(points: Points, states: States) -> Responses:
-    """Responses of independent points, all in one call."""
+    """Responses of independent points, all in one call; refused models give failures."""
     (rows, models), refused = models_of(points)
     found = _answered(points.kind, models, _starts(points, states)[rows])
     if not refused:
@@ -245,7 +244,7 @@ def _together(points: Points, states: States) -> Responses:
 
 
 def _starts(points: Points, states: States) -> States:
-    """Where points start; `states` are those of sweeps."""
+    """Initial states of points: `states` for sweeps, otherwise from the points' numbers."""
     if points.kind.is_sweep:
         return states
     found = points.numbers[:, -points.kind.n_states :].copy()
@@ -254,7 +253,7 @@ def _starts(points: Points, states: States) -> States:
 
 
 def models_of(points: Points) -> tuple[tuple[Rows, Models], dict[int, ModelError]]:
-    """The parameter sets of the points, with their rows; and by row why others have none."""
+    """Rows of valid points and their models, and the errors of the other rows."""
     kind = points.kind
     n, n_states = len(kind.contacts) * len(OF_CONTACT), kind.n_states
 
@@ -282,7 +281,10 @@ def models_of(points: Points) -> tuple[tuple[Rows, Models], dict[int, ModelError
 def _made(
     make: Callable[[States], Made], rows: States
 ) -> tuple[list[Made], Rows, dict[int, ModelError]]:
-    """What is made of each different row, which of it every row has, and why some have none."""
+    """Objects made of the distinct rows, the number of its object for every row, and errors.
+
+    The number is -1 for rows that `make` refuses; their errors are returned by row.
+    """
     some = rows if rows.shape[1] else np.zeros((len(rows), 1))
     _, first, which = np.unique(some, axis=0, return_index=True, return_inverse=True)
     made: list[Made] = []
@@ -299,10 +301,10 @@ def _made(
 
 
 def _warm_up(kind: Kind, models: Models, start: States) -> None:
-    """Load or compile what a kind of point needs: no point's time may hold that.
+    """Load or compile the kernels for a kind of point, so that no point's time includes it.
 
-    With the first of some points of that kind, where it starts: what this raises, the point raises
-    as well.
+    It calls them for the first of some points of that kind: an error here is also an error of that
+    point.
     """
     if kind in _warm or kind.solver.engine != "compiled":
         return
@@ -319,11 +321,11 @@ def _warm_up(kind: Kind, models: Models, start: States) -> None:
 
 
 def warm_up(tile: Tile) -> None:
-    """Load or compile what the first point of a tile needs, before its time counts."""
+    """Load or compile the code for the first point of a tile, before its time is measured."""
     first = slice(1)
-    if tile.points.kind.solver.engine != "compiled":  # a law that hangs has the time of a point
+    if tile.points.kind.solver.engine != "compiled":  # if a law hangs, its point times out
         if tile.points.kind.own is not None:
-            with suppress(ModelError):  # said again with its points
+            with suppress(ModelError):  # its points report it
                 tile.points.kind.own.load()
         return
     (rows, models), _ = models_of(tile.points.take(first))
@@ -332,13 +334,13 @@ def warm_up(tile: Tile) -> None:
 
 
 def _answered(kind: Kind, models: Models, starts: States) -> Responses:
-    """Responses; what a point raises is its own response, the others are asked again."""
+    """Responses of models; after an error halves are retried, down to the point that raises it."""
     if not len(models):
         return Responses.of((), kind.structure)
     try:
         _warm_up(kind, models, starts[0])
         return respond_models(models, kind.solver, starts, kind.steady)
-    except BaseException as error:  # the task boundary: SystemExit, too, is a point's own result
+    except BaseException as error:  # the task boundary: SystemExit, too, is a point's result
         if len(models) > 1:
             halves = np.array_split(np.arange(len(models)), 2)
             parts = [_answered(kind, models.take(half), starts[half]) for half in halves]
@@ -347,6 +349,6 @@ def _answered(kind: Kind, models: Models, starts: States) -> Responses:
 
 
 def failed(error: BaseException) -> Response:
-    """The response of a point that raised."""
+    """The response, with status and message, of a point that raised an error."""
     status, message = failure(error)
     return Response(status=status, message=message)

@@ -1,11 +1,13 @@
-"""First calls of a study's own code, in a process that they can harm.
+"""First calls of a study's user code, in an isolated process.
 
-A law is loaded and called at x = 0 before anything is computed. The client does both in its own
-process, after an isolated process has survived them with the same snapshot. That process also
-compiles it, if its points need that, and searches for jumps between the walls.
+A law is loaded and called at x = 0 before the computation. The client does both in this process
+after an isolated process has survived them with the same snapshot. The isolated process also
+compiles the law, if its points need that, and searches for jumps between the walls.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -20,27 +22,28 @@ from gapsweep.model.oscillator import Gap
 from gapsweep.model.own_law import OwnLaw, checked
 from gapsweep.status import Status
 from gapsweep.study.study import Study
-from gapsweep.study.system_tables import said
+from gapsweep.study.system_tables import in_words
 
 _LONGEST = 60.0  # s
-_SHORTEST = 10.0  # s, for imports and compilers, which count in no time limit of points
-_MOST_GAPS = 100  # between whose walls jumps are searched for
-_studies: list[Study] = []  # what an isolated process has loaded, for the calls that follow
+_SHORTEST = 10.0  # s, for imports and compilation, which no time limit of points includes
+_MOST_GAPS = 100  # gaps in which jumps are searched for
+_studies: list[Study] = []  # the study that an isolated process has loaded, for later calls
 
 
 def try_out_system(function: str, path: Path) -> None:
-    """Load a study, and make all systems of its own function, in an isolated process.
+    """Load a study, and make all systems of its user function, in an isolated process.
 
     Raises
     ------
     StudyError
-        If the function ends its process or hangs. The study itself raises what it raises.
+        If the function ends its process or hangs. Other errors appear when the
+        study is loaded.
     """
     with Isolated(_LONGEST) as isolated:
         at = ""
         try:
             for some in isolated(_loads, path):
-                at = f" at {said(some)}"
+                at = f" at {in_words(some)}"
                 isolated(_makes, some)
         except CallError as lost:
             if lost.status in (Status.KILLED, Status.TIMED_OUT):
@@ -59,14 +62,14 @@ def _makes(some: dict[str, float]) -> None:
 
 
 def try_out(study: Study, timeout: float, say: Callable[[str], None]) -> None:
-    """Import all of a study's own laws, and call them, in an isolated process.
+    """Import all user laws of a study, and call them, in an isolated process.
 
     Parameters
     ----------
     timeout : float
-        Time [s] that a point may take, and a law here, but 10 to 60 s.
+        CPU time limit [s] of a point; the limit of a law here is this, but within 10 to 60 s.
     say : callable
-        Called with what is tried, and for how long.
+        Called with a text before each step, with its time limit.
 
     Raises
     ------
@@ -78,6 +81,7 @@ def try_out(study: Study, timeout: float, say: Callable[[str], None]) -> None:
     swept, axes = study.grid.representations, study.grid.axes
     compiled = {law_of(label) for label in swept if study.solver(label).engine == "compiled"}
     gaps = study.grid.gaps[:_MOST_GAPS] if {"gap", "j_1"} & axes.keys() else (Gap(0.0, 0.0),)
+    ends = {n: {min(axes[n]), max(axes[n])} for n in study.spec.parameters if n in axes}
     with Isolated(limit) as isolated:
         for label in study.own_laws:
             try:
@@ -87,12 +91,13 @@ def try_out(study: Study, timeout: float, say: Callable[[str], None]) -> None:
             for step, function in (("importing {}", _imports), ("calling {}", _calls)):
                 say(f"{step.format(label)} (timeout {limit:g} s)")
                 try:
-                    isolated(function, own, study.model.default, gaps if label in compiled else ())
+                    some = gaps if label in compiled else ()
+                    isolated(function, own, study.model.default, some, ends)
                 except CallError as lost:
                     if lost.status is Status.MODEL_INVALID and label in compiled:
                         raise StudyError([f"{study.source}: {lost.message}"]) from None
                     if lost.status is Status.MODEL_INVALID:
-                        break  # the plan refuses it, a history has it as its status
+                        break  # the plan refuses it; in a history it is the status
                     why = lost.message
                     if lost.status is Status.TIMED_OUT and timeout < _LONGEST:
                         why += f"; allow up to {_LONGEST:g} s with --timeout"
@@ -104,10 +109,12 @@ def _imports(own: OwnLaw, *_: Any) -> None:
     own.load()
 
 
-def _calls(own: OwnLaw, model: Model, gaps: Sequence[Gap]) -> None:
-    checked(own)
+def _calls(own: OwnLaw, model: Model, gaps: Sequence[Gap], ends: Mapping[str, Any]) -> None:
+    named = dict(checked(own).parameters)
     if gaps:
         laws = (own.law(0.0, Gap(0.0, 0.0)),) * len(model.contacts)
         loaded("compiled")(Models.of([model], [laws], np.ones(1)), Solver.of())
-    for gap in gaps:  # of what compiles, which neither ends a process nor raises
-        own.law(0.0, gap)
+    for values in product(*(ends.get(name, (value,)) for name, value in named.items())):
+        some = replace(own, parameters=tuple(zip(named, values, strict=True)))
+        for gap in gaps:  # for compiled laws, which neither end a process nor raise
+            some.law(0.0, gap)

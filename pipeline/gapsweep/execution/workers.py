@@ -1,15 +1,15 @@
-"""The workers of a local cluster, in processes that share nothing with the caller's.
+"""The workers of a local cluster, in processes that are independent of the caller's.
 
 A fresh interpreter, which imports no script of the caller (no ``if __name__ == "__main__"`` is
-needed there), runs Dask's nannies. Its session is its own: a terminal sends Ctrl-C to the client
-alone. The workers are forks of one process, which imports what they need while the scheduler is
-still starting.
+needed there), runs Dask's nannies. It has a separate session: a terminal sends Ctrl-C only
+to the client. The workers are forks of one process, which imports their modules while the scheduler
+is still starting.
 """
 
 import asyncio
 import multiprocessing
 import os
-import pickle  # of the process that started this one, over its standard input
+import pickle  # only for data of the process that started this one, over standard input
 import shutil
 import signal
 import subprocess
@@ -30,11 +30,11 @@ _PRELOADED = ["distributed.worker", "gapsweep.execution.task"]
 
 @contextmanager
 def worker_process(folder: str) -> "Iterator[subprocess.Popen[bytes]]":
-    """A process that waits for `start_workers`, with its temporary files in a folder.
+    """Start a process that waits for `start_workers`, with its temporary files in a folder.
 
-    It ends with this one or the block.
+    It ends with the block or with this process.
     """
-    import dask  # the process itself does without as it starts
+    import dask  # the process starts without it
 
     settings = dask.config.get("distributed.nanny.pre-spawn-environ")
     process = subprocess.Popen(
@@ -54,7 +54,7 @@ def worker_process(folder: str) -> "Iterator[subprocess.Popen[bytes]]":
 
 
 def start_workers(process: "subprocess.Popen[bytes]", address: str, n: int, options: Any) -> None:
-    """Have a `worker_process` start workers, and start them again when they die.
+    """Make a `worker_process` start workers, and restart them when they die.
 
     Parameters
     ----------
@@ -62,20 +62,20 @@ def start_workers(process: "subprocess.Popen[bytes]", address: str, n: int, opti
         Address of the scheduler.
     n : int
     options : dict
-        Of Dask's ``Nanny``.
+        Arguments of Dask's ``Nanny``.
     """
     import dask
 
     assert process.stdin is not None, "it is a pipe"
-    with suppress(BrokenPipeError):  # it has ended
+    with suppress(BrokenPipeError):  # the process has ended
         process.stdin.write(pickle.dumps((dask.config.config, address, n, options)))
         process.stdin.flush()
 
 
 def end_workers(process: "subprocess.Popen[bytes]") -> None:
-    """End a `worker_process` and its workers, best while the scheduler still runs."""
+    """End a `worker_process` and its workers; to be called while the scheduler still runs."""
     assert process.stdin is not None, "it is a pipe"
-    if process.returncode is not None:  # it has been ended
+    if process.returncode is not None:  # it has ended already
         return
     with suppress(BrokenPipeError):
         process.stdin.close()
@@ -86,9 +86,9 @@ def end_workers(process: "subprocess.Popen[bytes]") -> None:
 
 
 def end_group(pid: int) -> None:
-    """Kill a process that leads a session, and all that it has started.
+    """Kill the leader of a session, and all processes of its group.
 
-    Windows has no sessions: there the process and those of its descendants that can be found.
+    On Windows, which has no sessions, the process and its descendants are killed.
     """
     if hasattr(os, "killpg"):
         with suppress(ProcessLookupError):  # nothing is left of its group
@@ -101,12 +101,12 @@ def end_group(pid: int) -> None:
 
 
 def search_path() -> str:
-    """``PYTHONPATH`` for a process that must import what this one can import."""
+    """``PYTHONPATH`` with which another process finds the same modules as this one."""
     return os.pathsep.join(str(folder) or os.getcwd() for folder in sys.path)
 
 
 def serve() -> None:
-    """Keep workers running while standard input is open, and remove their temporary files."""
+    """Main of the worker process: run workers while stdin is open, then remove their files."""
     method = "forkserver" if "forkserver" in multiprocessing.get_all_start_methods() else "spawn"
     if method == "forkserver":
         from multiprocessing import forkserver
@@ -116,7 +116,7 @@ def serve() -> None:
     import dask  # while the other process imports as well
     from distributed import Nanny
 
-    config, address, n, options = pickle.load(sys.stdin.buffer)  # of the process that started it
+    config, address, n, options = pickle.load(sys.stdin.buffer)  # of the starting process
     dask.config.set(config | {"distributed.worker.multiprocessing-method": method})
 
     async def run() -> None:

@@ -1,4 +1,4 @@
-"""One thread that works on the newest question only."""
+"""A thread that computes the results of the newest question only."""
 
 import threading
 from collections.abc import Callable, Iterator
@@ -14,16 +14,16 @@ class Latest(Generic[Q, A]):
     """Computes results of questions in one thread; a newer question replaces all older ones.
 
     The first result of a question is always delivered, so that a figure follows a moving slider;
-    later ones only while there is no newer question. There is no queue.
+    later results only while there is no newer question. There is no queue.
 
     Parameters
     ----------
     answers : callable
-        From a question to its answers, one by one; asked in the thread.
+        Function from a question to its results, one by one; called in the thread.
     deliver : callable
-        Takes a question and an answer, in the thread.
+        Function of a question and a result; called in the thread.
     refuse : callable
-        Takes a question and what is wrong with it.
+        Function of a question and an error message; called in the thread.
     """
 
     def __init__(

@@ -1,4 +1,4 @@
-"""The page: sliders and the figures that follow them."""
+"""The page of the explorer: sliders, and figures computed from their setting."""
 
 from collections.abc import Callable
 from contextlib import suppress
@@ -49,14 +49,14 @@ from gapsweep.model.labels import AUTO, EXACT
 
 _MM = 1e3
 _SIDE = 300  # pixels
-_FRAME = 60  # ms in which a browser draws one figure, before others keep it busy
+_FRAME = 60  # ms for the browser to draw the first figure before it gets others
 _WARMING = "Compiling kernels (first run only, up to a minute) …"
 _NOTE = (
     f"{N_OMEGA} frequencies: responses from rest, then frequency sweeps of the exact law. Compiled "
     "engine, rtol 1e-6, atol 1e-9 m or less. <code>gapsweep run</code> computes longer transients. "
     "Click a dot, an initial condition or a point of the map to see its motion."
 )
-# Hues survive the turn that makes black white: the figures of a light page, in the dark.
+# In dark mode the light page is inverted, with hues rotated back.
 _STYLE = """
 :root { color-scheme: light; background: white; font-family: system-ui, sans-serif; }
 body { margin: 12px 16px; }
@@ -85,11 +85,11 @@ class Page:
     Parameters
     ----------
     document : Document
-        Filled here.
+        Bokeh document that gets the page.
     question : Question
         The initial setting.
     ranges : dict
-        As of `dials`.
+        Ranges of sliders, as for `dials`.
     stored : StoredRun, optional
         A run whose points are shown.
     note : str
@@ -171,8 +171,8 @@ class Page:
         note = Div(text=_NOTE, stylesheets=[_WORDS], width=_SIDE)
         scenes = [] if self._stored is None else [self._scene_choice(self._stored)]
         if self._note:
-            said = f"<b>{escape(self._note)}</b>"
-            scenes.append(Div(text=said, name="note", stylesheets=[_WORDS], width=_SIDE))
+            text = f"<b>{escape(self._note)}</b>"
+            scenes.append(Div(text=text, name="note", stylesheets=[_WORDS], width=_SIDE))
         side = column(
             head, self._status, *scenes, *self._sliders.values(), self._band, self._laws,
             self._from_rest, self._over, note, width=_SIDE + 20, spacing=2, name="side",
@@ -204,7 +204,7 @@ class Page:
             self._ask()
 
     def _ask(self, **others: Any) -> None:
-        """Compute the setting of the sliders; out of range, show the error and keep the figures."""
+        """Compute results for the sliders; for values out of range, show the error only."""
         values = {name: self._read(name) for name in self._sliders}
         kept = {"start": self._question.start, "fit_range": self._question.fit_range}
         over = self._dials[self._over.value]
@@ -221,16 +221,16 @@ class Page:
         self._latest.ask(question)
 
     def _read(self, name: str) -> float:
-        """The value of a slider in SI units: the exact number if it was set by the program.
+        """The value of a slider in SI units, exactly as set if the program has set it.
 
-        A number rounded by a logarithm would give another chaotic motion.
+        Rounding by the logarithm of the slider would change a chaotic motion.
         """
         place = self._sliders[name].value
         put_at, number = self._put[name]
         return number if place == put_at else self._dials[name].at(place)
 
     def _set(self, values: dict[str, float]) -> None:
-        """Set sliders, in SI units, without a computation for each."""
+        """Set sliders to values in SI units, without starting a computation."""
         self._is_setting = True
         for name, value in values.items():
             slider, place = self._sliders[name], self._dials[name].place(value)
@@ -240,7 +240,7 @@ class Page:
         self._is_setting = False
 
     def _heeding(self, handler: Callable[[Tap], None]) -> Callable[[Tap], None]:
-        """A handler of clicks that shows errors."""
+        """The handler of clicks, with errors shown on the page."""
 
         def heeded(event: Tap) -> None:
             try:
@@ -251,7 +251,7 @@ class Page:
         return heeded
 
     def _clicked(self, event: Tap) -> None:
-        """Show the motion of the nearest response."""
+        """Show the motion of the response nearest to the click."""
         low, high = self._question.band
         # The figure is about three times as wide as high.
         scale = (high - low, 3.0 * self._highest())
@@ -264,12 +264,12 @@ class Page:
             self._ask(start=(float(curve.x_end[k]), float(curve.v_end[k])))
 
     def _start_clicked(self, event: Tap) -> None:
-        """Show the motion from an initial condition in the basins."""
+        """Show the motion from the initial condition clicked in the basins."""
         self._ask(start=(event.x / _MM, event.y / _MM))
 
     def _setting_clicked(self, event: Tap) -> None:
-        """Show the motion from rest at a point of the map."""
-        over = self._dials[self._question.over]  # which the map is drawn over
+        """Show the motion from rest at the clicked point of the map."""
+        over = self._dials[self._question.over]  # parameter of the map's second axis
         low, high = self._question.band
         value = min(max(event.y, over.scaled(over.low)), over.scaled(over.high))
         self._set({"omega": min(max(event.x, low), high), over.name: over.at(value)})
@@ -281,7 +281,7 @@ class Page:
         )
 
     def _have(self, label: str) -> None:
-        """Add the law of a stored point, in place of the last one if there are enough."""
+        """Add the law of a stored point to the approximations; the last one goes if there are 3."""
         ours = labels(self._laws.value)
         if label in (EXACT, AUTO, *ours) or ":" in label:
             return
@@ -290,7 +290,7 @@ class Page:
         self._is_setting = False
 
     def _open_scene(self, name: str) -> None:
-        """Show the points of a parameter set of the run, and compute it."""
+        """Show the stored points of a parameter set of the run, and compute its figures."""
         assert self._stored is not None
         self._points = self._stored.points(name)
         self._figures.show_stored(self._points, self._stored.branches(name))
@@ -300,26 +300,26 @@ class Page:
     # --- answering --------------------------------------------------------------------------------
 
     def _later(self, what: Callable[..., None]) -> Callable[..., None]:
-        """A function to call from the thread, carried out when the document is free."""
+        """A function for the thread that schedules a call in the document's event loop."""
 
         def soon(*given: Any) -> None:
-            # The visitor may have left meanwhile, and with them what the document is made of.
+            # The session may have ended meanwhile, and the document's contents with it.
             with suppress(AttributeError):
                 self._document.add_next_tick_callback(partial(what, *given))
 
         return soon
 
     def _receive(self, question: Question, answer: Curve | Motion | Plane) -> None:
-        """Show the first response at once, later results when it is drawn."""
+        """Show the first response at once, later results after the browser has drawn it."""
         if _is_first(answer):
             self._show(question, answer)
         else:
             self._document.add_timeout_callback(partial(self._show, question, answer), _FRAME)
 
     def _show(self, question: Question, answer: Curve | Motion | Plane) -> None:
-        """Draw a result, and describe it."""
+        """Draw a result, and update the legend and the status text."""
         is_first = _is_first(answer)
-        # A slider that never rests is followed by first answers; the others would be of the past.
+        # While a slider moves, only the first result of each question is shown.
         if question is not self._question and not is_first:
             return
         if is_first:
@@ -329,7 +329,7 @@ class Page:
         if isinstance(answer, Curve):
             self._curves[answer.label, answer.protocol] = answer
         if isinstance(answer, Motion):
-            # Not with the first curve: words lay out the page anew, which takes the browser longer.
+            # Not with the first curve: new text makes the browser lay out the page.
             self._motions[answer.label] = answer
             self._figures.planes.look_at(question, self._dials[question.over])
             self._status.text = self._words(question)
@@ -339,11 +339,11 @@ class Page:
         x, v = question.start
         state = f"x = {x * _MM:.4g} mm, v = {v * _MM:.4g} mm/s" if any(question.start) else "rest"
         problems = [m.problem for m in self._motions.values() if m.problem]
-        said = [f"Motion at {question.omega:.4g} Hz from {state}", *map(escape, problems)]
-        return "<br>".join(said)
+        lines = [f"Motion at {question.omega:.4g} Hz from {state}", *map(escape, problems)]
+        return "<br>".join(lines)
 
     def _refuse(self, _question: Question, problem: str) -> None:
-        """Show an error; the figures stay."""
+        """Show an error message; the figures do not change."""
         self._status.text = f'<span style="color:#c00000">{escape(problem)}</span>'
 
 
@@ -357,12 +357,12 @@ _STEPS = 400
 
 
 def _side_by_side(*figures: Any) -> Any:
-    """In a row as far as there is room."""
+    """A row of figures that wraps on narrow screens."""
     return row(*figures, sizing_mode="stretch_width", styles={"flex-wrap": "wrap"})
 
 
 def _slider(dial: Dial) -> Slider:
-    """The slider of a dial, logarithmic over decades."""
+    """The Bokeh slider of a dial, in decades if the dial is logarithmic."""
     low, high, value = map(dial.scaled, (dial.low, dial.high, dial.value))
     return Slider(
         title=dial.label,

@@ -1,4 +1,4 @@
-"""The figures of the page."""
+"""The figures of the explorer's page, except its maps."""
 
 from collections.abc import Iterable, Sequence
 from html import escape
@@ -27,12 +27,12 @@ from gapsweep.report.style import NOT_PERIODIC, NOT_SETTLED, colour, lines
 _MM = 1e3
 _N_SHOWN = 8  # forcing periods in the time history
 _ORDERS = 6  # multiples of the forcing frequency in the spectrum
-_FLOOR = 1e-6  # of the largest amplitude in the spectrum, the smallest that is shown
+_FLOOR = 1e-6  # smallest amplitude of the spectrum that is shown, relative to the largest
 _MARKERS = {REST: "circle", UP: "triangle", DOWN: "inverted_triangle"}
 _EXACT_SIZE, _SIZE = 6, 3.5  # pixels: of dots; the exact law behind is larger
-_EXACT_WIDTH, _WIDTH = 3.0, 1.3  # of lines
+_EXACT_WIDTH, _WIDTH = 3.0, 1.3  # pixels: width of lines
 _DASHES = {"-": "solid", "--": "dashed", ":": "dotted", "-.": "dotdash"}
-_PALE = 0.35  # of an approximation's dots where its response is not periodic
+_PALE = 0.35  # opacity of an approximation's dots for responses that are not periodic
 
 _RESPONSE = ("omega", "x_max", "colour", "alpha", "law", "protocol", "kind")
 _LINES = ("x", "y")
@@ -46,7 +46,7 @@ _TIPS = [
 
 
 class Figures:
-    """All figures, empty to begin with.
+    """All figures of the page; initially empty.
 
     Attributes
     ----------
@@ -58,7 +58,7 @@ class Figures:
         self.response = blank("forcing frequency ω [Hz]", "peak displacement [mm]", 330)
         self.response.y_range = DataRange1d(start=0.0)
         self.phase = blank("displacement x [mm]", "velocity v [mm/s]", 300)
-        # A periodic motion's few points would fill a figure of their own with their noise.
+        # With separate ranges, the numerical noise of a few points would fill the figure.
         self.section = blank(
             "displacement x [mm]", "velocity v [mm/s]", 300,
             x_range=self.phase.x_range, y_range=self.phase.y_range,
@@ -74,7 +74,7 @@ class Figures:
             "x", "y", source=self._branches, line_color="colour", line_dash="dash", line_alpha=0.7
         )
         self._stored = self._dots("stored", "square", 7)
-        # The exact law behind: what shows of it is missed by the approximations.
+        # The exact law is behind: its visible dots are missed by the approximations.
         self._curves = {
             (slot, protocol): self._dots(
                 f"response {slot} {protocol}", marker, _SIZE if slot else _EXACT_SIZE
@@ -122,14 +122,14 @@ class Figures:
         return source
 
     def look_at(self, question: Question) -> None:
-        """Move the lines at the frequency of the motion and at the walls."""
+        """Move the lines of frequency and walls, and remove results of other approximations."""
         gap = question.gap
         self._at.location = question.omega
         self._top.location = gap.j_2 * _MM
         for spans, wall in zip(self._walls, (-gap.j_1, gap.j_2), strict=True):
             for span in spans:
                 span.location = wall * _MM
-        # What is shown no more goes: approximations taken away, sweeps of other parameters.
+        # Clear removed approximations, and sweeps of other parameters.
         for slot, source in self._curves.items():
             if slot[1] != REST or slot[0] > len(question.approximations):
                 source.data = _empty(_RESPONSE)
@@ -138,7 +138,7 @@ class Figures:
                 source.data = _empty(_LINES)
 
     def show(self, question: Question, answer: Curve | Motion | Plane) -> None:
-        """Draw an answer to a question."""
+        """Draw a result of a question."""
         labels = (EXACT, *question.approximations)
         slot = labels.index(answer.label)
         if isinstance(answer, Plane):
@@ -186,13 +186,13 @@ class Figures:
 
 
 def legend(question: Question, motions: Iterable[Motion]) -> str:
-    """Legend of colours and marks, and the period of each law's motion, as HTML."""
+    """HTML legend of colours and marks, with the period of each law's motion."""
     given = decay_times(question.oscillator)
-    said = {motion.label: _kind(motion, given) for motion in motions}
+    kinds = {motion.label: _kind(motion, given) for motion in motions}
     laws = "".join(
         f'<span style="margin-right:1.4em"><b style="color:{colour(label)}">●</b> '
         f"{escape(label)}{' (exact)' if label == EXACT else ''}"
-        f"{': ' + said[label] if label in said else ''}</span>"
+        f"{': ' + kinds[label] if label in kinds else ''}</span>"
         for label in (EXACT, *question.approximations)
     )
     marks = (
@@ -212,7 +212,7 @@ def _kind(motion: Motion, given: float) -> str:
 
 
 def _response(curve: Curve, question: Question) -> dict[str, Any]:
-    """Columns of a computed curve; the class of a response sets colour and opacity of its dots."""
+    """Columns of a computed curve; colour and opacity of dots show the class of responses."""
     own, is_exact = colour(curve.label), curve.label == EXACT
     strange, name = NOT_PERIODIC if is_exact else own, "not periodic"
     if decay_times(question.oscillator) < DECAY_TIMES:
@@ -236,7 +236,7 @@ def _columns(curve: Curve, colours: Any, alpha: Any, kinds: Sequence[str]) -> di
 
 
 def _line(shown: figure, name: str, slot: int) -> tuple[ColumnDataSource, Any]:
-    """Source and renderer of a law's motion in one figure."""
+    """Data source and renderer for the motion of a law in one figure."""
     source = ColumnDataSource(_empty(_LINES), name=f"{name} {slot}")
     if name == "section":
         return source, shown.scatter("x", "y", source=source, size=_SIZE if slot else _EXACT_SIZE)

@@ -1,4 +1,4 @@
-"""Results of the page: pure functions from a question to arrays, the most urgent first.
+"""Results of the page: pure functions from a question to arrays.
 
 Every response starts from rest, so that the same sliders show the same figure. Transients are
 shorter than in a study (`settled`): if they are shorter than `DECAY_TIMES`, a motion that does not
@@ -27,21 +27,21 @@ Array = NDArray[np.float64]
 
 N_OMEGA = 200
 RTOL = 1e-6
-_ATOL, _OF_DEFLECTION = 1e-9, 1e-6  # m, or less: of what the largest force does to the spring
+_ATOL, _OF_DEFLECTION = 1e-9, 1e-6  # m; or this share of the static deflection, if less
 REST, UP, DOWN, STORED = "from rest", "sweep up", "sweep down", "stored"
 BASINS, MAP = "basins", "map"
-# Decay times after which a transient counts as gone, and natural periods that bound them where
-# damping is so weak that a slider would have to wait: below a damping ratio of 0.02.
+# Decay times after which a transient counts as settled, and largest number of natural periods,
+# which limits the waiting time for damping ratios below 0.02.
 DECAY_TIMES, NATURAL_PERIODS = 13.0, 104.0
-_NEVER = 1e-9  # of a disturbance: what is left of it after 20 decay times
-# Of a motion: forcing periods of its section, and the last ones, which the other figures show.
+_NEVER = 1e-9  # tolerance that no transient reaches: a disturbance after 20 decay times
+# Forcing periods in the section of a motion; last periods, shown by other figures; samples.
 N_SECTION, N_PERIODS, SAMPLES_PER_PERIOD = 300, 60, 128
-# Starts on either side of the plane of starts, and frequencies and values on those of the map.
+# Cells along each axis of the basins, and along each axis of the map.
 N_STARTS, N_MAP = 48, 40
-_BEYOND = 1.3  # how far starts lie beyond walls and the highest response
-_LEAST = 1e-6  # m: and beyond zero
-_CHUNK = 20  # frequencies of a sweep between two looks at whether the sliders have moved
-# Section points closer than this share of the reach are taken for one.
+_BEYOND = 1.3  # largest initial displacement relative to walls and the highest response
+_LEAST = 1e-6  # m, smallest range of initial displacements
+_CHUNK = 20  # frequencies of a sweep between two checks for a newer question
+# Section points closer than this share of the largest displacement count as one.
 _SAME_POINT = 1e-4
 
 
@@ -52,11 +52,11 @@ class Curve:
     Attributes
     ----------
     label, protocol : str
-        Of the law; from rest, a sweep, or stored by a run.
+        Label of the law; `REST`, `UP`, `DOWN` or `STORED`.
     omega : ndarray, shape (n,)
         Frequencies [Hz].
     x_max : ndarray, shape (n,)
-        Peaks [m]; NaN where it failed.
+        Peaks [m]; NaN for failed responses.
     x_end, v_end : ndarray, shape (n,)
         State [m], [m/s] on each attractor, at forcing phase zero.
     response_class : ndarray of ResponseClass, shape (n,)
@@ -79,19 +79,19 @@ class Curve:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Plane:
-    """Responses over two numbers, as far as they are computed: row after row.
+    """Responses over two numbers, as far as their rows are computed.
 
     Attributes
     ----------
     label : str
-        Of the law.
+        Label of the law.
     name : str
         `BASINS` or `MAP`.
     x, y : ndarray, shape (n_x,), (n_y,)
-        Displacements [m] and velocities [m/s] of the starts, or frequencies [Hz] and values, in SI
-        units, of the question's `over`. All of them, computed or not.
+        Initial displacements [m] and velocities [m/s], or frequencies [Hz] and values of the
+        question's `over` in SI units; of all rows, computed or not.
     x_max : ndarray, shape (m, n_x)
-        Peaks [m] of the first m rows; NaN where it failed.
+        Peaks [m] of the first m rows; NaN for failed responses.
     is_periodic : ndarray of bool, shape (m, n_x)
     """
 
@@ -105,7 +105,7 @@ class Plane:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Motion:
-    """The motion at one frequency, transients left out.
+    """The motion at one frequency, without transients.
 
     Attributes
     ----------
@@ -115,14 +115,14 @@ class Motion:
     t, x, v : ndarray, shape (n,)
         Times [s] from the first sample on, displacements [m], velocities [m/s].
     section : ndarray, shape (m, 2)
-        Displacements and velocities at the last whole forcing periods: 300, or 120 of a motion
-        that is found to repeat.
+        Displacements and velocities at the last 300 forcing periods, or 120 if the motion is
+        periodic.
     frequency, spectrum : ndarray
         Frequencies [Hz] and amplitudes [m].
     period_multiple : int
-        Forcing periods after which it repeats; 0: none was found.
+        Forcing periods after which it repeats; 0 if none was found.
     problem : str
-        Why there are no numbers; empty if there are.
+        Error message if there are no numbers; else empty.
     """
 
     label: str
@@ -147,7 +147,7 @@ def answers(question: Question) -> Iterator[Curve | Motion | Plane]:
     Raises
     ------
     ModelError
-        If a law cannot be made, as a fit beyond its range.
+        If a law cannot be built, as a fit outside its range.
     """
     highest = max(question.gap.j_1, question.gap.j_2, _LEAST)
     for label in (EXACT, *question.approximations):
@@ -171,16 +171,16 @@ def frequencies(question: Question) -> Array:
 
 
 def from_rest(question: Question, label: str) -> Curve:
-    """The steady responses of a law from rest, all frequencies at once."""
+    """The steady responses of a law from rest at all frequencies."""
     omega = frequencies(question)
     return _curve(question, label, REST, omega, np.zeros((2, N_OMEGA)))
 
 
 def sweeps(question: Question) -> Iterator[Curve]:
-    """Sweeps of the exact law up and down in turns.
+    """Sweeps of the exact law up and down, in alternating parts.
 
-    Each frequency starts where the one before it has ended. Every curve holds all frequencies of
-    its sweep so far.
+    Each frequency starts from the end state of the one before it. Every curve holds all
+    frequencies of its sweep so far.
     """
     law, omega = question.law(EXACT), frequencies(question)
     ends = {UP: (0.0, 0.0), DOWN: (0.0, 0.0)}
@@ -197,20 +197,20 @@ def sweeps(question: Question) -> Iterator[Curve]:
 def _carried(
     oscillator: Oscillator, law: ContactLaw, omega: Array, state: tuple[float, float]
 ) -> Array:
-    """States, shape (2, n), in which a sweep ends at each frequency."""
+    """End states of a sweep at each frequency, shape (2, n)."""
     found, atol = [], _atol(oscillator)
     for at in omega.tolist():
         run = simulate(
             oscillator, law, at, *state, t_end=_settling(oscillator, at) / at, rtol=RTOL, atol=atol
         )
-        # A motion that has failed leaves no state: the sweep goes on from rest.
+        # After a failed motion the sweep continues from rest.
         state = (run.x_end, run.v_end) if run.status == Status.OK else (0.0, 0.0)
         found.append(state)
     return np.transpose(found)
 
 
 def _curve(question: Question, label: str, protocol: str, omega: Array, states: Array) -> Curve:
-    """The steady responses from given states."""
+    """The steady responses of a law from given initial states."""
     found = respond(
         question.oscillator,
         question.law(label),
@@ -226,7 +226,7 @@ def _curve(question: Question, label: str, protocol: str, omega: Array, states: 
 
 
 def _height(curve: Curve, omega: float) -> float:
-    """The peak [m] at the frequency that is nearest; none of a sweep that is still under way."""
+    """The peak [m] at the frequency nearest to `omega`; 0 for an incomplete sweep."""
     if curve.omega.size < N_OMEGA:
         return 0.0
     return float(np.nan_to_num(curve.x_max[np.argmin(np.abs(curve.omega - omega))]))
@@ -243,7 +243,7 @@ def basins(question: Question, label: str, reach: float) -> Iterator[Plane]:
 
 
 def response_map(question: Question, label: str) -> Iterator[Plane]:
-    """The responses from rest, over frequency and one number more."""
+    """The responses from rest over frequency and the number `over` of the question."""
     omega, states = np.linspace(*question.band, N_MAP), np.zeros((2, N_MAP))
     settings = (question.at(question.over, value) for value in question.over_values)
     rows = (_curve(each, label, MAP, omega, states) for each in settings)
@@ -251,15 +251,15 @@ def response_map(question: Question, label: str) -> Iterator[Plane]:
     return _planes(Plane(label, MAP, omega, values), question.of_map, rows)
 
 
-# The latest whole ones: whoever clicks a start wants the same basins.
+# The latest complete planes: a click on an initial condition needs the same basins again.
 _whole: dict[Hashable, Plane] = {}
 _N_WHOLE = 8
 
 
 def _planes(empty: Plane, basis: Hashable, rows: Iterator[Curve]) -> Iterator[Plane]:
-    """One plane, with one row more each time; at once if it is known."""
+    """A plane after every computed row; a plane computed before is returned at once."""
     key = empty.label, empty.name, basis
-    # Another visitor's thread may forget it meanwhile.
+    # The thread of another session may remove it meanwhile.
     if (known := _whole.get(key)) is not None:
         yield known
         return
@@ -297,7 +297,7 @@ def settled(oscillator: Oscillator) -> Steady:
 
 
 def _atol(oscillator: Oscillator) -> float:
-    """Absolute tolerance [m], small against a motion that may be of micrometres."""
+    """Absolute tolerance [m], small even for motions of micrometres."""
     stiffness = oscillator.mass * (2.0 * math.pi * oscillator.omega_n) ** 2
     deflection = abs(oscillator.forcing) / stiffness
     return min(_ATOL, _OF_DEFLECTION * deflection) if deflection else _ATOL
@@ -315,7 +315,7 @@ def decay_times(oscillator: Oscillator) -> float:
 
 
 def _settling(oscillator: Oscillator, omega: float) -> int:
-    """Forcing periods that transients take."""
+    """Length of transients in forcing periods, rounded up."""
     return math.ceil(omega * _transient(oscillator))
 
 
@@ -338,8 +338,8 @@ def motion(question: Question, label: str) -> Motion:
     begin = (n - N_PERIODS) / omega
     if run.status != Status.OK:
         none = np.zeros(0)
-        said = f"{label}: the motion fails ({run.status.label})"
-        return Motion(label, omega, none, none, none, np.zeros((0, 2)), none, none, problem=said)
+        problem = f"{label}: the motion fails ({run.status.label})"
+        return Motion(label, omega, none, none, none, np.zeros((0, 2)), none, none, problem=problem)
     x, v = run.sample(begin + t)
     steady = run.section[first:]
     n_bins = t.size // 2 + 1
@@ -352,7 +352,7 @@ def motion(question: Question, label: str) -> Motion:
         t,
         x,
         v,
-        steady[-2 * N_PERIODS :] if n_periods else steady,  # without the last of a transient
+        steady[-2 * N_PERIODS :] if n_periods else steady,  # without the end of a transient
         np.arange(n_bins, dtype=np.float64) * np.float64(omega / N_PERIODS),
         spectrum(x),
         n_periods,
@@ -370,7 +370,7 @@ def nearest(
     omega, x_max : float
         The place [Hz], [m].
     scale : (float, float)
-        What is as far in one direction [Hz] as in the other [m].
+        Distances that count as equal in the two directions [Hz], [m].
     """
     found, least = None, math.inf
     for each in shown:

@@ -25,14 +25,14 @@ from gapsweep.report.style import NOT_PERIODIC, NOT_SETTLED, sequence
 _MM = 1e3
 _SLOTS = 2  # the exact law and the first approximation
 _SHADES = 64
-_ROWS = 8  # computed between two looks: the browser takes longer to draw than one is computed
+_ROWS = 8  # rows between two pictures: drawing takes longer than computing a row
 _FAILED = "#555555"
 _IMAGE = ("image", "x", "y", "dw", "dh")
 _TOOLS = "pan,wheel_zoom,box_zoom,reset,save"
 
 
 class Planes:
-    """The figures of all planes, empty to begin with.
+    """The figures of all planes; initially empty.
 
     Attributes
     ----------
@@ -41,7 +41,7 @@ class Planes:
     """
 
     def __init__(self) -> None:
-        # One scale of colours for both laws, and one of places.
+        # Both laws share the colour scale and the ranges of the axes.
         self._peaks = {
             name: LinearColorMapper(sequence(_SHADES), low=0.0, high=1.0, nan_color=_FAILED)
             for name in (BASINS, MAP)
@@ -61,13 +61,13 @@ class Planes:
             for at, shown in self.figures.items()
         }
         self._shown: dict[tuple[str, int], Any] = {}
-        # Of the question that is looked at.
+        # Parameter, titles and labels of the present question.
         self._over: Dial
         self._titles: dict[str, str] = {}
         self._labels: tuple[str, ...] = ()
 
     def look_at(self, question: Question, over: Dial) -> None:
-        """Mark where the question is; what is of another one goes."""
+        """Move the marks to the question's place, and clear planes of other settings."""
         self._question, self._over = question, over
         here = {
             BASINS: (question.start[0] * _MM, question.start[1] * _MM),
@@ -97,7 +97,7 @@ class Planes:
             shown.title.text = f"{self._titles[name]}, {self._labels[slot]}: computing …"
 
     def show(self, slot: int, plane: Plane) -> None:
-        """Draw as much of a plane as is computed, every few rows."""
+        """Draw the computed part of a plane, every 8 rows and at the end."""
         is_map, (m, n) = plane.name == MAP, plane.x_max.shape
         if m % _ROWS and m < len(plane.y):
             return
@@ -130,7 +130,7 @@ class Planes:
 def _plane(
     name: str, slot: int, peaks: LinearColorMapper
 ) -> tuple[figure, tuple[ColumnDataSource, ...]]:
-    """Figure of a plane, and its images: peaks, and what is not periodic over them."""
+    """Figure of a plane, and the data sources of its images: peaks, and not periodic cells."""
     words = ("displacement x [mm]", "velocity v [mm/s]") if name == BASINS else ("ω [Hz]", "")
     ranges = {"x_range": Range1d(0.0, 1.0), "y_range": Range1d(0.0, 1.0)}
     shown = blank(*words, 330, min_width=320, **ranges)
@@ -150,7 +150,7 @@ def _plane(
 
 
 def blank(x: str, y: str, height: int, *, min_width: int = 250, **how: Any) -> figure:
-    """An empty figure with these labels."""
+    """An empty Bokeh figure with these axis labels."""
     made = figure(
         height=height, sizing_mode="stretch_width", tools=_TOOLS, active_drag=None,
         x_axis_label=x, y_axis_label=y, output_backend="canvas", min_width=min_width, **how,
@@ -164,7 +164,7 @@ def blank(x: str, y: str, height: int, *, min_width: int = 250, **how: Any) -> f
 
 
 def guide(shown: figure, dimension: str, dash: str = "dotted") -> Span:
-    """A grey line through the whole figure."""
+    """Add a grey line across the whole figure, and return it."""
     span = Span(dimension=dimension, line_color="#888888", line_dash=dash)
     shown.add_layout(span)
     return span

@@ -16,13 +16,13 @@ from gapsweep.study.study import Study
 
 MAX_APPROXIMATIONS = 3
 DEFAULT_APPROXIMATIONS = ("tanh-1e4",)
-# Natural frequencies that a page looks at first: beyond the resonance, where contacts matter.
+# First frequency of the page in natural frequencies: above resonance, where contacts matter.
 _LOOKED_AT = 1.8
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Question:
-    """One setting of the page: all that its figures depend on.
+    """A setting of the page: all values that its figures depend on.
 
     Attributes
     ----------
@@ -35,15 +35,15 @@ class Question:
     band : (float, float)
         First and last frequency [Hz] of the response.
     omega : float
-        Frequency [Hz] of the motion that is looked at.
+        Frequency [Hz] of the motion that is shown.
     start : (float, float)
-        Displacement [m] and velocity [m/s] that this motion starts from.
+        Initial displacement [m] and velocity [m/s] of this motion.
     fit_range : float
         Half-width [m] of the range on which polynomials are fitted.
     over : str
-        Number of a slider on the second axis of the map.
+        Name of the parameter on the second axis of the map.
     over_values : tuple of float
-        Its values there, in SI units; none: no map.
+        Its values there, in SI units; without values there is no map.
     """
 
     oscillator: Oscillator
@@ -69,22 +69,22 @@ class Question:
             raise ModelError(f"frequencies {low:g} to {high:g} Hz: must be > 0 Hz and ascend")
 
     def law(self, label: str) -> ContactLaw:
-        """The contact law of a label, at this contact."""
+        """The contact law of a label, with the stiffness and gap of the question."""
         return contact_law(label, self.K_c, self.gap, self.fit_range, K_ratio=self.K_ratio)
 
     @property
     def of_basins(self) -> "Question":
-        """The same for all that have the same basins."""
+        """The question without the values that its basins do not depend on, as a key for them."""
         return replace(self, band=(1.0, 2.0), over="", over_values=(), **_OF_NO_PLANE)
 
     @property
     def of_map(self) -> "Question":
-        """The same for all that have the same map."""
+        """The question without the values that its map does not depend on, as a key for it."""
         here = self.at(self.over, self.over_values[0]) if self.over_values else self
         return replace(here, omega=1.0, **_OF_NO_PLANE)
 
     def at(self, name: str, value: float) -> "Question":
-        """The same with another value of a number that has a slider."""
+        """The question with another value of a parameter that has a slider."""
         others = ("approximations", "start", "fit_range", "over", "over_values")
         kept = {each: getattr(self, each) for each in others}
         return asked(numbers(self) | {name: value}, self.band, **kept)
@@ -94,16 +94,16 @@ _OF_NO_PLANE: dict[str, Any] = {"approximations": (), "start": (0.0, 0.0)}
 
 
 def labels(text: str) -> tuple[str, ...]:
-    """Labels of approximations from what was typed: ``"tanh-1e4, poly-13"``.
+    """Labels of approximations from a text that the user typed, as ``"tanh-1e4, poly-13"``.
 
     Raises
     ------
     ModelError
-        If one is unknown, names code of its own, or there are too many.
+        If a label is unknown or is of a user law, or there are too many.
     """
     found = tuple(dict.fromkeys(canonical_label(each) for each in text.replace(",", " ").split()))
     for label in found:
-        # Whoever reaches the page would choose what this process imports and runs.
+        # Otherwise any visitor of the page could choose code for this process to run.
         if ":" in label or label == AUTO:
             raise ModelError(f"{label}: cannot be typed here; use a law that is a formula")
     found = tuple(label for label in found if label != EXACT)
@@ -119,9 +119,9 @@ def labels(text: str) -> tuple[str, ...]:
 
 @dataclass(frozen=True, slots=True)
 class Dial:
-    """A slider: what it is called, its range and where it starts, in the unit that it shows."""
+    """A slider: name, title, unit, range and initial value, in the unit that it shows."""
 
-    name: str  # of the parameter
+    name: str  # name of the parameter
     title: str
     unit: str
     factor: float  # SI units in one of the shown
@@ -131,7 +131,7 @@ class Dial:
 
     @property
     def is_log(self) -> bool:
-        """Whether equal ways on the slider are equal ratios."""
+        """Whether the slider is logarithmic."""
         return self.name in _OVER_DECADES and self.low > 0.0
 
     @property
@@ -157,14 +157,14 @@ class Dial:
         return float(self.factor * (10.0**place if self.is_log else place))
 
     def along(self, n: int) -> tuple[float, ...]:
-        """So many values in SI units, evenly over the slider."""
+        """`n` values in SI units, evenly spaced on the slider."""
         places = np.linspace(self.scaled(self.low), self.scaled(self.high), n)
         return tuple(map(self.at, places.tolist()))
 
 
 _OVER_DECADES = ("K_c", "zeta", "mass")
-# Title, unit, SI units in one of it, and what the range is at least and at most, from the value:
-# factors of it, and a smallest upper end in SI units.
+# Title, unit, its value in SI units, and the range: lower and upper end as multiples of the initial
+# value, and the smallest upper end in SI units.
 _DIALS: dict[str, tuple[str, str, float, float, float, float]] = {
     "K_c": ("Contact stiffness K_c", "N/m", 1.0, 1e-2, 1e2, 1e4),
     "j_1": ("Lower wall −j₁", "mm", 1e-3, 0.0, 3.0, 2e-3),
@@ -188,15 +188,15 @@ def dials(question: Question, ranges: Mapping[str, Sequence[float]] | None = Non
     ----------
     question : Question
     ranges : mapping of str to sequence of float, optional
-        Smallest and largest value that a study sweeps, in SI units; others get a range about the
-        value that they start with.
+        Smallest and largest value that a study sweeps, in SI units; others get a range about
+        their initial value.
     """
     given = {"omega": question.band, **(ranges or {})}
     return [_dial(name, value, given.get(name)) for name, value in numbers(question).items()]
 
 
 def numbers(question: Question) -> dict[str, float]:
-    """The numbers of a question that have a slider, in SI units."""
+    """The values of a question that have a slider, by name, in SI units."""
     oscillator, gap = question.oscillator, question.gap
     found = {name: getattr(oscillator, name) for name in _OSCILLATOR}
     found |= {name: getattr(question, name) for name in ("K_c", "K_ratio", "omega")}
@@ -208,7 +208,7 @@ _OSCILLATOR = tuple(field.name for field in fields(Oscillator))
 
 
 def asked(values: Mapping[str, float], band: tuple[float, float], **others: Any) -> Question:
-    """The question that numbers in SI units make.
+    """The question with these values of the sliders, in SI units.
 
     Raises
     ------
@@ -246,12 +246,12 @@ def of_model(
     *,
     approximations: Sequence[str] = DEFAULT_APPROXIMATIONS,
 ) -> Question:
-    """The question of an oscillator and a contact; an approximation as law is shown, too.
+    """The initial question of the page for an oscillator and a contact law.
 
     Raises
     ------
     ModelError
-        If one of them is something else, or out of range.
+        If an argument has another type or is out of range.
     """
     oscillator = paper_oscillator() if oscillator is None else oscillator
     law = Piecewise(K_c=1.4e4, gap=Gap(0.4e-3, 0.4e-3)) if law is None else law
@@ -271,7 +271,7 @@ def of_model(
 
 
 def refuse_systems(tables: Mapping[str, Any], source: object) -> None:
-    """Refuse the tables of a study of systems, before any code that makes one is imported.
+    """Raise an error for the tables of a study of systems, before its user code is imported.
 
     Raises
     ------
@@ -286,13 +286,12 @@ def refuse_systems(tables: Mapping[str, Any], source: object) -> None:
 
 
 def of_study(study: Study) -> tuple[Question, dict[str, tuple[float, float]]]:
-    """The question that a study of oscillators starts the page with, and the ranges of what it
-    sweeps.
+    """The initial question of the page for a study of oscillators, and its swept ranges.
 
     Raises
     ------
     ModelError
-        If nothing in it can be shown.
+        If a value of the study is out of the range of the page.
     """
     grid = study.grid
     ranges = {
@@ -307,7 +306,7 @@ def of_study(study: Study) -> tuple[Question, dict[str, tuple[float, float]]]:
     is_one = band[0] == band[1]
     if is_one:
         band = 0.5 * band[0], 2.0 * band[1]
-    # The first point that a block asks for: of a union of blocks no other need be one.
+    # The first requested cell: in a union of blocks, other cells may be no points.
     first = np.argwhere(grid.requested)[0]
     point = {name: axis[k] for (name, axis), k in zip(grid.axes.items(), first, strict=True)}
     gap = point.get("gap") or Gap(point["j_1"], point["j_2"])
@@ -334,5 +333,5 @@ def not_computed(study: Study) -> str:
 
 
 def _plain(representations: Sequence[str]) -> list[str]:
-    """Labels without their protocols, each once."""
+    """Distinct labels without their protocols."""
     return list(dict.fromkeys(map(law_of, representations)))

@@ -1,4 +1,4 @@
-"""The page on a port of this machine, in a thread of its own."""
+"""Server of the page on a port of this machine, in a separate thread."""
 
 import asyncio
 import secrets
@@ -11,18 +11,18 @@ from gapsweep.model.oscillator import whole
 
 
 class Explorer:
-    """A running page; in a notebook it shows itself.
+    """A running page; a notebook displays it.
 
-    It listens on this machine only, and lives until `stop` or the end of the process.
+    The server listens on this machine only, until `stop` or the end of the process.
 
     Attributes
     ----------
     url : str
-        Where a browser finds it.
+        Address for a browser.
     """
 
     def __init__(self, fill: Callable[[Any], Callable[[], None]], port: int = 0) -> None:
-        # Fills a visitor's document, and returns what ends the work for it.
+        # Fills the document of a session, and returns a function that ends its work.
         self._fill = fill
         self._ends: list[Callable[[], None]] = []
         whole("port", port, 0, 65535)
@@ -59,7 +59,7 @@ class Explorer:
             )
             pages = self._server._tornado
             ours = Rule(HostMatches(r"localhost|127\.0\.0\.1"), pages.wildcard_router)
-            pages.default_router.rules[:] = [ours]  # also if somebody has seen the path
+            pages.default_router.rules[:] = [ours]  # even for requests with the right path
             self._server.start()
             self.url, self._failure = f"http://localhost:{self._server.port}{path}/", ""
         except OSError as error:
@@ -75,7 +75,7 @@ class Explorer:
         doc.on_session_destroyed(lambda _: self._ends.remove(end))
 
     def wait(self) -> None:
-        """Until it is stopped or interrupted."""
+        """Wait until the page is stopped or the process is interrupted."""
         while self._thread.is_alive():
             self._thread.join(0.5)
 

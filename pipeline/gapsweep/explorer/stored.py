@@ -1,4 +1,4 @@
-"""The points of a run: its parameter sets, and the responses of each."""
+"""Stored points of a run for the page: parameter sets, and the responses of each."""
 
 import json
 from pathlib import Path
@@ -28,13 +28,13 @@ class StoredRun:
     Attributes
     ----------
     question : Question
-        What the page starts with.
+        The initial question of the page.
     ranges : dict of str to (float, float)
-        Of what the study sweeps.
+        Ranges of the swept parameters.
     note : str
-        What the page says of the study's own laws; empty if it has none.
+        Note that user laws are not computed; empty if the study has none.
     scenes : dict of str to dict of str to float
-        The numbers of every scene in SI units, by its name.
+        Parameters of every parameter set in SI units, by name of the set.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -53,7 +53,7 @@ class StoredRun:
         return self._dataset.isel(self._places[name])
 
     def points(self, name: str) -> list[Curve]:
-        """The stored responses of a scene by label, without those that failed.
+        """The stored responses of a parameter set, a curve per law, without failed responses.
 
         Their states are the first section points.
         """
@@ -65,7 +65,7 @@ class StoredRun:
         ]
 
     def branches(self, name: str) -> list[tuple[str, bool, NDArray[np.float64]]]:
-        """Lines of the branches of a case [Hz, mm]: label, whether they are stable, points."""
+        """Lines of the branches of a parameter set: label, stability, points [Hz, mm]."""
         found = branch_lines.of_scene(self._branches, self._scene(name), "omega", "x_max")
         if found is None:
             return []
@@ -75,7 +75,7 @@ class StoredRun:
 
 
 def _tables(dataset: xr.Dataset) -> dict[str, Any]:
-    """The tables of the study that a run is of."""
+    """The tables of the study of a run."""
     found: dict[str, Any] = json.loads(dataset.attrs["study_json"])
     return found
 

@@ -1,4 +1,4 @@
-"""`gapsweep.explore`, and what `gapsweep explore` opens."""
+"""`gapsweep.explore`, and the page of the command ``gapsweep explore``."""
 
 from __future__ import annotations
 
@@ -43,10 +43,10 @@ def explore(
     Parameters
     ----------
     oscillator : Oscillator, optional
-        Where the sliders start; the defaults if None.
+        Initial values of the sliders; the defaults if None.
     law : ContactLaw, optional
-        Its stiffness and its gap are where the sliders start; 14000 N/m and 0.4 mm on both sides
-        if None.
+        Contact law with the initial stiffness and gap of the sliders; None: 14000 N/m, and 0.4 mm
+        on both sides.
     approximations : sequence of str
         Labels of up to three laws in addition to the exact one.
     port : int
@@ -55,12 +55,12 @@ def explore(
     Returns
     -------
     Explorer
-        With a `url`; `stop` closes the page, as the end of the process does.
+        The page, with its `url`; `stop` or the end of the process closes it.
 
     Raises
     ------
     ModelError
-        If an argument is something else or out of range, or Bokeh is missing.
+        If an argument has another type or is out of range, or Bokeh is missing.
 
     Examples
     --------
@@ -94,9 +94,9 @@ def opened(
     *,
     port: int,
 ) -> Explorer:
-    """A running page; every visitor has sliders of their own."""
+    """Start a page; every visitor has separate sliders."""
     try:
-        # Bokeh is an extra, and takes a second to import.
+        # Bokeh is an optional dependency, and takes a second to import.
         from gapsweep.explorer.page import Page
     except ModuleNotFoundError as error:
         if (error.name or "").partition(".")[0] != "bokeh":
@@ -106,11 +106,11 @@ def opened(
         ) from None
 
     laws, starts = [(question.law(EXACT),)], np.array([question.start])
-    said = ". ".join(
+    text = ". ".join(
         [note] * bool(note) + [*doubts([question.oscillator], laws, question.band, starts)]
     )
 
     def fill(document: Any) -> Callable[[], None]:
-        return Page(document, question, ranges or {}, stored, said).stop
+        return Page(document, question, ranges or {}, stored, text).stop
 
     return Explorer(fill, port)

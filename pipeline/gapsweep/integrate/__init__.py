@@ -1,1 +1,1 @@
-"""How it is simulated: engines from an initial state to a trajectory."""
+"""Integration in time: engines, and the trajectories that they compute from initial states."""

@@ -33,11 +33,11 @@ Columns = Sequence[Array]
 # Largest relative tolerance at which a Taylor series of overlapping tanh layers costs no more than
 # Runge-Kutta steps.
 _THICK_LAYERS_UP_TO = 1e-5
-_LONGEST = 200  # characters of what numba says
+_LONGEST = 200  # characters of numba's message
 
 
 def prepared(models: Models, solver: Solver) -> Integrate:
-    """Integration of models; each result is the same to the last bit in any company."""
+    """Return the integrator of some models; no result depends on the other rows of a call."""
     is_taylor = _by_taylor(models, solver)
     scenes = _scenes(models, solver, is_taylor)
     if not is_taylor:
@@ -45,9 +45,7 @@ def prepared(models: Models, solver: Solver) -> Integrate:
         mass = np.ones(len(models))
         if _is_oscillator(models):
             mass = models.of_systems(attrgetter("mass"))
-        scenes = runge_kutta_scenes(
-            scenes, laws, mass, controller=solver.controller, restart=solver.restart
-        )
+        scenes = runge_kutta_scenes(scenes, laws, mass, solver)
 
     def integrate(problems: Problems) -> Motions:
         contacts = problems.contacts or (problems.contact_time and not is_taylor)
@@ -80,12 +78,14 @@ def prepared(models: Models, solver: Solver) -> Integrate:
 
 
 def _by_taylor(models: Models, solver: Solver) -> bool:
-    """Whether Taylor series integrate them; refuses what no method takes."""
+    """Whether the Taylor method integrates the models; refuse models that no method integrates."""
     laws = models.laws[0]
     located = [law for law in laws if isinstance(law, Piecewise) and law.located]
-    if solver.controller != "native" or (solver.restart and located):
+    is_written = solver.contact_force == "as_written"
+    if solver.controller != "native" or (located and (solver.restart or is_written)):
         if located and not _is_oscillator(models):
             what = "restart = true" if solver.restart else "controller = 'ode45'"
+            what = "contact_force = 'as_written'" if is_written else what
             raise ModelError(
                 f"{what}: needs an Oscillator with omega_n > 0 and mean_load = 0; "
                 "otherwise use engine='scipy', or located=False (piecewise-noevents)"
@@ -102,7 +102,7 @@ def _by_taylor(models: Models, solver: Solver) -> bool:
 
 
 def _is_oscillator(models: Models) -> bool:
-    """Whether the kernels take their layout for one coordinate, one harmonic and one contact."""
+    """Whether the models are oscillators, for which kernels have a layout of one coordinate."""
     return isinstance(models.systems[0], Oscillator)
 
 
@@ -120,7 +120,7 @@ def _walls(models: Models) -> dict[str, Any]:
 
 
 def _given(problems: Problems) -> dict[str, Any]:
-    """Arguments of `batch.run`."""
+    """Arguments of `batch.run`; its queue begins with the longest motions."""
     effort = problems.t_end - problems.t_0 if problems.effort is None else problems.effort
     if problems.follows is None:
         queue = (-effort).argsort(kind="stable")
@@ -153,13 +153,13 @@ def _scenes(models: Models, solver: Solver, is_taylor: bool) -> SceneTable:
 
 
 def _events(n: int, turns: Columns, sections: Columns, contacts: Columns) -> Events:
-    """Events of n motions.
+    """Return the `Events` of n motions, from columns of the recorded ones.
 
     Parameters
     ----------
     turns, sections, contacts : sequence of ndarray
-        Motion by motion, the number of the motion, the time, and of turns and contacts which
-        quantity's they are; then of turns the value, of section points the states.
+        Columns, sorted by motion: number of the motion, time; for turns and contacts the number of
+        the coordinate or contact; then the value of a turn or the state of a section point.
     """
     counts = [
         np.bincount(log[0].astype(np.int64), minlength=n) for log in (turns, sections, contacts)
@@ -179,7 +179,7 @@ def _events(n: int, turns: Columns, sections: Columns, contacts: Columns) -> Eve
 
 
 def _kernel_law(models: Models, contact: int) -> Any:
-    """The laws of one contact, with their parameters, as the Runge–Kutta kernel takes them."""
+    """Return the compiled law of one contact, with the parameters of all rows."""
     law = models.laws[0][contact]
 
     def column(name: str) -> Array:
@@ -217,7 +217,7 @@ def _kernel_law(models: Models, contact: int) -> Any:
 
 
 def _reason(error: NumbaError) -> str:
-    """The line of numba's text that says what is wrong."""
+    """Return the line of numba's error message that states the cause."""
     lines = [line.strip() for line in str(error).splitlines()]
     several = [line for line in lines if line and not line.startswith("Failed in nopython mode")]
     return several[0][:_LONGEST] if several else type(error).__name__

@@ -1,17 +1,17 @@
-"""How the numerics are compiled, and where the machine code is kept.
+"""Compilation of the numerics, and the cache of machine code on disk.
 
-An entry point is compiled together with all it calls, and kept on disk in a file named by a hash
-of all sources of this folder, besides what it is compiled for: after an edit in any of them, no
-process loads old machine code and returns old numbers.
+An entry point is compiled together with all functions that it calls, and kept on disk in a file
+named by a hash of all sources of this folder and of the target: after an edit of any source, no
+process loads outdated machine code.
 
-Machine code may also have come with the package (``tools/machine_code.py``), for a level of x86-64
-that many processors have in common: it is what numba makes of the same sources for that level, and
-gives the same bits. Where none fits, by processor, Python, numba or sources, it is compiled here.
+Machine code may also come with the package (``tools/machine_code.py``), for a level of x86-64 that
+many processors have in common: numba compiles it from the same sources for that level, and it gives
+the same bits. If none fits the processor, Python, numba and sources, the code is compiled here.
 """
 
 import hashlib
 import os
-import pickle  # numba's own form of machine code; loaded from checked folders of this user alone
+import pickle  # numba's own form of machine code; loaded only from checked folders of this user
 import stat
 import sys
 import sysconfig
@@ -39,20 +39,20 @@ from gapsweep.integrate.problem import LOADING
 
 
 class _InlinedCode(JITCodeLibrary):
-    """Code that runs only as a part of other code, which is optimised with all its parts.
+    """Code of a function that runs only inside its callers and is optimised together with them.
 
-    numba optimises every function by itself as well and makes machine code of it, with all that
-    it calls: the innermost as often as calls are nested, a third of the time in all.
+    numba would also optimise and compile every function separately, with all functions it calls:
+    the innermost as often as calls are nested, a third of the compile time in all.
     """
 
     def _optimize_final_module(self) -> None:
-        """Left to what it is a part of."""
+        """Do nothing: the code is optimised as part of its callers."""
 
     def _finalize_final_module(self) -> None:
         self._finalized = True
 
     def get_pointer_to_function(self, _name: str) -> int:
-        """None: there is no machine code."""
+        """Return 0: there is no machine code."""
         return 0
 
     @property
@@ -60,7 +60,7 @@ class _InlinedCode(JITCodeLibrary):
         return self
 
     def set_env(self, _name: str, _environment: Any) -> None:
-        """What Python objects a function holds: none."""
+        """Do nothing: functions hold no Python objects."""
 
 
 class _PartCompiler(Compiler):
@@ -69,7 +69,7 @@ class _PartCompiler(Compiler):
         return super().compile_extra(function)
 
 
-# Called from compiled code alone: without the wrappers for Python and C, which take longer to
+# Called only from compiled code: without the wrappers for Python and C, which take longer to
 # compile than a small function itself.
 _PART = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True, "pipeline_class": _PartCompiler}
 # Nor does a function count references to arrays unless it makes one: its callers own those that
@@ -80,28 +80,28 @@ inlined = njit(forceinline=True, **_PART, _nrt=False)
 
 
 def chosen_by_type(function: Callable[..., Any]) -> Any:
-    """Decorate what chooses, by the types of its arguments, the code of a function."""
+    """Decorator of a function that selects the implementation of `function` by argument types."""
     return overload(function, jit_options={**_PART, "_nrt": False})
 
 
-# Levels of x86-64, the best first, and what a processor of each has beyond the next. Below these,
-# without fused multiply-add, the bits would be others.
+# Levels of x86-64, the best first, and the features of each beyond the next. Lower levels, without
+# fused multiply-add, would give other bits.
 _LEVELS = {
     "x86-64-v4": {"avx512f", "avx512bw", "avx512cd", "avx512dq", "avx512vl"},
     "x86-64-v3": {"avx2", "bmi", "bmi2", "f16c", "fma", "lzcnt", "movbe"},
 }
 _CHECKSUM = hashlib.sha256().digest_size
-_LONGEST_WAIT = 120.0  # seconds for what another process compiles
+_LONGEST_WAIT = 120.0  # seconds, for another process that compiles the same code
 SHIPPED = Path(__file__).parents[1] / "machine_code"
-# Where code that is made to be shipped is written to, by the variable's name in the environment.
+# Environment variable with the folder to which machine code to be shipped is written.
 SHIP_TO = "GAPSWEEP_SHIP_TO"
 
 
 class _Code:
     """Machine code of a function in a folder: one file for every key, with its checksum.
 
-    numba's own files have an index, in which processes that compile at once for two signatures
-    can write the name of one for the code of the other; and nothing tells that a file is damaged.
+    numba's own cache has an index, in which processes that compile two signatures at once can
+    exchange the names of their codes; and it does not detect a damaged file.
     """
 
     def __init__(self, folder: Path, function: Callable[..., Any]) -> None:
@@ -113,7 +113,7 @@ class _Code:
         return self._folder / f"{self._name}-{digest[:32]}.code"
 
     def load(self, key: Any) -> Any:
-        """What was saved; None if there is nothing, or it is damaged."""
+        """Return the saved code of a key; None if there is none, or its file is damaged."""
         try:
             found = self._file(key).read_bytes()
         except OSError:
@@ -124,7 +124,7 @@ class _Code:
         return pickle.loads(data)  # machine code, checksum right, from a folder only we can write
 
     def save(self, key: Any, code: Any) -> None:
-        """Keep it, if there is room."""
+        """Write the code of a key to its file; a failure to write is ignored."""
         data, file = dumps(code), self._file(key)
         temporary = file.with_name(f"{file.stem}.{uuid4().hex}")
         try:
@@ -136,10 +136,10 @@ class _Code:
 
 
 class _MachineCodeCache(FunctionCache):
-    """The machine code of a function on disk; what came with the package stands first."""
+    """numba's cache of a function on disk; code shipped with the package is tried first."""
 
     def __init__(self, function: Callable[..., Any]) -> None:
-        # numba looks for a folder of its own, and refuses the function where it finds none.
+        # numba searches for a cache folder and refuses the function if it finds none.
         users, config.CACHE_DIR = config.CACHE_DIR, str(code_folder())
         try:
             super().__init__(function)
@@ -174,7 +174,7 @@ class _MachineCodeCache(FunctionCache):
 def shipped_for() -> tuple[str, ...]:
     """Names of the folders whose machine code runs here, the best first.
 
-    Empty if numba was told what to compile for.
+    Empty if the user has set the processor or features for which numba compiles.
     """
     if config.CPU_NAME or config.CPU_FEATURES is not None:
         return ()
@@ -201,7 +201,7 @@ def entry(function: Callable[..., Any]) -> Any:
 
 
 def counted(dispatcher: Any) -> Any:
-    """Have a dispatcher count what it takes at the first call with arguments of some types."""
+    """Make a dispatcher add the time of loading or compiling to `LOADING.seconds`; return it."""
     usual = dispatcher._compile_for_args
 
     def compiled(*args: Any, **kwargs: Any) -> Any:
@@ -216,7 +216,7 @@ def counted(dispatcher: Any) -> Any:
 
 
 def _by_one_process(function: Callable[..., Any], usual: Callable[..., Any]) -> Callable[..., Any]:
-    """The `compile` of a dispatcher, for one process at a time: the others then find its code."""
+    """Return a dispatcher's `compile` under a file lock: other processes wait and load its code."""
 
     def compiled(signature: Any) -> Any:
         what = hashlib.sha256(str(signature).encode()).hexdigest()[:16]
@@ -237,7 +237,7 @@ def _by_one_process(function: Callable[..., Any], usual: Callable[..., Any]) -> 
 def code_folder() -> Path:
     """Folder of compiled code: in ``NUMBA_CACHE_DIR``, the user's cache, or the temporary folder.
 
-    The first one that can be written; a read-only installation is none of them.
+    The first writable one of these is used; the installation itself may be read-only.
     """
     chosen = os.environ.get("NUMBA_CACHE_DIR")
     users = os.environ.get("XDG_CACHE_HOME") or os.path.join(os.path.expanduser("~"), ".cache")
@@ -247,8 +247,8 @@ def code_folder() -> Path:
     try:
         return _made(_private())
     except OSError:
-        said = "no writable folder for compiled code; set NUMBA_CACHE_DIR to a folder"
-        raise OSError(said) from None
+        message = "no writable folder for compiled code; set NUMBA_CACHE_DIR to a folder"
+        raise OSError(message) from None
 
 
 def _made(parent: Path) -> Path:
@@ -259,7 +259,7 @@ def _made(parent: Path) -> Path:
 
 
 def _private() -> Path:
-    """A folder of our own where everybody can write: what lies in it will be run."""
+    """Return a temporary folder that only this user can write to: code in it will be run."""
     if not hasattr(os, "getuid"):  # Windows, where temporary folders are of one user
         return Path(tempfile.gettempdir())
     folder = Path(tempfile.gettempdir()) / f"gapsweep-{os.getuid()}"
@@ -275,7 +275,7 @@ def _private() -> Path:
 def source_fingerprint() -> str:
     """Hash (16 hex digits) of all sources below this module's folder, names included.
 
-    With them the module whose numbers are constants of the code.
+    ``status.py`` is included: its numbers are constants of the code.
     """
     here = Path(__file__).parent
     digest = hashlib.sha256()

@@ -1,4 +1,4 @@
-"""What an engine returns."""
+"""Results of an engine: end states, events and dense output of motions."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields
@@ -12,7 +12,7 @@ Counts = NDArray[np.int64]
 
 COUNTS = ("n_contacts", "n_steps", "n_rejected", "nfev")
 SCALARS = ("t", "status", *COUNTS)
-# A component of a tangent that is smaller is zero: doubles lose digits there, and take some
+# Smaller components of a tangent are set to zero: subnormal doubles lose digits, and take some
 # processors a hundred times as long.
 VANISHED = 1e-290
 # Counts of `Events`, and the lists that they count.
@@ -25,26 +25,26 @@ _LISTS = {
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Events:
-    """What was recorded of n motions: the events of the first one, of the second, and so on.
+    """Recorded events of n motions: those of the first motion, then of the second, and so on.
 
     Attributes
     ----------
     t_extrema, extrema : ndarray, shape (sum of n_extrema,)
-        Times [s] and values [m] of all zero-velocity points after the start: of coordinates, and
+        Times [s] and values [m] of all zero-velocity points after `t_0`: of coordinates, and
         of the gaps of a system's contacts.
     extrema_of : ndarray of int, shape (sum of n_extrema,)
-        The coordinate of each; of a gap, its contact after all coordinates.
+        Number of the coordinate of each extremum; gaps are numbered after all coordinates.
     t_contacts : ndarray, shape (sum of n_contacts,)
         Times [s] at which a contact crossed a wall, in or out.
     contacts_of : ndarray of int, shape (sum of n_contacts,)
-        The contact of each.
+        Number of the contact of each crossing.
     t_section : ndarray, shape (sum of n_section,)
         Times [s] of section points.
     section : ndarray, shape (sum of n_section, n_states)
-        Stroboscopic section: the state at every whole forcing period after the start; where nothing
-        forces the motion, at every maximum of its first coordinate.
+        Poincaré section: the state at every whole forcing period after `t_0`; for an unforced
+        motion, at every maximum of its first coordinate.
     n_extrema, n_contacts, n_section : ndarray of int, shape (n,)
-        How many of them belong to each motion.
+        Numbers of events of each motion.
     """
 
     t_extrema: Array
@@ -59,7 +59,7 @@ class Events:
     n_section: Counts
 
 
-@dataclass(slots=True, kw_only=True)  # to make a frozen one takes three times as long
+@dataclass(slots=True, kw_only=True)  # creating a frozen one takes three times as long
 class Motions:
     """The solutions of `Problems`, in their order.
 
@@ -68,22 +68,22 @@ class Motions:
     t : ndarray, shape (n,)
         Time [s] reached: ``t_end`` unless the motion failed.
     state : ndarray, shape (n, n_states)
-        Coordinates [m], their velocities [m/s], then first-order states there.
+        Coordinates [m], their velocities [m/s], then first-order states at `t`.
     status : ndarray of int, shape (n,)
         `gapsweep.status.Status` values.
     n_contacts, n_steps, n_rejected, nfev : ndarray of int, shape (n,)
         Wall crossings in and out, accepted and rejected steps, right-hand sides of the motion
         itself (for a Taylor method, expansions).
     reach : ndarray, shape (n, n_coordinates)
-        Largest modulus of every coordinate at the start and at the ends of steps [m].
+        Largest modulus of every coordinate initially and at the ends of steps [m].
     contact_time : ndarray, shape (n, n_contacts), or None
-        Time spent beyond the walls of every contact [s]; None: only the events tell.
+        Time spent beyond the walls of every contact [s]; None: to be computed from the events.
     events : callable
-        Events of all motions; none of one that was not recorded.
+        Function that returns the `Events` of all motions; motions not recorded have none.
     sampler : callable
         Function of times that gives the states of all motions there, shape (n_states, n, n_times).
     monodromy : ndarray, shape (n, n_states, n_states), or None
-        Derivative of the end state by the initial state.
+        Derivative of the end state with respect to the initial state.
     """
 
     t: Array
@@ -101,7 +101,7 @@ class Motions:
 
 
 def merged(parts: Sequence[Motions], rows: Sequence[NDArray[np.intp]]) -> Motions:
-    """Motions of several calls as one, each part at its `rows`."""
+    """Join the motions of several calls, each part at its `rows` of the result."""
     if len(parts) == 1:
         return parts[0]
     order = np.argsort(np.concatenate(rows))
@@ -120,7 +120,7 @@ def merged(parts: Sequence[Motions], rows: Sequence[NDArray[np.intp]]) -> Motion
 
 
 def _merged_events(parts: Sequence[Events], places: NDArray[np.intp]) -> Events:
-    """Events of several calls as one; `places`: of the motions of the first, of the second, ...."""
+    """Join the events of several calls; `places` are the rows of their motions in the result."""
     found = {
         field.name: np.concatenate([getattr(part, field.name) for part in parts])
         for field in fields(Events)

@@ -1,4 +1,4 @@
-"""What an engine is given: initial value problems and solver settings."""
+"""Input of an engine: models, initial value problems and solver settings."""
 
 import math
 import threading
@@ -31,6 +31,7 @@ DEFAULT_RTOL = {"compiled": 1e-9, "scipy": 1e-4}  # by engine
 ENGINES = tuple(DEFAULT_RTOL)
 DEFAULT_ENGINE = "compiled"
 CONTROLLERS = ("native", "ode45")
+CONTACT_FORCES = ("by_mode", "as_written")
 
 # Tighter than this all methods only add rounding.
 SMALLEST_RTOL = 1e-13
@@ -51,9 +52,9 @@ class Models:
     laws : sequence of tuple of ContactLaw
         The laws of all contacts, in the system's order.
     system, law : ndarray of int, shape (n,)
-        Which of `systems` and of `laws` each row has.
+        Number of each row's system in `systems`, and of its laws in `laws`.
     omega : ndarray, shape (n,)
-        Forcing frequency [Hz]; 0 of what is not forced.
+        Forcing frequency [Hz]; 0 for unforced systems.
     start : ndarray, shape (n, n_states), optional
         Initial states of the whole motions; a default `atol` may depend on them.
     """
@@ -85,7 +86,7 @@ class Models:
         omega: Array,
         start: Array | None = None,
     ) -> "Models":
-        """Rows with these systems, laws and frequencies; one of a kind is that of all rows."""
+        """Return rows with these systems, laws and frequencies; a single one holds for all rows."""
         found, system = _distinct(systems, id)
         several, law = _distinct(laws, lambda these: tuple(map(id, these)))
         n = len(omega)
@@ -96,7 +97,7 @@ class Models:
         return len(self.omega)
 
     def take(self, rows: Any) -> "Models":
-        """Some of the rows, with the systems and laws that they have."""
+        """Return some of the rows, with only the systems and laws that they refer to."""
         some, system = np.unique(self.system[rows], return_inverse=True)
         others, law = np.unique(self.law[rows], return_inverse=True)
         return Models(
@@ -109,7 +110,7 @@ class Models:
         )
 
     def by_kind(self) -> list[tuple[Numbers, "Models"]]:
-        """Rows that an engine can take together, and these as models, group by group."""
+        """Return groups that an engine can integrate together: their row numbers and models."""
         sizes = _distinct([system.sizes for system in self.systems], lambda size: size)[1]
         kinds, which = _distinct([tuple(map(law_kind, laws)) for laws in self.laws], lambda k: k)
         if len(kinds) == 1 and not sizes.any():
@@ -119,29 +120,29 @@ class Models:
         return [(rows, self.take(rows)) for rows in groups]
 
     def of_systems(self, value: Callable[[Any], Any]) -> NDArray[Any]:
-        """A value of every row's system, shape (n, ...)."""
+        """Return a function's value for every row's system, shape (n, ...)."""
         return np.array([value(system) for system in self.systems])[self.system]
 
     def of_laws(self, value: Callable[[ContactLaw], Any]) -> NDArray[Any]:
-        """A value of every row's laws, shape (n, n_contacts, ...)."""
+        """Return a function's value for every row's laws, shape (n, n_contacts, ...)."""
         return np.array([[value(law) for law in laws] for laws in self.laws])[self.law]
 
     def absolute(self, solver: "Solver") -> Array:
         """Absolute tolerances [m], shape (n,): by default `rtol` times the length of each problem.
 
-        That is the static deflection under all loads, held up by the farther wall or an own law. Of
-        what is not loaded it is the initial displacement (or the velocity times the time of a
-        radian), else the distance of the farther wall. Other rows have no effect.
+        The length is the static deflection under all loads, limited by the farther wall or a user
+        law. Without loads it is the initial displacement (or velocity over angular frequency), else
+        the distance of the farther wall. It does not depend on other rows.
         """
         if solver.atol is not None:
             return np.full(len(self), solver.atol)
-        farther = self.of_laws(lambda law: max(law.gap.j_1, law.gap.j_2)).max(axis=1, initial=0.0)
+        farther = self.of_laws(_farther).max(axis=1, initial=0.0)
         softer = self.of_laws(_stiffness).max(axis=1, initial=0.0)
         spring = self.of_systems(_spring)
         length = self.of_systems(attrgetter("deflection"))
         held = softer / np.maximum(spring + softer, np.finfo(float).tiny)
         length = length - np.maximum(length - farther, 0.0) * held
-        if self.systems[0].n > 1:  # walls may hold what its springs do not
+        if self.systems[0].n > 1:  # walls may hold coordinates that springs do not
             for number, kind in {*zip(self.system.tolist(), self.law.tolist(), strict=True)}:
                 system, laws = self.systems[number], self.laws[kind]
                 rows = np.flatnonzero((self.system == number) & (self.law == kind))
@@ -153,7 +154,7 @@ class Models:
             rows = np.flatnonzero((self.law == number) & np.isfinite(spring) & (length > 0.0))
             if len(laws) == 1 and isinstance(laws[0], UserLaw | ForceTable) and rows.size:
                 x, load = length[rows], spring[rows] * length[rows]
-                with np.errstate(all="ignore"):  # far from where the law is meant for
+                with np.errstate(all="ignore"):  # far outside the range of the law
                     force = np.minimum(abs(laws[0].force(x)), abs(laws[0].force(-x)))
                     length[rows] = np.where(np.isfinite(force), x * load / (load + force), x)
         if not length.all():
@@ -165,24 +166,29 @@ class Models:
         return np.asarray(solver.rtol * np.where(length > 0.0, length, _NO_LENGTH))
 
     def with_laws(self, value: Callable[[Laws], Laws]) -> "Models":
-        """The same rows with other laws."""
+        """Return the rows with their laws replaced by a function of them."""
         return replace(self, laws=[value(laws) for laws in self.laws])
 
 
 def _spring(system: Model) -> float:
-    """Linear stiffness [N/m] of a single coordinate; infinite for several, which walls may miss."""
+    """Linear stiffness [N/m] of a model with one coordinate; infinite for several coordinates."""
     if isinstance(system, Oscillator):
         return system.mass * system.omega_n_rad**2
     return abs(float(system.stiffness[0, 0])) if system.n == 1 else math.inf
 
 
 def _stiffness(law: ContactLaw) -> float:
-    """Stiffness [N/m] of the softer wall; zero for laws of the user, whose `K_c` says nothing."""
+    """Stiffness [N/m] of the softer wall; zero for user laws and tables."""
     return 0.0 if isinstance(law, UserLaw | ForceTable) else law.K_c * min(1.0, law.K_ratio)
 
 
+def _farther(law: ContactLaw) -> float:
+    """Distance [m] of the farther wall that has stiffness."""
+    return max(law.gap.j_1 if law.K_ratio else 0.0, law.gap.j_2)
+
+
 def _integrated(system: Model) -> Model:
-    """The form of a model that the kernels take."""
+    """Return the model as the engines integrate it: a classic oscillator or a `System`."""
     if not isinstance(system, Oscillator):
         return system
     if not system.is_classic:
@@ -191,7 +197,7 @@ def _integrated(system: Model) -> Model:
 
 
 def _distinct(objects: Sequence[T], key: Callable[[T], Hashable]) -> tuple[list[T], Numbers]:
-    """Objects of different keys in order of first appearance, and which of them each is."""
+    """Objects with distinct keys, by first appearance, and the number among them of each object."""
     numbers: dict[Hashable, int] = {}
     which = [numbers.setdefault(key(each), len(numbers)) for each in objects]
     found = dict(zip(reversed(which), reversed(objects), strict=True))
@@ -199,14 +205,14 @@ def _distinct(objects: Sequence[T], key: Callable[[T], Hashable]) -> tuple[list[
 
 
 def law_kind(law: ContactLaw) -> Hashable:
-    """What the laws have in common that an engine can take together.
+    """Return a key that is equal for laws which an engine can integrate together.
 
-    It is their family, or the user's function; fits are compiled each for itself.
+    The key is the family of the law, or the user's function; every fit has a different key.
 
     Raises
     ------
     ModelError
-        If it is no law.
+        If `law` is no contact law.
     """
     if isinstance(law, UserLaw):
         return law.function
@@ -216,40 +222,40 @@ def law_kind(law: ContactLaw) -> Hashable:
     return law
 
 
-@dataclass(slots=True, kw_only=True)  # to make a frozen one takes three times as long
+@dataclass(slots=True, kw_only=True)  # creating a frozen one takes three times as long
 class Problems:
     """Initial value problems, m of them, that an engine solves in one call.
 
     Attributes
     ----------
     which : ndarray of int, shape (m,)
-        Numbers of the models that move.
+        Row of the model of each problem.
     start : ndarray, shape (m, n_states)
         Coordinates [m], velocities [m/s] and first-order states at `t_0`.
     t_0, t_end : ndarray, shape (m,)
-        Start and end [s]. The forcing phase at the start is wrapped, so that whole periods
+        Initial and final time [s]. The forcing phase at `t_0` is wrapped, so that whole periods
         before it cost no accuracy.
     record_from : ndarray, shape (m,)
-        Time [s] from which extrema, contact times and section are wanted; infinity: never.
+        Time [s] from which extrema, contact times and section are recorded; infinity: never.
     effort : ndarray, shape (m,), optional
-        How long each is expected to take, in any unit; default its time span. The longest are
-        begun first, so that few lanes are left alone with one.
+        Expected cost of each problem, in any unit; by default its time span. The most expensive
+        ones are begun first, so that few lanes idle at the end.
     follows : ndarray of bool, shape (m,), optional
-        Which begin where those before them end, whatever their `start`; default none. What follows
-        a failure has failed, without a step: its state means nothing.
+        Problems that begin in the end state of the one before, instead of `start`; default none. A
+        problem that follows a failed one fails without a step; its state is undefined.
     section_only : bool
-        Whether of these only the section is needed: a compiled engine then records no other.
+        Whether only the section is needed: the compiled engine then records no other events.
     dense_output : bool
         Whether the motions are kept for sampling, from `record_from` on.
     sampled : bool
         Whether another pass, with the same steps, has `dense_output`.
     tangent : bool
-        Whether the variational equations are integrated along.
+        Whether the variational equations are integrated too.
     contacts : bool
         Whether times at which walls are passed must be among the events.
     contact_time : bool
-        Whether the time spent beyond the walls is wanted. What does not add it up by itself records
-        the passings for it.
+        Whether the time spent beyond the walls is needed. Methods that do not sum it up record the
+        wall crossings instead.
     """
 
     which: NDArray[np.intp]
@@ -276,11 +282,11 @@ Integrate = Callable[[Problems], Motions]
 class Loading(threading.local):
     """Processor time [s] that a thread has spent on loading or compiling an engine so far.
 
-    The first call of a process waits for it: it is no part of what a motion costs.
+    The first call of a process waits for it; it does not count as cost of a motion.
     """
 
     seconds: float = 0.0
-    end: float = math.inf  # of the time of motions, as `_now` counts it
+    end: float = math.inf  # deadline of motions, on the clock `_now`
 
 
 LOADING = Loading()
@@ -298,7 +304,7 @@ def is_late() -> bool:
 
 @contextmanager
 def within(time_limit: float) -> Iterator[None]:
-    """Limit the time [s] of motions in this thread, without that of loading an engine."""
+    """Limit the time [s] of motions in this thread; loading an engine does not count."""
     LOADING.end = _now() + checked("time_limit", time_limit, low=0.0, strict=True)
     try:
         yield
@@ -317,13 +323,17 @@ class Solver:
     rtol : float
         Relative tolerance [-], ``> 0``.
     atol : float or None
-        Absolute tolerance [m, m/s], ``> 0``; None: `rtol` times a length, as of `Models.absolute`.
+        Absolute tolerance [m, m/s], ``> 0``; None: `rtol` times a length, see `Models.absolute`.
     controller : str
         ``"native"``, or ``"ode45"`` for the step-size control of MATLAB's ode45 with its
         Dormand–Prince 5(4) pair, which locates contacts of an Oscillator (compiled engine only).
     restart : bool
         Whether the solver restarts at every located contact, with a new first step size, as the
         paper's solver. The reference engine always restarts.
+    contact_force : str
+        Force of a located contact inside a step: ``"by_mode"`` keeps the contact mode until the
+        step ends at the wall; ``"as_written"`` evaluates the piecewise force at every stage, so
+        that a step passes its kink before it is cut at the wall.
 
     Raises
     ------
@@ -336,10 +346,12 @@ class Solver:
     atol: float | None = None
     controller: str = "native"
     restart: bool = False
+    contact_force: str = "by_mode"
 
     def __post_init__(self) -> None:
         _one_of("engine", self.engine, ENGINES)
         _one_of("controller", self.controller, CONTROLLERS)
+        _one_of("contact_force", self.contact_force, CONTACT_FORCES)
         if self.engine == "scipy" and self.controller != "native":
             raise ModelError("controller = 'ode45': needs engine = 'compiled'")
         object.__setattr__(self, "rtol", checked("rtol", self.rtol, low=SMALLEST_RTOL))
@@ -356,14 +368,22 @@ class Solver:
         atol: float | None = None,
         controller: str = "native",
         restart: bool = False,
+        contact_force: str = "by_mode",
     ) -> "Solver":
-        """Solver settings; the engine's default of `rtol` where it is None."""
+        """Return solver settings; `rtol` None means the engine's default."""
         default = DEFAULT_RTOL[_one_of("engine", engine, ENGINES)]
         rtol = default if rtol is None else rtol
-        return cls(engine=engine, rtol=rtol, atol=atol, controller=controller, restart=restart)
+        return cls(
+            engine=engine,
+            rtol=rtol,
+            atol=atol,
+            controller=controller,
+            restart=restart,
+            contact_force=contact_force,
+        )
 
     def with_rtol(self, rtol: float) -> "Solver":
-        """The same solver at another relative tolerance, the absolute one changed alike."""
+        """Return the solver with another relative tolerance, `atol` scaled by the same factor."""
         atol = None if self.atol is None else self.atol / self.rtol * rtol
         return replace(self, rtol=rtol, atol=atol)
 

@@ -2,7 +2,7 @@
 
 The plain method that the paper uses, made safe. For the exact law the contact mode (below,
 in the gap, above) is frozen while `solve_ivp` runs, a terminal event directed by the mode
-ends the run at the wall, and a new run starts there. Three traps of that method are met:
+ends the run at the wall, and a new run starts there. Three problems of that method are solved:
 
 * a run starts *on* its own event: the event function is divided by the time since the
   start, which removes that root and leaves all others;
@@ -43,17 +43,18 @@ from gapsweep.integrate.reference_scenes import (
     State,
     scene_of,
 )
+from gapsweep.model.user_law import UserLaw
 from gapsweep.status import DIVERGED_AT, Status
 
 Array = NDArray[np.float64]
 Event = Callable[[float, Sequence[float]], float]
 
-# The lists among the events; of the others each has the length of one.
+# Fields of `Events` that are lists of events; the others are their lengths.
 _EVENTS = [each.name for each in fields(Events) if not each.name.startswith("n_")]
 _MAX_STALLED = 100
 _NEAR = 1e-9  # of a gap: how far rounding puts a contact from the wall that it has just passed
 
-# solve_ivp does not report rejected steps; its evaluation count gives them away.
+# solve_ivp does not report rejected steps; they follow from its evaluation count.
 _START_NFEV = 2
 _STEP_NFEV = {"RK45": 6, "DOP853": 12}
 _DENSE_NFEV = {"RK45": 0, "DOP853": 3}
@@ -61,7 +62,7 @@ _DENSE_NFEV = {"RK45": 0, "DOP853": 3}
 
 @dataclass(frozen=True, slots=True)
 class _Segment:
-    """A stretch of motion in one set of contact modes, and the contact and wall it ended on."""
+    """A part of the motion in constant contact modes, and the contact and wall at its end."""
 
     t: float
     y: State
@@ -71,9 +72,9 @@ class _Segment:
 
 @dataclass(slots=True)
 class _Record:
-    """What accumulates over the segments of a run."""
+    """Contacts, counts and pieces of motion, accumulated over the segments of a run."""
 
-    contacts: list[tuple[float, int]] = field(default_factory=list)  # times, and which
+    contacts: list[tuple[float, int]] = field(default_factory=list)  # time, contact
     n_steps: int = 0
     n_rejected: int = 0
     nfev: int = 0
@@ -82,14 +83,14 @@ class _Record:
 
     def count(self, scene: ReferenceScene, nfev: int, n_steps: int) -> None:
         method = scene.method
-        nfev -= n_steps * _DENSE_NFEV[method]  # of the output between steps
+        nfev -= n_steps * _DENSE_NFEV[method]  # evaluations for dense output
         self.nfev += nfev
         self.n_steps += n_steps
         self.n_rejected += (nfev - _START_NFEV) // _STEP_NFEV[method] - n_steps
 
 
 def prepared(models: Models, solver: Solver) -> Integrate:
-    """Integration of models with scipy, one after the other.
+    """Return the function that integrates these models with scipy, one motion after the other.
 
     RK45 for ``rtol >= 1e-6``, DOP853 below; the absolute tolerance holds for both m and m/s.
     """
@@ -100,7 +101,8 @@ def prepared(models: Models, solver: Solver) -> Integrate:
         runs: list[_ReferenceMotion] = []
         for i in range(len(problems)):
             before = runs[-1] if problems.follows is not None and problems.follows[i] else None
-            given = solver.rtol, float(atol[problems.which[i]])
+            tolerances = solver.rtol, float(atol[problems.which[i]])
+            given = *tolerances, problems.tangent, solver.contact_force
             runs.append(_run(models, problems, i, given, before))
         columns = {name: np.array([getattr(run, name) for run in runs]) for name in SCALARS}
 
@@ -167,10 +169,10 @@ def _run(
     models: Models,
     problems: Problems,
     i: int,
-    tolerances: tuple[float, float],
+    given: tuple[float, float, bool, str],
     before: "_ReferenceMotion | None",
 ) -> _ReferenceMotion:
-    """Problem i, from where the run before it ended, if it follows one."""
+    """Integrate problem i, from the end of the run `before` if it follows one."""
     if before and before.t < problems.t_end[i - 1]:
         cost: dict[str, Any] = dict.fromkeys(COUNTS, 0)
         nothing = {name: getattr(before, name)[:0] for name in _EVENTS}
@@ -185,14 +187,13 @@ def _run(
         models.laws[models.law[model]],
         omega,
         theta_0,
-        *tolerances,
-        problems.tangent,
+        *given,
     )
     run = _Record()
     start: State = before.state if before else tuple(problems.start[i].tolist())
     if problems.tangent:
         start += tuple(np.eye(len(start)).ravel().tolist())
-    # An overflow on the way to divergence is an outcome, not a fault of this code.
+    # An overflow on the way to divergence is an outcome, not an error.
     with np.errstate(all="ignore"):
         t, y = (_located if scene.located else _plain)(scene, run, start, t_end - t_0)
     motion, since = joined(run.pieces), float(problems.record_from[i]) - t_0
@@ -225,7 +226,7 @@ def _run(
 
 
 def _judged(status: Status, scene: ReferenceScene, motion: PPoly) -> Status:
-    """`status`, unless a gap has left the range of its law."""
+    """Return `status`, or OUT_OF_FIT_RANGE if a gap has left the valid range of its law."""
     if status not in (Status.OK, Status.DIVERGED, Status.STEP_UNDERFLOW):
         return status
     for contact, law in enumerate(scene.laws):
@@ -238,7 +239,7 @@ def _judged(status: Status, scene: ReferenceScene, motion: PPoly) -> Status:
 
 
 def _plain(scene: ReferenceScene, run: _Record, y_0: State, t_end: float) -> tuple[float, State]:
-    """One run without stops; wall crossings are read off the motion afterwards."""
+    """Integrate without stops; wall crossings are roots of the dense output, found afterwards."""
     segment = _solve(scene, run, None, 0.0, y_0, t_end, None)
     for contact, law in enumerate(scene.laws):
         gap = gap_of(scene, segment.motion, contact)
@@ -250,7 +251,7 @@ def _plain(scene: ReferenceScene, run: _Record, y_0: State, t_end: float) -> tup
 
 
 def _located(scene: ReferenceScene, run: _Record, y_0: State, t_end: float) -> tuple[float, State]:
-    """Segments in one set of contact modes each, restarted at every contact."""
+    """Integrate in segments of constant contact modes, restarted at every located contact."""
     t, y, modes, stalled = 0.0, y_0, scene.modes_at(y_0), 0
     on_wall = None
     while t < t_end:
@@ -285,7 +286,7 @@ def _solve(
     Parameters
     ----------
     on_wall : int, optional
-        The contact that stands on a wall at the start.
+        Contact that is on a wall initially.
     """
     exits = _exits(modes)
     solution = solve_ivp(
@@ -308,7 +309,8 @@ def _solve(
         run.status = Status.DIVERGED
     elif solution.status < 0:
         lost = _is_undefined_ahead(scene.rhs(modes), solution.t[-1], solution.y[:, -1])
-        run.status = Status.DIVERGED if lost else Status.STEP_UNDERFLOW
+        why = Status.MODEL_INVALID if UserLaw in map(type, scene.laws) else Status.DIVERGED
+        run.status = why if lost else Status.STEP_UNDERFLOW
     hits = [
         (contact, scene.wall(contact, side))
         for (contact, side), times in zip(exits, contacts, strict=True)
@@ -319,25 +321,25 @@ def _solve(
 
 
 def _on_wall(scene: ReferenceScene, y: State, contact: int, wall: float) -> State:
-    """The state, put onto the wall if that is one coordinate's."""
+    """Return the state, moved onto the wall if the contact's gap is the only coordinate."""
     return (wall, *y[1:]) if scene.n == 1 and scene.gap(contact, (1.0,)) == 1.0 else y
 
 
 def _is_undefined_ahead(rhs: Callable[[float, Array], State], t: float, y: Array) -> bool:
-    """Whether steps became too small because a little farther on the force is no number."""
+    """Whether the right-hand side is not finite just ahead, so that steps became too small."""
     slope = np.asarray(rhs(t, y))
     steps = 10.0 * np.spacing(t) * 10.0 ** np.arange(7)
     return any(not np.all(np.isfinite(rhs(t + h, y + h * slope))) for h in steps)
 
 
 def _exits(modes: Modes) -> list[tuple[int, int]]:
-    """Contacts and their sides (-1 lower, 1 upper wall) on which modes can end."""
+    """Return (contact, side) of every wall at which a mode can end; -1: lower, 1: upper wall."""
     sides = [(mode,) if mode else (-1, 1) for mode in modes or ()]
     return [(contact, side) for contact, both in enumerate(sides) for side in both]
 
 
 class _Stop:
-    """Terminal event, as `solve_ivp` takes it: where a function of time and state is zero."""
+    """Terminal event of `solve_ivp`: a zero of a function of time and state."""
 
     terminal = True
 
@@ -357,7 +359,7 @@ def _contact_event(
     y_start: State,
     on_wall: int | None,
 ) -> _Stop:
-    """Terminal event at a wall: the distance beyond it, blind to a root at its own start."""
+    """Return the event at a wall: a zero of the distance beyond it after `t_start`."""
     assert modes is not None, "without modes nothing is located"
     wall, at_start = scene.wall(contact, side), scene.gap(contact, y_start)
     mode = modes[contact]
@@ -379,7 +381,7 @@ def _contact_event(
 def _cut_at_missed_contact(
     scene: ReferenceScene, modes: tuple[int, ...], segment: _Segment
 ) -> _Segment:
-    """End a segment at the contact that two step ends straddle unseen, if there is one."""
+    """Cut a segment at the first contact between step ends that `solve_ivp` has missed, if any."""
     missed = []
     for contact, side in _exits(modes):
         gap, wall = gap_of(scene, segment.motion, contact), scene.wall(contact, side)
@@ -396,7 +398,7 @@ def _cut_at_missed_contact(
             missed.append((turns[wrong[0]], before, contact, wall))
     if not missed:
         return segment
-    # The earliest one, of any wall: what follows it is no motion.
+    # The earliest one, of any wall: the motion after it is wrong.
     beyond, before, contact, wall = min(missed)
     return _cut(scene, segment, before, beyond, contact, wall)
 

@@ -1,4 +1,4 @@
-"""Motions of the reference engine as piecewise polynomials, and what is read off them."""
+"""Motions of the reference engine as piecewise polynomials; their extrema, roots and sections."""
 
 import math
 
@@ -15,33 +15,33 @@ Array = NDArray[np.float64]
 _DEGREE = 7
 _NODES = 0.5 - 0.5 * np.cos(np.pi * np.arange(_DEGREE + 1) / _DEGREE)
 _TO_POWERS = np.linalg.inv(np.vander(_NODES, _DEGREE + 1))
-_STILL = 64.0 * np.finfo(float).eps  # of a state: a step that changes no more of it is straight
+_STILL = 64.0 * np.finfo(float).eps  # of a state: a step with a smaller change is a straight line
 
 
 def gap_of(scene: ReferenceScene, motion: PPoly, contact: int) -> PPoly:
-    """A contact's gap and its rate along a motion."""
+    """Return a contact's gap and its rate along a motion."""
     n, direction = scene.n, scene.directions[contact]
     parts = [motion.c[:, :, i * n : (i + 1) * n] @ direction for i in (0, 1)]
     return PPoly.construct_fast(np.stack(parts, axis=-1), motion.x)
 
 
 def resting(t: float, y: Array) -> PPoly:
-    """A motion that ends where it starts."""
+    """Return a motion that stays in state `y`, from `t` to the next float."""
     powers = np.zeros((_DEGREE + 1, 1, len(y)))
     powers[-1] = y
     return PPoly.construct_fast(powers, np.array([t, np.nextafter(t, math.inf)]))
 
 
 def polynomial(solution: OdeSolution) -> PPoly:
-    """The dense output of `solve_ivp` as one piecewise polynomial of the state."""
+    """Return the dense output of `solve_ivp` as one piecewise polynomial of the state."""
     breaks = np.asarray(solution.ts)
     h = np.diff(breaks)
     nodes = breaks[:-1, None] + h[:, None] * _NODES
     # Shared step ends belong to the step on their left or right: both give the same value.
     values = solution(nodes.ravel()).reshape(-1, h.size, _DEGREE + 1)
     powers = np.einsum("pn,ysn->psy", _TO_POWERS, values)
-    # From a start that rounding put beside a wall it takes no time to get there: its higher powers
-    # are rounding, over powers of that time.
+    # A motion that begins next to a wall by rounding reaches it in nearly no time: the higher
+    # coefficients are rounding errors over powers of that time.
     still = np.maximum(_STILL * np.abs(values).max(axis=2), np.finfo(float).tiny)
     is_straight = (np.ptp(values, axis=2) <= still).all(axis=0)
     powers[:-2, is_straight] = 0.0
@@ -59,18 +59,18 @@ def joined(pieces: list[PPoly]) -> PPoly:
 
 
 def roots(motion: PPoly, component: int, value: float) -> Array:
-    """Times after the start at which a component of a motion takes a value."""
+    """Times after the initial one at which a component of a motion takes a value."""
     single = PPoly.construct_fast(np.ascontiguousarray(motion.c[:, :, component]), motion.x)
     roots = np.sort(single.solve(value, discontinuity=False, extrapolate=False))
     roots = roots[np.isfinite(roots)]
-    # A root on a step end is reported by both steps, the one at the start belongs to before.
+    # A root at a step end is reported by both steps; an initial root is not counted.
     resolution = 1e-9 * float(np.min(np.diff(motion.x)))
     after_start = np.diff(roots, prepend=motion.x[0]) > resolution
     return np.asarray(roots[after_start])
 
 
 def turning(scene: ReferenceScene, motion: PPoly) -> list[PPoly]:
-    """What extrema are recorded of, each with its rate: coordinates, a system's gaps."""
+    """Return the quantities whose extrema are recorded, with rates: coordinates, system gaps."""
     n = scene.n
     coordinates = [
         PPoly.construct_fast(motion.c[:, :, i : n + i + 1 : n], motion.x) for i in range(n)
@@ -80,7 +80,7 @@ def turning(scene: ReferenceScene, motion: PPoly) -> list[PPoly]:
 
 
 def extrema_of(motion: PPoly) -> tuple[Array, Array]:
-    """Times and values of the points where a motion of value and rate has no rate."""
+    """Times and values of a quantity where its rate is zero; components are value and rate."""
     t = roots(motion, 1, 0.0)
     return t, motion(t)[:, 0] if t.size else t
 
@@ -88,9 +88,9 @@ def extrema_of(motion: PPoly) -> tuple[Array, Array]:
 def section_of(
     motion: PPoly, scene: ReferenceScene, since: float, t_end: float
 ) -> tuple[Array, Array]:
-    """Times and states at every whole forcing period after the start, from the time `since` on.
+    """Times and states at every whole forcing period, from the time `since` on.
 
-    Where nothing forces the motion, at every maximum of the first coordinate.
+    The section of an unforced motion is at the maxima of its first coordinate.
     """
     if scene.omega:
         phase = scene.theta_0 / (2.0 * math.pi)

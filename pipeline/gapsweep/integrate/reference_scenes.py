@@ -1,4 +1,4 @@
-"""Right-hand sides of the reference engine: an oscillator's, and a system's."""
+"""Right-hand sides of the reference engine, for an oscillator and for a system."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -25,9 +25,9 @@ Force = Callable[[float], float]
 
 @dataclass(frozen=True, slots=True)
 class ReferenceScene:
-    """One motion, in the units of the right-hand side (seconds, radians).
+    """Model, laws, forcing and tolerances of one motion, with its right-hand side.
 
-    A state is (q, v, z), then, with the tangent, the images of unit states.
+    A state is (q, v, z), then, with the tangent, the solutions that start from unit states.
     """
 
     system: Any
@@ -37,6 +37,7 @@ class ReferenceScene:
     rtol: float
     atol: float
     tangent: bool
+    contact_force: str = "by_mode"
 
     @property
     def method(self) -> str:
@@ -48,7 +49,7 @@ class ReferenceScene:
 
     @property
     def directions(self) -> Array:
-        """What the contacts feel of the coordinates, shape (n_contacts, n)."""
+        """Directions of the contacts, shape (n_contacts, n)."""
         raise NotImplementedError
 
     @property
@@ -57,7 +58,7 @@ class ReferenceScene:
         raise NotImplementedError
 
     def rhs(self, modes: Modes) -> Callable[[float, Array], State]:
-        """The equation of motion with the contacts in some modes."""
+        """Return the right-hand side of the equation of motion in some contact modes."""
         raise NotImplementedError
 
     @property
@@ -66,16 +67,16 @@ class ReferenceScene:
         return int(self.directions.shape[1])
 
     def gap(self, contact: int, q: Sequence[float] | Array) -> float:
-        """Place of a contact between its walls [m]."""
+        """Displacement of a contact between its walls [m]."""
         return float(self.directions[contact] @ q[: self.n])
 
     def wall(self, contact: int, side: int) -> float:
         return self.laws[contact].walls[side > 0]
 
     def force(self, contact: int, modes: Modes) -> Force:
-        """Contact force: the law itself, or one branch of the exact one."""
+        """Return the contact force: the law itself, or the branch of the exact law in a mode."""
         law = self.laws[contact]
-        if modes is None:
+        if modes is None or self.contact_force == "as_written":
             return lambda x: float(law.force(x))
         if not modes[contact]:
             return lambda x: 0.0
@@ -83,15 +84,15 @@ class ReferenceScene:
         return lambda x: stiffness * (x - wall)
 
     def slope(self, contact: int, modes: Modes) -> Force:
-        """Slope of `force`."""
+        """Return the slope of the contact force that `force` returns."""
         law = self.laws[contact]
-        if modes is None:
+        if modes is None or self.contact_force == "as_written":
             return lambda x: float(law.derivative(x))
         stiffness = (0.0, law.K_c, law.K_ratio * law.K_c)[modes[contact]]
         return lambda x: stiffness
 
     def modes_at(self, y: State) -> tuple[int, ...]:
-        """Contact modes at the start; on a wall, direction of motion decides, then acceleration."""
+        """Initial contact modes; on a wall the velocity decides, then the acceleration."""
         modes = tuple(self._beyond(k, y) for k in range(len(self.laws)))
         for contact in range(len(self.laws)):
             if self.gap(contact, y) in (self.wall(contact, -1), self.wall(contact, 1)):
@@ -105,11 +106,11 @@ class ReferenceScene:
     def passed(
         self, t: float, y: State, modes: tuple[int, ...], contact: int, wall: float
     ) -> tuple[int, ...]:
-        """The modes once a contact stands on a wall."""
+        """Return the modes after a contact reached a wall; velocity, then acceleration decides."""
         free = tuple(0 if k == contact else mode for k, mode in enumerate(modes))
         rates = np.asarray(self.rhs(free)(t, np.array(y)))
         v, a = (self.gap(contact, rates[i * self.n :]) for i in (0, 1))
-        # A contact shorter than a picosecond cannot be told from a touch.
+        # A contact shorter than a picosecond cannot be distinguished from a touch.
         heading = v if abs(v) > _TOUCH * abs(a) else a
         for mode in (1, -1):
             if wall == self.wall(contact, mode) and mode * heading > 0.0:
@@ -118,12 +119,12 @@ class ReferenceScene:
 
 
 def scene_of(system: Any) -> type[ReferenceScene]:
-    """The class of scene of a system."""
+    """Return the class of right-hand side for a model."""
     return OscillatorScene if isinstance(system, Oscillator) else SystemScene
 
 
 class OscillatorScene(ReferenceScene):
-    """An oscillator: plain numbers, ten times as fast as arrays of one."""
+    """Right-hand side of an oscillator in plain floats, ten times as fast as with arrays."""
 
     __slots__ = ()
 
@@ -165,7 +166,7 @@ class OscillatorScene(ReferenceScene):
 
 
 class SystemScene(ReferenceScene):
-    """A system, with arrays."""
+    """Right-hand side of a system, with arrays."""
 
     __slots__ = ()
 

@@ -3,9 +3,8 @@
 numba has no vector type and its loop vectoriser gives up on the stepping loop, so this module adds
 two types, ``Vec`` (LLVM ``<WIDTH x double>``) and ``Mask`` (``<WIDTH x i1>``), whose operators each
 lower to one LLVM instruction, emitted by `vectors`. Code written with them reads like scalar code
-and compiles to one instruction stream for all lanes. Every operation acts on each lane alone: a
-lane's numbers cannot depend on its neighbours, which is what makes results independent of how
-points are batched.
+and compiles to one instruction stream for all lanes. No operation mixes lanes: a lane's numbers
+cannot depend on its neighbours, hence results do not depend on how points are batched.
 
 Nothing here is fast-math. A fused multiply-add happens where `fma` is written and nowhere else.
 """
@@ -60,7 +59,7 @@ class _MaskModel(models.PrimitiveModel):
 
 
 def _lifted(context, builder, value, numba_type):
-    """A value of compiled code as its emitting form; a scalar stands in every lane."""
+    """Wrap a value of compiled code as `Vec` or `Mask`; a scalar is copied to every lane."""
     if numba_type == mask:
         return Mask(builder, value)
     if numba_type == vec:
@@ -69,7 +68,7 @@ def _lifted(context, builder, value, numba_type):
 
 
 def _lowered(emit):
-    """Code generator of a function of emitting forms."""
+    """Return numba's code generator for a function of `Vec` and `Mask`."""
 
     def lower(context, builder, sig, args):
         forms = (_lifted(context, builder, *pair) for pair in zip(args, sig.args, strict=True))
@@ -105,7 +104,7 @@ _define(operator.invert, mask, operator.invert, (mask,))
 
 
 def _of_one(emit):
-    """A function of a vector for compiled code."""
+    """Return a function of one vector for compiled code, emitted by `emit`."""
 
     @intrinsic
     def function(typingctx, a):
@@ -146,7 +145,7 @@ select = _of_three(vectors.where)
 
 @intrinsic
 def bits(typingctx, condition):
-    """The mask as an integer, lane 0 in the lowest bit."""
+    """Return the mask as an integer, lane 0 in the lowest bit."""
 
     def codegen(context, builder, sig, args):
         return Mask(builder, args[0]).bits()
@@ -163,7 +162,7 @@ def _row_pointer(context, builder, array_type, array, row):
 
 @intrinsic
 def load(typingctx, array, row):
-    """Row `row` of a C-ordered float64 array of shape (rows, WIDTH)."""
+    """Return row `row` of a C-ordered float64 array of shape (rows, WIDTH) as a vector."""
 
     def codegen(context, builder, sig, args):
         row = context.cast(builder, args[1], sig.args[1], types.int64)
@@ -187,7 +186,7 @@ def store(typingctx, array, row, value):
 
 @intrinsic
 def lane_value(typingctx, value, lane):
-    """One lane's double."""
+    """Return the value of one lane."""
 
     def codegen(context, builder, sig, args):
         return builder.extract_element(
@@ -199,7 +198,7 @@ def lane_value(typingctx, value, lane):
 
 @intrinsic
 def with_lane(typingctx, value, lane, scalar):
-    """The vector with one lane replaced."""
+    """Return the vector with the value of one lane replaced."""
 
     def codegen(context, builder, sig, args):
         lane_ = context.cast(builder, args[1], sig.args[1], types.int64)

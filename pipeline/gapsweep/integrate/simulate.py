@@ -1,4 +1,4 @@
-"""One call for every engine, for one motion or many."""
+"""The function `simulate`: one call for every engine, for one motion or many."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from gapsweep.integrate.problem import (
 from gapsweep.integrate.trajectory import SystemTrajectory, Trajectory
 from gapsweep.model.contact import ContactLaw, checked_law
 from gapsweep.model.doubts import doubts, warn_of
-from gapsweep.model.oscillator import LARGEST, SMALLEST, Oscillator, checked
+from gapsweep.model.oscillator import LARGEST, SMALLEST, Oscillator, called_as, checked
 from gapsweep.model.system import System, floats
 from gapsweep.variables import objects
 
@@ -37,16 +37,16 @@ AnyLaw = ContactLaw | Mapping[str, ContactLaw]
 
 # Largest resolution of the clock, as a share of the natural period.
 _CLOCK_SHARE = 1e-9
-_MOST_PERIODS = 2**53  # of whole numbers that a float holds
+_MOST_PERIODS = 2**53  # the largest whole number up to which floats are exact
 
 
 def prepared(models: Models, solver: Solver) -> Integrate:
-    """Integration of models, each as if it were alone: the same numbers in any company."""
+    """Return the integrator of some models; no result depends on the other rows of a call."""
     return loaded(solver.engine)(models, solver)
 
 
 def loaded(engine: str) -> Callable[[Models, Solver], Integrate]:
-    """The function `prepared` of an engine; to load one takes tenths of a second."""
+    """Import an engine, which takes tenths of a second; return its function `prepared`."""
     if engine == "scipy":
         from gapsweep.integrate.reference import prepared
     else:
@@ -54,6 +54,7 @@ def loaded(engine: str) -> Callable[[Models, Solver], Integrate]:
     return prepared
 
 
+@called_as("gs.simulate(oscillator, law, omega=9.0, t_end=2.0), in Hz and s")
 def simulate(
     oscillator: Several[AnyModel],
     law: Several[AnyLaw],
@@ -71,6 +72,7 @@ def simulate(
     atol: float | None = None,
     controller: str = "native",
     restart: bool = False,
+    contact_force: str = "by_mode",
     dense_output: bool = False,
     tangent: bool = False,
     time_limit: float = TIME_LIMIT,
@@ -99,7 +101,7 @@ def simulate(
     n_periods : int or array_like of int
         Forcing periods from `t_0` to the end, ``> 0``; instead of `t_end`. With ``t_0 = 0`` the
         end is the last point of `section`.
-    engine, rtol, atol, controller, restart
+    engine, rtol, atol, controller, restart, contact_force
         As in `gapsweep.integrate.problem.Solver`. Default of `rtol` [-] is 1e-9 with engine
         ``"compiled"``, 1e-4 with ``"scipy"``; default of `atol` [m] is `rtol` times the static
         deflection, else the initial displacement, else the gap.
@@ -109,7 +111,8 @@ def simulate(
         Whether to integrate the variational equations, for ``monodromy``; they also limit the
         steps of smooth laws. Kinks of the force that are not located (``located=False``, a user law
         with corners) add an error that does not depend on the tolerance, 1e-4 to 1e-2 of the
-        matrix in measurements. `respond` computes multipliers with located contacts if possible.
+        matrix in measurements; ``contact_force="as_written"`` adds 1e-5 to 5e-2. `respond`
+        computes multipliers with located contacts and forces by mode if possible.
     time_limit : float
         Time [s], ``> 0``, after which motions under way have the status ``timed_out``; compiling
         does not count. The engine ``"scipy"`` ends a motion before it looks at the time.
@@ -138,14 +141,14 @@ def simulate(
     >>> runs.x_end.shape
     (3,)
     """
-    solver = Solver.of(engine, rtol, atol, controller, restart)
+    solver = Solver.of(engine, rtol, atol, controller, restart, contact_force)
     t_0, time_limit = checked("t_0", t_0), checked("time_limit", time_limit, low=0.0, strict=True)
     span: dict[str, Any] = {"t_end": t_end}
     if n_periods is not None:
         span = {"n_periods": _whole_periods(n_periods)}
     if (t_end is None) == (n_periods is None):
-        said = "missing" if t_end is None else f"{t_end!r}, and n_periods = {n_periods!r}"
-        raise ModelError(f"t_end = {said}: give either, as t_end=10.0 or n_periods=100")
+        given = "missing" if t_end is None else f"{t_end!r}, and n_periods = {n_periods!r}"
+        raise ModelError(f"t_end = {given}: give either, as t_end=10.0 or n_periods=100")
     models, start, shape = cases(
         oscillator, law, omega, x_0, v_0, q_0, z_0, np.shape(span.get("n_periods", 0))
     )
@@ -161,7 +164,7 @@ def simulate(
         periods = np.broadcast_to(span["n_periods"], shape).ravel()
         ends = (t_0 * models.omega + periods) / models.omega
     _check_clock(models, t_0)
-    if dense_output:  # nothing runs yet, but what no engine takes is refused now
+    if dense_output:  # nothing runs yet, but invalid settings are refused now
         for _, some in models.by_kind():
             prepared(some, solver)
     solve = partial(_solved, models, solver, start, t_0, ends, tangent, dense_output, time_limit)
@@ -188,7 +191,7 @@ def _solved(
     record_from: float,
     dense_output: bool,
 ) -> Motions:
-    """One pass over the motions, recorded from a time [s] on."""
+    """Integrate all motions once; events and dense output are recorded from a time [s] on."""
     groups = models.by_kind()
     with within(time_limit):
         parts = [
@@ -212,7 +215,7 @@ def _solved(
 
 
 def _whole_periods(n_periods: ArrayLike) -> Any:
-    """Whole numbers of periods: one, or an array of them."""
+    """Return `n_periods` as an int or an array of int; refuse values that are not whole or < 1."""
     (given,) = broadcast(n_periods=n_periods)
     is_whole = (given == np.rint(given)) & (given >= 1.0) & (given <= _MOST_PERIODS)
     for wrong in given[~is_whole].flat:
@@ -230,28 +233,28 @@ def cases(
     z_0: ArrayLike,
     *shapes: tuple[int, ...],
 ) -> tuple[Models, Array, tuple[int, ...]]:
-    """Parameter sets of a call and the states that they start from.
+    """Return the parameter sets of a call, and their initial states.
 
     Parameters
     ----------
     oscillator, law, omega, x_0, v_0, q_0, z_0
         As in `simulate`.
     *shapes : tuple of int
-        Of further arguments.
+        Shapes of further arguments.
 
     Returns
     -------
     models : Models
-        n parameter sets; `omega` is zero where nothing is forced.
+        n parameter sets; `omega` is zero for unforced systems.
     start : ndarray, shape (n, n_states)
         Displacements [m], velocities [m/s] and first-order states.
     shape : tuple of int
-        That all arguments have together.
+        Common shape of all arguments.
 
     Raises
     ------
     ModelError
-        If an argument is out of range, or not one of such a model.
+        If an argument is out of range, or does not apply to the model.
     """
     systems, given = _several("oscillator", oscillator), _several("law", law)
     first = _alike(systems)
@@ -291,7 +294,7 @@ def inputs_of(
     start: Array,
     shape: tuple[int, ...],
 ) -> dict[str, Any]:
-    """Arguments of a call by name, from what `cases` made of them."""
+    """Return the arguments of a call by name, in the common shape that `cases` returned."""
     inputs: dict[str, Any] = {"oscillator": oscillator, "law": law}
     start = start.reshape(*shape, start.shape[-1])
     first = objects(oscillator).flat[0]
@@ -305,7 +308,7 @@ def inputs_of(
 
 
 def _laws_of(models: Models, shape: tuple[int, ...]) -> Any:
-    """Laws of all contacts; of several models an array of them."""
+    """Return the laws of all contacts as a tuple; for several sets of laws an array of tuples."""
     if len(models.laws) == 1:
         return models.laws[0]
     found = np.empty(len(models), object)
@@ -315,7 +318,7 @@ def _laws_of(models: Models, shape: tuple[int, ...]) -> Any:
 
 
 def _several(name: str, value: Any) -> NDArray[Any]:
-    """One object or several as an array of at least one."""
+    """Return one object or a sequence of objects as an array; refuse an empty sequence."""
     try:
         found = objects(value)
     except ValueError as error:
@@ -326,7 +329,7 @@ def _several(name: str, value: Any) -> NDArray[Any]:
 
 
 def _alike(systems: NDArray[Any]) -> Any:
-    """The first of several models, which must have all names in common."""
+    """Return the first of several models; refuse models of different kinds or names."""
     for each in systems.flat:
         if not isinstance(each, Oscillator | System):
             raise ModelError(
@@ -343,13 +346,13 @@ def _alike(systems: NDArray[Any]) -> Any:
 
 
 def _names(model: AnyModel) -> tuple[Any, ...]:
-    """What several models of a call have in common."""
+    """Return kind, names, number of lags and forcing: equal for all models of a call."""
     form = type(model).__name__, *model.coordinates, *model.contacts
     return *form, model.n_lags, "forced" if model.is_forced else "not forced"
 
 
 def _rows(values: list[T], of: NDArray[Any], shape: tuple[int, ...]) -> list[T]:
-    """Values, given in the shape of an array, for all points; one stands for all."""
+    """Broadcast values, in the shape of `of`, to a list for all points; a single one stays."""
     if len(values) == 1:
         return values
     places = np.broadcast_to(np.arange(len(values)).reshape(of.shape), shape)
@@ -357,8 +360,8 @@ def _rows(values: list[T], of: NDArray[Any], shape: tuple[int, ...]) -> list[T]:
 
 
 def _zero(name: str, value: ArrayLike, remedy: str) -> None:
-    """Refuse a start that a model of this kind does not have."""
-    if type(value) is float and value == 0.0:  # as it stands when it is not given
+    """Refuse an initial state that a model of this kind does not have, unless it is zero."""
+    if type(value) is float and value == 0.0:  # the default
         return
     (given,) = broadcast(**{name: value})
     if given.any():
@@ -366,21 +369,21 @@ def _zero(name: str, value: ArrayLike, remedy: str) -> None:
 
 
 def _laws(system: System, law: AnyLaw) -> tuple[ContactLaw, ...]:
-    """The law of every contact, in the system's order."""
+    """Return the law of every contact, in the system's order."""
     if not isinstance(law, Mapping):
         return (checked_law(law),) * len(system.contacts)
     if set(law) != set(system.contacts):
         raise ModelError(f"law: of {list(law)}: must name {list(system.contacts)}")
-    return tuple(law[name] for name in system.contacts)
+    return tuple(checked_law(law[name]) for name in system.contacts)
 
 
 def _system_starts(
     system: System, omega: ArrayLike | None, q_0: ArrayLike, v_0: ArrayLike, z_0: ArrayLike
 ) -> tuple[Array, Array]:
-    """Forcing frequencies, zero where nothing is forced, and states along the last axis."""
+    """Return forcing frequencies, zero if unforced, and initial states along the last axis."""
     if (omega is None) == system.is_forced:
-        said = "missing; this System is forced" if system.is_forced else "this System is not forced"
-        raise ModelError(f"omega: {said}")
+        why = "missing; this System is forced" if system.is_forced else "this System is not forced"
+        raise ModelError(f"omega: {why}")
     sizes = {"q_0": (q_0, system.n), "v_0": (v_0, system.n), "z_0": (z_0, system.n_lags)}
     parts = []
     for name, (value, size) in sizes.items():
@@ -407,17 +410,17 @@ def _system_starts(
 
 
 def _check_clock(models: Models, t_0: float) -> None:
-    """Refuse a start at a forcing phase beside which a step of the motion is rounded away.
+    """Refuse an initial forcing phase whose rounding error is not small against time steps.
 
-    Time is kept as whole forcing periods and a fraction, so a fraction to begin with limits what
-    the clock can tell apart.
+    Time is kept as whole forcing periods and a fraction, so a nonzero initial fraction limits
+    the resolution of the clock.
     """
     omega = models.omega
     if not t_0 or not omega.all():
         return
     turns = omega * t_0
     resolved = np.spacing(turns - np.floor(turns)) / omega
-    # Where nothing but contacts holds a mass, there is no limit.
+    # If only contacts hold the masses, there is no limit.
     coarse = resolved * models.of_systems(attrgetter("fastest")) > _CLOCK_SHARE
     for k in np.flatnonzero(coarse)[:1].tolist():
         fastest = models.systems[models.system[k]].fastest
@@ -428,7 +431,7 @@ def _check_clock(models: Models, t_0: float) -> None:
 
 
 def broadcast(**values: ArrayLike | None) -> list[NDArray[np.float64]]:
-    """Finite float arrays of one shape; `omega` positive.
+    """Return the values as finite float arrays of one shape; `omega` must be positive.
 
     Raises
     ------
@@ -443,7 +446,7 @@ def broadcast(**values: ArrayLike | None) -> list[NDArray[np.float64]]:
             raise ModelError(f"{name} = {value!r}: must be a number or numbers") from None
         if array.size == 0:
             raise ModelError(f"{name} = {value!r}: must be a number or numbers, at least one")
-        # The first value that fails names itself.
+        # `checked` raises the error for the first wrong value.
         is_omega = name == "omega"
         is_good = (np.abs(array) <= LARGEST) & (array >= (SMALLEST if is_omega else -LARGEST))
         for suspect in array[~is_good].flat:

@@ -1,4 +1,4 @@
-"""The public result of `simulate`."""
+"""Results of `simulate`: trajectories of oscillators and systems."""
 
 import math
 from collections.abc import Callable, Iterable, Mapping
@@ -40,12 +40,12 @@ VARIABLES = {
     "v": Variable("f8", "m s-1", "velocity", dims=("t", COORDINATE)),
     "z": Variable("f8", "", "first-order state", dims=("t", LAG)),
 }
-_CLOCK_ROUNDING = 1e-9  # of the time since the start
+_CLOCK_ROUNDING = 1e-9  # relative to the time since `t_0`
 _PER_STEP = 16  # samples of a history: a Taylor step may be as long as a fifth of a period
 
 
 def _of_motions(column: Callable[[Motions], NDArray[Any]]) -> Any:
-    """An attribute that is a column of the motions, found when it is first asked for."""
+    """Return an attribute that is a column of the motions, computed at first use."""
     return cached_property(lambda run: run._shaped(column(run._motions)))
 
 
@@ -111,7 +111,7 @@ class Trajectory:
             _ = self._motions
 
     def __getstate__(self) -> dict[str, Any]:
-        """State for pickling: values, without the engine's records, which `_solve` makes again."""
+        """Return the state for pickling: values, without the engine's records."""
         none: Any = None
         motions = replace(self._motions, events=none, sampler=none)
         return vars(self) | {"_dense": None, "_motions": motions}
@@ -164,7 +164,7 @@ class Trajectory:
         return found.assign_coords(t=("t", t, VARIABLES["t"].attributes))
 
     def _ends(self) -> Any:
-        """Where and how the motions ended, as an `xarray.Dataset`."""
+        """Return end states, status and counts of the motions as an `xarray.Dataset`."""
         motions, n = self._motions, objects(self.inputs["oscillator"]).flat[0].n
         ends = np.split(motions.state, [n, 2 * n], axis=1)
         arrays = {
@@ -248,11 +248,11 @@ class Trajectory:
         return self._as_sampled(np.moveaxis(states, 0, -1).reshape(*self.shape, *t.shape, -1))
 
     def _as_sampled(self, states: Array) -> tuple[Array, ...]:
-        """What `sample` returns of states along the last axis."""
+        """Split states along the last axis into the arrays that `sample` returns."""
         return states[..., 0], states[..., 1]
 
     def _dense_from(self, t: float) -> Motions:
-        """Dense output from `t` on; kept, and computed again only for earlier times."""
+        """Return dense output from `t` on; cached, and recomputed only for earlier times."""
         if not self._has_dense_output:
             raise ModelError("no history: simulate with dense_output=True")
         if self._dense is None or self._dense[0] > t:
@@ -261,7 +261,7 @@ class Trajectory:
 
     @cached_property
     def _history(self) -> tuple[Array, ...]:
-        """Times, and what `sample` returns there."""
+        """Times of the history, and the arrays that `sample` returns for them."""
         motions = self._dense_from(self.t_0)
         t = np.linspace(self.t_0, motions.t.min(), 1 + _PER_STEP * int(motions.n_steps.max()))
         return t, *self.sample(t)
@@ -274,7 +274,7 @@ class Trajectory:
         return values.reshape(self.shape) if self.shape else values[0].item()
 
     def _of_coordinate(self, values: Array) -> Array:
-        """Of values of `extrema` those of the coordinate, without those of the contact's gap."""
+        """Select the values of the coordinate's extrema, without those of the contact's gap."""
         its, n = self._events.extrema_of == 0, self._events.n_extrema
         motions = np.repeat(np.arange(len(n)), n)
         return self._ragged(values[its], np.bincount(motions[its], minlength=len(n)))
@@ -348,7 +348,7 @@ class SystemTrajectory(Trajectory):
         return self._by_name(self.system.contacts, "t_contacts", "contacts_of", "n_contacts")
 
     def _by_name(self, names: Iterable[str], values: str, owners: str, counts: str) -> Any:
-        """Recorded values as a dict by name; of an array of motions an array of dicts."""
+        """Return recorded values as a dict by name; for an array of motions an array of dicts."""
         ends = np.cumsum(getattr(self._events, counts))
         parts = []
         for first, last in zip([0, *ends[:-1].tolist()], ends.tolist(), strict=True):

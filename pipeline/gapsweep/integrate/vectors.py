@@ -7,9 +7,9 @@ stepping code reads as in a book and each operator emits one vector instruction:
     with one ``Vec`` per lane group:   ``x_1 = fma(h, v, x)``
     with one ``Mask`` for choices:     ``h = where(mask, t, h)``
 
-No reordering is allowed anywhere (no fast-math flag), and no operation mixes lanes: what one lane
-computes depends on nothing in its neighbours. That is what makes a point's result the same
-in every batch, bit for bit.
+No reordering is allowed anywhere (no fast-math flag), and no operation mixes lanes: the results of
+a lane do not depend on its neighbours. Therefore a point has the same result in every batch, bit
+for bit.
 """
 
 from llvmlite import ir
@@ -37,7 +37,7 @@ class Vec(_LaneValues):
     __slots__ = ()
 
     def constant(self, number):
-        """The same number in every lane."""
+        """Return a vector with the same number in every lane."""
         return Vec(
             self.builder,
             ir.Constant(self.value.type, [ir.Constant(F64, float(number))] * self.value.type.count),
@@ -90,7 +90,7 @@ class Vec(_LaneValues):
 
 
 class Mask(_LaneValues):
-    """A truth value per lane."""
+    """A boolean per lane."""
 
     __slots__ = ()
 
@@ -179,7 +179,7 @@ def power_of_two(a):
 
 
 def exponent(a):
-    """Floor of the base-2 logarithm of positive normal numbers."""
+    """Base-2 logarithm of positive normal numbers, rounded down."""
     builder, integers = a.builder, ir.VectorType(I64, a.value.type.count)
     raw = builder.lshr(builder.bitcast(a.value, integers), _integers(a, _FRACTION_BITS))
     whole = builder.sub(raw, _integers(a, _EXPONENT_BIAS))
@@ -251,12 +251,12 @@ def is_nonzero(builder, bits):
 
 
 def branch(builder, condition, compute, otherwise):
-    """Emit one of two computations: the values of that which runs, in a list.
+    """Emit a branch between two computations; return the values of the one that runs, as a list.
 
     Parameters
     ----------
     condition
-        Of `compute`, one for all lanes.
+        Condition of `compute`, one for all lanes.
     compute, otherwise : callable
         Each emits code and returns as many `Vec` and `Mask`.
     """
@@ -296,7 +296,7 @@ def store_row(pointer, row, vec):
 
 
 def splat(builder, scalar, width):
-    """A scalar double in every lane."""
+    """Return a vector with a scalar double in every lane."""
     vector = ir.VectorType(F64, width)
     one = builder.insert_element(
         ir.Constant(vector, ir.Undefined), scalar, ir.Constant(ir.IntType(32), 0)

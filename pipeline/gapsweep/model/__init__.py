@@ -1,1 +1,1 @@
-"""What is simulated: the oscillator, its gap and the contact laws."""
+"""Models to simulate: oscillators, systems, gaps and contact laws."""

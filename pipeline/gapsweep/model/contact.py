@@ -4,8 +4,8 @@ Every law has ``force(x)`` [N] and ``derivative(x)`` [N/m] on arrays of displace
 for symmetric, asymmetric and zero gaps. Formulas and labels are those of the user guide;
 `gapsweep.model.labels` builds any law from its label.
 
-A law is one class, here or in `fitted`, `table` and `user_law`, with all that the rest of the
-package asks of it, and one compiled form in `gapsweep.integrate.runge_kutta.laws`.
+A law is one class, here or in `fitted`, `table` and `user_law`, with all properties that the rest
+of the package uses, and one compiled form in `gapsweep.integrate.runge_kutta.laws`.
 """
 
 import math
@@ -51,18 +51,18 @@ class ContactLaw:
     [0.0, 1.4]
     """
 
-    # What its label begins with, and its colour in every figure (Okabe & Ito, 2008: safe for
-    # colour-blind readers).
+    # Beginning of the label, and colour in every figure (Okabe & Ito, 2008: safe for colour-blind
+    # readers).
     family: ClassVar[str] = ""
     colour: ClassVar[str] = "#56B4E9"
-    # Whether laws of the family differ in numbers alone, so that one compiled form takes them all.
+    # Whether laws of the family differ only in numbers, so that one compiled form takes them all.
     is_numbers: ClassVar[bool] = False
-    # Whether it has a convergence parameter: the larger, the nearer to the exact law.
+    # Whether the law has a convergence parameter: the larger, the closer to the exact law.
     is_sharpened: ClassVar[bool] = False
 
     K_c: float
     gap: Gap
-    # By its name alone: of the laws' own numbers some come third, and need no default.
+    # Keyword-only: subclasses have positional parameters without a default after these two.
     K_ratio: float = field(default=1.0, kw_only=True)
 
     @classmethod
@@ -184,7 +184,7 @@ class _Sharpened(ContactLaw):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        # A smooth law has a force everywhere: arctan one of K_c / (pi epsilon) however far away.
+        # A smooth law has a force everywhere: arctan K_c / (pi epsilon) at any distance.
         if self.K_c and (farthest := max(map(abs, self.walls))) > DIVERGED_AT:
             raise ModelError(
                 f"wall at {farthest:g}: a smooth law needs walls within {DIVERGED_AT:g}, "
@@ -286,12 +286,11 @@ class Tanh(_Switched):
 
     @cached_property
     def turns(self) -> tuple[float, ...] | None:
-        """Between equal walls: before each of them, if they are far apart.
+        """Extrema of the force [m] between walls of equal stiffness; None for unequal ones.
 
-        In ``u = ε (x - middle)`` with walls ``w`` apart the slope is
-        ``h'(u - w/2) + h'(-u - w/2)``, ``h'`` that of ``z (1 + tanh z)``. It is negative in the
-        middle, positive at the walls, and changes sign once between; where it is positive in the
-        middle, it is everywhere.
+        With walls ``w`` apart in ``u = ε (x - middle)`` the slope is ``h'(u - w/2) + h'(-u - w/2)``
+        with ``h' = d/dz z (1 + tanh z)``. If the slope is negative in the middle, it changes sign
+        once before each wall; if it is positive in the middle, it is positive everywhere.
         """
         if self.K_ratio != 1.0:
             return None
@@ -397,12 +396,12 @@ class LogArctan(_Sharpened):
 
 
 def checked_gap(gap: Gap | Sequence[float]) -> Gap:
-    """A gap, also from the distances of its two walls [m], as a study file has them.
+    """Return a `Gap`, made from the distances of its two walls [m] if these are given.
 
     Raises
     ------
     ModelError
-        If it is neither.
+        If `gap` is neither.
     """
     if isinstance(gap, Gap):
         return gap
@@ -415,12 +414,11 @@ def checked_gap(gap: Gap | Sequence[float]) -> Gap:
 
 
 def checked_law(law: ContactLaw) -> ContactLaw:
-    """`law`, or a `ModelError` if it is none."""
+    """Return `law`; raise a `ModelError` if it is no contact law."""
     if not isinstance(law, ContactLaw):
         label = law if isinstance(law, str) else "tanh-1e4"
-        raise ModelError(
-            f"law = {law!r}: must be a contact law, as gapsweep.contact_law({label!r}, K_c, gap) is"
-        )
+        remedy = "law(function" if callable(law) else f"contact_law({label!r}"
+        raise ModelError(f"law = {law!r}: must be a contact law, as gs.{remedy}, K_c, gap)")
     return law
 
 

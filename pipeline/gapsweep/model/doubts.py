@@ -1,4 +1,4 @@
-"""Numbers that are probably in another unit, or of the wrong sign, in words.
+"""Warnings of numbers that are probably in another unit or have the wrong sign.
 
 The rules are ratios: a machine may be in nanometres, or have no units.
 """
@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gapsweep.model.contact import ContactLaw
-from gapsweep.model.oscillator import Oscillator
+from gapsweep.model.oscillator import Oscillator, called_as
 from gapsweep.model.system import System, first_order
 from gapsweep.model.table import ForceTable
 from gapsweep.model.user_law import UserLaw
@@ -24,6 +24,7 @@ _FAST, _SOFT = 30.0, 1e-3  # times the natural frequency, and the stiffness of t
 _FAR = 10.0  # times the amplitude of the linear resonance
 _GRADED = np.geomspace(1e-4, 1.0, 60)  # distances from a wall, in gap widths
 _OWN = UserLaw, ForceTable  # their K_c is no force
+_BETWEEN = "gapsweep.study.study", called_as.__module__  # study.run(), and checks of arguments
 
 
 def doubts(
@@ -32,9 +33,9 @@ def doubts(
     omega: Any,
     starts: Array,
 ) -> Iterator[str]:
-    """Warnings of a call or a study, one sentence each; a rule that any case passes is silent.
+    """Warnings of a call or a study, one sentence each; rules compare extremes over all cases.
 
-    Models have the same contacts, each entry of `laws` the laws of all of them; `omega` are
+    All models have the same contacts, and each entry of `laws` one law a contact; `omega` are
     frequencies [Hz], `starts` initial states, one a row.
     """
     first = models[0]
@@ -74,16 +75,16 @@ def doubts(
 
 
 def warn_of(found: Iterable[str]) -> None:
-    """Issue one `UserWarning` with the doubts of a user's call; none of calls in the package."""
+    """Issue one `UserWarning` with all warnings of a user's call; none for calls in the package."""
     level = 2
-    while (caller := sys._getframe(level).f_globals.get("__name__", "")) == "gapsweep.study.study":
-        level += 1  # of study.run()
-    if not str(caller).startswith("gapsweep.") and (said := "; ".join(found)):
-        warnings.warn(said, stacklevel=level + 1)
+    while (caller := sys._getframe(level).f_globals.get("__name__", "")) in _BETWEEN:
+        level += 1
+    if not str(caller).startswith("gapsweep.") and (text := "; ".join(found)):
+        warnings.warn(text, stacklevel=level + 1)
 
 
 def _walls(law: ContactLaw) -> Iterator[float]:
-    """Distances of the walls of a law; of a table without one, of its first points."""
+    """Distances of a law's walls [m]; for a table at least those of its points next to zero."""
     yield math.inf
     if isinstance(law, ForceTable):
         x = np.array(law.x)
@@ -98,8 +99,8 @@ def _walls(law: ContactLaw) -> Iterator[float]:
 def _linear(model: Oscillator | System, starts: Array) -> tuple[Array, Array]:
     """Stiffness at each contact, and the largest displacement there without contacts [m].
 
-    At resonance, under the mean loads and from the initial states; infinite if nothing is forced or
-    damped, a coordinate is free or a spring softens.
+    The displacement adds resonance, mean loads and initial states; it is infinite if the model is
+    not forced or not damped, a coordinate is free or a spring softens.
     """
     along = np.reshape(model.directions, (-1, model.n))
     none = np.zeros(len(along)), np.full(len(along), math.inf)
@@ -129,7 +130,7 @@ def _linear(model: Oscillator | System, starts: Array) -> tuple[Array, Array]:
 
 
 def _from(starts: Array, along: Array, model: Oscillator | System) -> Array:
-    """Displacement at each contact that initial states bring [m]."""
+    """Upper bound of the displacement at each contact due to the initial states [m]."""
     n, rate = model.n, 2.0 * math.pi * model.slowest
     x, v = np.abs(starts[:, :n] @ along.T), np.abs(starts[:, n : 2 * n] @ along.T) / rate
     found: Array = x.max(axis=0, initial=0.0) + v.max(axis=0, initial=0.0)
@@ -169,7 +170,7 @@ def _in_gap_force(law: ContactLaw) -> float:
 
 
 def _of_table(table: ForceTable) -> Iterator[str]:
-    """Warnings of a table of the wrong sign, and of noise around zero."""
+    """A warning of a force table with the wrong sign, or with noise around zero."""
     force = np.array(table.F)
     for x, F in zip(table.valid_range, force[[0, -1]], strict=True):
         if x * F < 0.0:

@@ -1,6 +1,6 @@
-"""Static equilibria: where the springs and a contact law balance without forcing.
+"""Static equilibria of springs, contact and mean load, without harmonic forcing.
 
-Nothing but ``force`` and ``derivative`` of a law is used. The search samples the slope of
+Only ``force`` and ``derivative`` of a law are used. The search samples the slope of
 the restoring force on points that resolve smoothing layers of any width, splits the range
 where the slope changes sign, and finds the one root that each monotone piece can hold.
 """
@@ -23,7 +23,7 @@ _N_COARSE = 1001
 # Distances from a wall [m]: from far below any smoothing layer, 40 per decade.
 _FINEST = 1e-13
 _N_PER_DECADE = 40
-# Poles closer to the real axis than this share of the range need points of their own.
+# Poles closer to the real axis than this share of the range need additional points.
 _NEAR_POLE = 0.02
 # Roots are located to the last digits of a double, also those next to zero.
 _X_TOL, _R_TOL = 1e-20, 1e-15
@@ -39,7 +39,7 @@ class Equilibria:
     x : ndarray, shape (n,)
         Positions [m].
     stable : ndarray of bool, shape (n,)
-        Whether the restoring force rises through zero there: a well of the potential.
+        Whether the restoring force rises through zero: a minimum of the potential.
     energy : ndarray, shape (n,)
         Potential energy of springs, contact and mean load [J], zero at ``x = 0``.
     """
@@ -50,11 +50,11 @@ class Equilibria:
 
     @property
     def barrier(self) -> Array:
-        """Energy [J] that lifts the mass out of each well; NaN where nothing bounds it."""
-        beside = np.full((2, self.x.size), np.inf)
-        beside[0, 1:] = self.energy[:-1]
-        beside[1, :-1] = self.energy[1:]
-        lowest = np.min(beside, axis=0, initial=np.inf)
+        """Energy [J] needed to leave each well; NaN at maxima and for unbounded wells."""
+        neighbours = np.full((2, self.x.size), np.inf)
+        neighbours[0, 1:] = self.energy[:-1]
+        neighbours[1, :-1] = self.energy[1:]
+        lowest = np.min(neighbours, axis=0, initial=np.inf)
         return np.where(self.stable & np.isfinite(lowest), lowest - self.energy, np.nan)
 
 
@@ -92,10 +92,10 @@ def equilibria(oscillator: Oscillator, law: ContactLaw, x_max: float) -> Equilib
 
 
 def search_points(law: ContactLaw, x_max: float) -> Array:
-    """Displacements [m] in ``±x_max`` on which a law shows all its features, ascending.
+    """Displacements [m] in ``±x_max`` that resolve all features of a law, ascending.
 
-    Dense towards the ends as a polynomial is wild there, graded towards the walls as the
-    layers of a smoothing law are, with zero, the walls and near poles among them.
+    Dense near the ends, where a polynomial oscillates, and graded towards the walls, to resolve
+    smoothing layers; zero, the walls and near poles are among them.
     """
     half = x_max * np.sin(np.linspace(0.0, 0.5 * np.pi, _N_COARSE))
     n = round(_N_PER_DECADE * np.log10(2.0 * x_max / _FINEST))
@@ -107,16 +107,16 @@ def search_points(law: ContactLaw, x_max: float) -> Array:
 
 
 def sign_changes(function: Callable[[Array], Array], points: Array) -> tuple[Array, Array]:
-    """Zeros of a function between ascending points, and which way it passes each.
+    """Zeros of a function between ascending points, and the direction of each crossing.
 
     Returns
     -------
     zeros, direction : ndarray, shape (n,)
-        Direction 1: rising, -1: falling, 0: touching. Zeros outside the first and the last
-        point at which the function is not zero are left out, as are poles and places next to
-        which the function is not finite.
+        Direction 1: rising, -1: falling, 0: touching. Excluded are zeros outside the first and the
+        last point at which the function is not zero, poles, and zeros next to which the function
+        is not finite.
     """
-    from scipy.optimize import brentq  # slow to import, and most responses ask for no equilibria
+    from scipy.optimize import brentq  # slow to import, and most responses need no equilibria
 
     values = function(points)
     sign = np.where(np.isfinite(values), np.sign(values), np.nan)
@@ -143,7 +143,7 @@ def panels(points: Array) -> tuple[Array, Array]:
 
 
 def _near_poles(law: ContactLaw) -> list[float]:
-    """Real parts [m] of the poles of a rational fit that are close to its range."""
+    """Real parts [m] of the poles of a rational fit that are close to the real axis."""
     if not isinstance(law, Fitted):
         return []
     roots = chebyshev.chebroots(chebyshev.chebtrim(law.coefficients[1], tol=1e-14))

@@ -32,8 +32,8 @@ N_RATIONAL_POINTS = 401
 _N_STARTS = 48
 _SEED = 20260
 _SAME_RMSE = 1.0 + 1e-6
-# Half-ranges: a pole this little beyond an end is in effect at it, where forces are asked for.
-_BESIDE = 1e-6
+# Half-ranges: a pole this little beyond an end counts as inside, as the law is evaluated at it.
+_OUTSIDE = 1e-6
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,7 +75,7 @@ def goodness(approximation: NDArray[np.floating], exact: Array) -> tuple[float, 
 
 @lru_cache(maxsize=256)
 def polynomial_fit(gap: Gap, degree: int, fit_range: float, K_ratio: float = 1.0) -> Fit:
-    """Unweighted least-squares polynomial over 8001 uniform points of ``±fit_range``."""
+    """Return the unweighted least-squares polynomial over 8001 uniform points of ``±fit_range``."""
     whole("polynomial degree", degree, 1, MAX_DEGREE)
     u = np.linspace(-1.0, 1.0, N_FIT_POINTS)
     exact = unit_force(u * fit_range, gap, K_ratio)
@@ -92,7 +92,7 @@ def polynomial_fit(gap: Gap, degree: int, fit_range: float, K_ratio: float = 1.0
 def rational_fit(
     gap: Gap, numerator: int, denominator: int, fit_range: float, K_ratio: float = 1.0
 ) -> Fit:
-    """Best pole-free rational polynomial over 401 uniform points of ``±fit_range``.
+    """Return the best pole-free rational polynomial over 401 uniform points of ``±fit_range``.
 
     The numerator is linear and therefore eliminated (variable projection, Golub & Pereyra
     1973); the denominator is searched from deterministic starts. The problem has many
@@ -116,9 +116,9 @@ def rational_fit(
 
 
 def best_pole_free(candidates: Sequence[Fit], fit_range: float, name: str) -> Fit:
-    """The candidate with the smallest error among those without a pole in the range.
+    """Return the candidate with the smallest error that has no pole in the range.
 
-    Ties within rounding go to the earlier one.
+    If errors are equal within rounding, the earlier candidate is returned.
     """
     pole_free = [
         c for c in candidates if np.isfinite(c.rmse) and not poles(c.denominator, fit_range)
@@ -135,15 +135,15 @@ def best_pole_free(candidates: Sequence[Fit], fit_range: float, name: str) -> Fi
 
 
 def poles(denominator: tuple[float, ...], fit_range: float) -> list[float]:
-    """Real roots of the denominator inside ``±fit_range`` [m] or right beside it, ascending."""
+    """Real roots of the denominator in ``±fit_range`` or just outside it [m], ascending."""
     # Vanishing leading coefficients would put spurious roots at infinity.
     roots = chebyshev.chebroots(chebyshev.chebtrim(np.asarray(denominator), tol=1e-14))
     real = roots.real[np.abs(roots.imag) < 1e-7]
-    return [float(r) * fit_range for r in np.sort(real) if abs(r) <= 1.0 + _BESIDE]
+    return [float(r) * fit_range for r in np.sort(real) if abs(r) <= 1.0 + _OUTSIDE]
 
 
 def _is_odd(gap: Gap, K_ratio: float) -> bool:
-    """Whether the force is odd in x: between equal walls, equally far."""
+    """Whether the force is odd in x: walls of equal stiffness and distance."""
     return gap.is_symmetric and K_ratio == 1.0
 
 
@@ -157,12 +157,12 @@ def rational_candidates(
     *,
     odd: bool = False,
 ) -> tuple[Fit, ...]:
-    """What the search for a rational fit ends on, one fit per start, poles or not.
+    """Local optima of the rational fit, one per initial denominator, also those with poles.
 
     Parameters
     ----------
     odd : bool
-        Use only the terms that an odd force has: odd ones over even ones.
+        Use only the terms of an odd function: odd ones in the numerator, even ones below.
     """
     top, bottom = np.arange(numerator + 1), np.arange(1, denominator + 1)
     if odd:
@@ -172,7 +172,7 @@ def rational_candidates(
 
 
 class _Projection:
-    """Residual of the best numerator as a function of the denominator alone."""
+    """Least-squares problem of a rational fit as a function of the denominator only."""
 
     def __init__(
         self,
@@ -192,7 +192,7 @@ class _Projection:
         self.denominator_basis = chebyshev.chebvander(self.u, m)[:, bottom]
 
     def starts(self) -> list[Array]:
-        """Deterministic denominators: the constant one, then random pole-free ones."""
+        """Initial denominators of the search: the constant one, then pole-free ones (seeded)."""
         rng = np.random.default_rng(_SEED)
         found = [np.zeros(self.bottom.size)]
         while len(found) < (_N_STARTS if self.bottom.size else 1):
@@ -238,7 +238,7 @@ class _Projection:
         numerator[self.top] = solution * self.fit_range
         denominator[0] = 1.0
         denominator[self.bottom] = d
-        with np.errstate(all="ignore"):  # of a fit with a pole, which is left out
+        with np.errstate(all="ignore"):  # for fits with a pole, which are discarded later
             values = chebyshev.chebval(self.u, numerator) / chebyshev.chebval(self.u, denominator)
             rmse, r_squared = goodness(values, self.exact * self.fit_range)
         return Fit(tuple(numerator.tolist()), tuple(denominator.tolist()), rmse, r_squared)

@@ -39,12 +39,12 @@ class Fitted(ContactLaw):
 
     @property
     def fit_range(self) -> float:
-        """Half-width of the fitted range [m]: a field of every fit, after its degrees."""
+        """Half-width of the fitted range [m]; a field of every subclass, after its degrees."""
         raise NotImplementedError
 
     @property
     def fit(self) -> Fit:
-        """The fit per unit stiffness (computed once per walls, degrees and range)."""
+        """The fit per unit stiffness (cached by gap, stiffness ratio, degrees and range)."""
         raise NotImplementedError
 
     @property
@@ -62,7 +62,7 @@ class Fitted(ContactLaw):
         )
         if not slope.any():
             return ()
-        # The real part of a complex root is a point like any other.
+        # The real part of a complex root does no harm: `turns` may include other points.
         roots = chebyshev.chebroots(chebyshev.chebtrim(slope, 1e-14 * np.abs(slope).max()))
         return tuple((self.fit_range * np.unique(roots.real)).tolist())
 

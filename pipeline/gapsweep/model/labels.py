@@ -31,7 +31,7 @@ from gapsweep.model.contact import (
     Tanh,
 )
 from gapsweep.model.fitted import Fitted, Polynomial, RationalPolynomial
-from gapsweep.model.oscillator import Gap
+from gapsweep.model.oscillator import Gap, called_as
 from gapsweep.model.own_law import OwnLaw
 from gapsweep.model.user_law import UserLaw
 
@@ -39,9 +39,9 @@ AUTO = "auto"
 EXAMPLES = (
     "piecewise, piecewise-noevents, poly-13, ratpoly-5/3, tanh-1e4, arctan-1e4, logarctan-1e4"
 )
-# The label of the exact law, which others are measured against.
+# The label of the exact law, to which all others are compared.
 EXACT = Piecewise.family
-# Of what a user has written, as ``module:name``.
+# The label of a user's law, ``module:name``.
 FUNCTION = re.compile(r"[A-Za-z_][\w.]*:[A-Za-z_]\w*")
 
 
@@ -52,7 +52,7 @@ FAMILIES: dict[str, type[ContactLaw]] = {
 
 
 def family(label: str) -> type[ContactLaw] | None:
-    """The class of a label's law; None of ``auto`` and of users' laws."""
+    """Return the class of a label's law; None for ``auto`` and users' laws."""
     return FAMILIES.get(label.partition("-")[0])
 
 
@@ -85,24 +85,24 @@ def canonical_label(label: str) -> str:
 
 
 def _likely(label: str) -> str:
-    """The label that is meant, as a question, if a family is alike."""
+    """The question "did you mean …?" with a label of similar spelling; empty without any."""
     word, parameter = re.findall(r"([A-Za-z]*)-?(.*)", label)[0]
     alike = difflib.get_close_matches(word.lower(), FAMILIES, n=1)
     return f"did you mean {'-'.join(filter(None, [alike[0], parameter]))}? Or " if alike else ""
 
 
 def law_of(label: str) -> str:
-    """The law of a label without the protocol that may follow it, as in ``tanh-1e4@loose``."""
+    """Return the label of the law in a representation such as ``tanh-1e4@loose`` (law@protocol)."""
     return label.partition("@")[0]
 
 
 def canonical_representation(label: str) -> str:
-    """Canonical label, its protocol suffix kept.
+    """Return the canonical label with the protocol suffix, if the representation has one.
 
     Raises
     ------
     ModelError
-        If it is unknown.
+        If the label is unknown.
     """
     law, at, protocol = label.partition("@")
     return canonical_label(law) + at + protocol
@@ -114,6 +114,7 @@ def is_fitted(label: str) -> bool:
     return law is not None and issubclass(law, Fitted)
 
 
+@called_as("gs.contact_law('tanh-1e4', K_c=1.4e4, gap=gs.Gap(4e-4, 4e-4)), in N/m and m")
 def contact_law(
     label: str, K_c: float, gap: Gap, fit_range: float = FIT_RANGE, *, K_ratio: float = 1.0
 ) -> ContactLaw:
@@ -148,6 +149,7 @@ def contact_law(
     return chosen(K_c, gap, K_ratio=K_ratio, **numbers)
 
 
+@called_as("gs.law(function, K_c=1.4e4, gap=gs.Gap(4e-4, 4e-4)), in N/m and m")
 def law(
     function: Callable[..., float],
     K_c: float,

@@ -11,43 +11,43 @@ from dataclasses import dataclass, fields
 from functools import wraps
 from inspect import signature
 from operator import index
-from typing import Any, ClassVar, TypeVar
+from typing import Any, ClassVar, TypeVar, cast
 
 from gapsweep.errors import ModelError
 
-# Within these bounds no product or quotient that a model is prepared with overflows, not even the
-# frequencies' squares times its ratios; no machine comes near them.
+# Within these bounds no product or quotient of model parameters overflows, not even squared
+# frequencies times ratios; they are far beyond any machine.
 SMALLEST, LARGEST = 1e-50, 1e50
 
-# The numbers of an oscillator, in the order that they have in every table, those first that a
-# classic one has.
+# The numbers of an oscillator in the order of every table: first those of a classic oscillator.
 CLASSIC = ("zeta", "omega_n", "mass", "alpha", "forcing")
 OSCILLATOR = (*CLASSIC, "mean_load", "c")
 
 
-T = TypeVar("T")
+C = TypeVar("C", bound=Callable[..., Any])
 
 
 _LOSSES = frozenset(("damping", "restitution", "friction"))
 NO_LOSS = "contact that loses energy (damping, restitution, friction) is not covered"
 
 
-def called_as(example: str) -> Callable[[type[T]], type[T]]:
-    """Class decorator: a call with wrong arguments is a `ModelError` that shows this example."""
+def called_as(example: str) -> Callable[[C], C]:
+    """Decorator: a call with wrong arguments raises a `ModelError` that shows this example."""
 
-    def decorated(kind: type[T]) -> type[T]:
-        construct: Callable[..., None] = kind.__init__
+    def decorated(kind: C) -> C:
+        is_class = isinstance(kind, type)
+        function: Any = kind.__init__ if is_class else kind
 
-        @wraps(construct)
-        def __init__(self: T, *values: Any, **named: Any) -> None:  # noqa: N807 (it is the class's)
+        @wraps(function)
+        def called(*values: Any, **named: Any) -> Any:
             try:
-                construct(self, *values, **named)
+                return function(*values, **named)
             except TypeError:
                 try:  # a wrong name first, then one left out
-                    signature(construct).bind_partial(self, *values, **named)
-                    signature(construct).bind(self, *values, **named)
+                    signature(function).bind_partial(*values, **named)
+                    signature(function).bind(*values, **named)
                 except TypeError as error:
-                    known = list(signature(construct).parameters)[1:]
+                    known = list(signature(function).parameters)[is_class:]
                     why = f": {NO_LOSS}" if _LOSSES.intersection(named).difference(known) else ""
                     raise ModelError(
                         f"{kind.__name__}: {error}{why}; its parameters are {', '.join(known)}: "
@@ -55,23 +55,24 @@ def called_as(example: str) -> Callable[[type[T]], type[T]]:
                     ) from None
                 raise
 
-        kind.__init__ = __init__  # type: ignore[method-assign, assignment]
-        return kind
+        if is_class:
+            cast(Any, kind).__init__ = called
+        return kind if is_class else cast(C, called)
 
     return decorated
 
 
 def is_number(value: Any) -> bool:
-    """Whether it may be taken for a number: Python makes one of text and of truth values too."""
+    """Whether a value is a number; text and booleans, which `float` would accept, are none."""
     kind: str = getattr(getattr(value, "dtype", None), "kind", "O")
     return kind in "iufO" and not isinstance(value, str | bytes | bool)
 
 
 def checked(name: str, value: float, *, low: float = -math.inf, strict: bool = False) -> float:
-    """`value` as a finite float above `low`, or a `ModelError` that names it.
+    """Return `value` as a finite float above `low`; raise a `ModelError` that names it otherwise.
 
-    What must be positive (``low=0.0, strict=True``) must be at least `SMALLEST`, and nothing may be
-    larger than `LARGEST`.
+    A strictly positive number (``low=0.0, strict=True``) must be at least `SMALLEST`, and no number
+    may be larger than `LARGEST`.
     """
     try:
         number = float(value) if is_number(value) else None
@@ -91,7 +92,7 @@ def checked(name: str, value: float, *, low: float = -math.inf, strict: bool = F
 
 
 def whole(name: str, value: int, low: int, high: int) -> int:
-    """`value` as an int in ``low..high``, or a `ModelError` that names it."""
+    """Return `value` as an int in ``low..high``; raise a `ModelError` that names it otherwise."""
     try:
         number = index(value) if is_number(value) else low - 1
     except TypeError:
@@ -138,7 +139,7 @@ class Oscillator:
     'ok'
     """
 
-    # What it has as a `System` of one coordinate has it. Without numpy, which takes time to import.
+    # Properties of a `System` of one coordinate; without numpy, which takes time to import.
     n: ClassVar[int] = 1
     n_lags: ClassVar[int] = 0
     n_states: ClassVar[int] = 2
@@ -170,17 +171,17 @@ class Oscillator:
 
     @property
     def is_classic(self) -> bool:
-        """Whether it has a spring and no mean load, as kernels for one coordinate assume."""
+        """Whether the oscillator has a spring and no mean load, as the classic kernels assume."""
         return self.omega_n > 0.0 and self.mean_load == 0.0
 
     @property
     def damping_ratio(self) -> float:
-        """Damping ratio of `zeta` and `c` together [-]."""
+        """Damping ratio due to `zeta` and `c` together [-]."""
         return self.zeta + (0.5 * self.c / (self.mass * self.omega_n_rad) if self.omega_n else 0.0)
 
     @property
     def is_held(self) -> bool:
-        """Whether it has a linear spring."""
+        """Whether the mass has a linear spring."""
         return self.omega_n > 0.0
 
     @property
@@ -205,7 +206,7 @@ class Oscillator:
 
     @property
     def deflection(self) -> float:
-        """Static displacement under the forcing [m], about: linear and cubic stiffness add up."""
+        """Estimate of the static displacement under the forcing [m], with the cubic stiffness."""
         stiffness = self.mass * self.omega_n_rad**2 + math.cbrt(abs(self.alpha) * self.forcing**2)
         return abs(self.forcing) / stiffness if stiffness else 0.0
 

@@ -1,4 +1,4 @@
-"""A user's own law as it travels: the code behind a label ``module:name``, or a table's numbers."""
+"""User laws as values that can be sent to workers: code of ``module:name``, or a table."""
 
 import hashlib
 from collections.abc import Callable, Iterable
@@ -19,7 +19,7 @@ from gapsweep.user_code.snapshot import Snapshot
 
 @dataclass(frozen=True)
 class OwnLaw:
-    """A contact law of the user's, independent of stiffness and gap.
+    """A user's contact law, independent of stiffness and gap.
 
     Attributes
     ----------
@@ -28,7 +28,7 @@ class OwnLaw:
     source : Snapshot or ForceTable
         The code that defines the function, or the table itself.
     parameters : tuple of (str, float)
-        Values of named numbers, of which a function takes those that are its arguments.
+        Values of named numbers; a function uses those that are its arguments.
     """
 
     label: str
@@ -37,7 +37,7 @@ class OwnLaw:
 
     @classmethod
     def of(cls, label: str, folders: Iterable[Path]) -> "OwnLaw":
-        """Read the code of a label; its module is searched in these folders after Python's path.
+        """Read the code of a label; the module is searched on Python's path, then in `folders`.
 
         A module that ends in ``.csv`` is a file of measured forces, the name the unit of its
         displacements; forces are in newtons.
@@ -45,7 +45,7 @@ class OwnLaw:
         Raises
         ------
         ModelError
-            If it cannot be read.
+            If the module or file cannot be read.
         """
         module, _, name = label.partition(":")
         try:
@@ -66,7 +66,7 @@ class OwnLaw:
         return f"table {hashlib.sha256(numbers).hexdigest()[:32]}"
 
     def load(self) -> Callable[..., float] | ForceTable:
-        """The function or the table that the label names; its module is executed if need be.
+        """Return the function or table of the label; its module is executed if need be.
 
         Raises
         ------
@@ -83,32 +83,34 @@ class OwnLaw:
         return found
 
     def law(self, K_c: float, gap: Gap, K_ratio: float = 1.0) -> ContactLaw:
-        """The contact law between some walls; those of a table itself where `K_c` is 0."""
+        """Return the law for a stiffness and gap; with ``K_c = 0`` a table keeps its own gap."""
         found = self.load()
         if isinstance(found, ForceTable):
             return found.between(gap) if K_c else found
         return UserLaw(K_c, gap, found, dict(self._of(found)), K_ratio=K_ratio)
 
     def _of(self, found: Callable[..., float]) -> tuple[tuple[str, float], ...]:
-        """The parameters that are arguments of a function."""
+        """The parameters, with their values, that are arguments of a function."""
         names = parameters_of(found) if callable(found) else ()
         return tuple(each for each in self.parameters if each[0] in names)
 
     @property
     def is_odd(self) -> bool:
-        """Whether the force of either side is the negative of the other's; True of functions."""
+        """Whether a table has ``F(-x) = -F(x)``; True for functions, which are not tested."""
         found = self.load()
         return not isinstance(found, ForceTable) or found.is_odd
 
 
 @lru_cache(maxsize=64)
 def checked(own: OwnLaw) -> OwnLaw:
-    """The same law after a call at x = 0, with the parameters that it takes; a table without code.
+    """Return the law, tested by a call at x = 0, with only the parameters that it takes.
+
+    A table that the module defines is returned as numbers, without the code.
 
     Raises
     ------
     ModelError
-        If it cannot be loaded, or is no function of x.
+        If the law cannot be loaded, or is no function of x.
     """
     own.law(0.0, Gap(0.0, 0.0))
     found = own.load()

@@ -1,7 +1,7 @@
-"""Systems as rows of a table: what many have in common, and the numbers in which they differ.
+"""Systems as rows of a table: their common structure, and the numbers in which they differ.
 
-A system's arrays are its identity, not the names in it: one that was made of a row has contacts
-``"0"``, ``"1"``, ... and coordinates ``q_1``, ``q_2``, ...
+Arrays identify a system, names do not: a system made from a row has contacts ``"0"``, ``"1"``, ...
+and coordinates ``q_1``, ``q_2``, ...
 """
 
 import math
@@ -22,12 +22,12 @@ AnyStructure: TypeAlias = "Structure | OscillatorStructure"
 
 
 def structure_of(model: Oscillator | System) -> AnyStructure:
-    """The structure of what moves."""
+    """Return the structure of an oscillator or a system."""
     return Structure.of(model) if isinstance(model, System) else OscillatorStructure()
 
 
 def general_form(oscillator: Oscillator) -> System:
-    """An oscillator as a `System` of one coordinate and one contact, both named ``x``."""
+    """Return an oscillator as a `System` of one coordinate and one contact, both named ``x``."""
     o = oscillator
     return System(
         mass=[[o.mass]],
@@ -44,12 +44,12 @@ def general_form(oscillator: Oscillator) -> System:
 
 
 def read_structure(fields: Mapping[str, Any]) -> AnyStructure:
-    """The structure whose fields are these, as JSON gives them back; none are an oscillator's.
+    """Return the structure with these fields, read from JSON; without fields, an oscillator's.
 
     Raises
     ------
     ValueError, TypeError, KeyError
-        If it is none.
+        If the fields are those of no structure.
     """
     return Structure.read(fields) if fields else OscillatorStructure()
 
@@ -63,8 +63,8 @@ class OscillatorStructure:
     in_metres : bool
         Whether coordinates are known to be lengths in metres.
     is_odd : bool
-        Whether the mirror image of a motion is known to be one where the contact is symmetric, and
-        no mean load acts.
+        Whether the mirror image of a motion is known to be a motion, if the contact is symmetric
+        and no mean load acts.
     """
 
     in_metres: ClassVar[bool] = True
@@ -77,17 +77,17 @@ class OscillatorStructure:
     names: ClassVar[tuple[str, ...]] = OSCILLATOR
 
     def row(self, oscillator: Any) -> Array:
-        """The numbers of an oscillator."""
+        """Return the row of an oscillator: its parameters in the order of `names`."""
         return np.array([getattr(oscillator, name) for name in OSCILLATOR])
 
     def system(self, row: Array) -> Oscillator:
-        """The oscillator that has these numbers."""
+        """Return the oscillator of a row."""
         return Oscillator(**dict(zip(OSCILLATOR, row.tolist(), strict=True)))
 
 
 @dataclass(frozen=True, kw_only=True)
 class Structure:
-    """What is not a number of a system.
+    """Structure of a system: its sizes and the frequencies of its loads, without other numbers.
 
     Attributes
     ----------
@@ -96,11 +96,11 @@ class Structure:
     n_cubic : int
         Cubic springs.
     loads : tuple of (int, bool)
-        Of every load the multiple of the forcing frequency, and whether it is inertial.
+        For every load the multiple of the forcing frequency, and whether it is inertial.
     contacts : tuple of tuple of int
-        Of every contact the multiples of the frequency in its periodic stiffness.
+        For every contact the multiples of the forcing frequency in its periodic stiffness.
     in_metres, is_odd : bool
-        As of an `OscillatorStructure`.
+        Unknown, hence False; see `OscillatorStructure`.
     """
 
     in_metres: ClassVar[bool] = False
@@ -125,11 +125,11 @@ class Structure:
         )
 
     @classmethod
-    def read(cls, said: Mapping[str, Any]) -> "Structure":
-        """The structure whose fields are these, as JSON gives them back."""
-        loads = tuple((int(k), bool(inertial)) for k, inertial in said["loads"])
-        contacts = tuple(tuple(map(int, each)) for each in said["contacts"])
-        sizes = {name: int(said[name]) for name in ("n", "m", "n_cubic")}
+    def read(cls, fields: Mapping[str, Any]) -> "Structure":
+        """Return the structure with these fields, read from JSON."""
+        loads = tuple((int(k), bool(inertial)) for k, inertial in fields["loads"])
+        contacts = tuple(tuple(map(int, each)) for each in fields["contacts"])
+        sizes = {name: int(fields[name]) for name in ("n", "m", "n_cubic")}
         return cls(**sizes, loads=loads, contacts=contacts)
 
     @property
@@ -139,12 +139,12 @@ class Structure:
 
     @property
     def is_forced(self) -> bool:
-        """Whether anything in it repeats with the forcing's period."""
+        """Whether a load or a contact stiffness varies with the forcing frequency."""
         return any(k for k, _ in self.loads) or any(self.contacts)
 
     @cached_property
     def shapes(self) -> dict[str, tuple[int, ...]]:
-        """Shapes of the arrays whose numbers stand one after the other in a row."""
+        """Shapes of the arrays of a system, by name, in the order in which a row holds them."""
         n, m, n_terms = self.n, self.m, sum(map(len, self.contacts))
         return {
             **dict.fromkeys(("mass", "damping", "stiffness"), (n, n)),
@@ -166,7 +166,7 @@ class Structure:
         )
 
     def row(self, system: Any) -> Array:
-        """The numbers of a system of this structure."""
+        """Return the row of a system of this structure: the numbers of all arrays."""
         terms = [term for name in system.contacts for term in system.modulation.get(name, ())]
         lags = system.lags
         parts: Sequence[Any] = (
@@ -176,11 +176,11 @@ class Structure:
             *([term.depth for term in terms], [term.phase for term in terms]),
             *((lags.force, lags.of_speed, lags.of_place, lags.of_lags) if lags else ()),
         )
-        # Added zeros make -0.0 an 0.0: it is the same number.
+        # Adding zero turns -0.0 into 0.0, the same number.
         return np.concatenate([np.ravel(np.asarray(part, float)) for part in parts]) + 0.0
 
     def system(self, row: Array) -> System:
-        """The system that has these numbers."""
+        """Return the system of a row."""
         sizes = map(math.prod, self.shapes.values())
         ends = pairwise(accumulate(sizes, initial=0))
         parts: dict[str, Any] = {

@@ -6,7 +6,7 @@ The equation of motion, with `F_j` the contact law of contact j::
         = sum_k p_k cos(2 pi k omega t + phi_k)
     z' = E q' + G q + H z
 
-A system's arrays are its identity: nothing else enters what is computed for it.
+Only the arrays of a system enter the results computed for it.
 """
 
 import math
@@ -24,11 +24,11 @@ from gapsweep.variables import CONTACT, COORDINATE, LAG
 Array = NDArray[np.float64]
 
 MAX_COORDINATES, MAX_LAGS, MAX_CONTACTS, MAX_HARMONIC = 16, 16, 8, 1000
-_STILL = 1e-12  # of the fastest rate: what changes as slowly does not change
+_STILL = 1e-12  # of the fastest rate: slower rates count as zero
 
 
 def array(name: str, value: ArrayLike, shape: tuple[int, ...]) -> Array:
-    """`value` as a frozen array of numbers of that shape, or a `ModelError` that names it."""
+    """Return `value` as a read-only array of this shape; raise a `ModelError` that names it."""
     found = _numbers(name, value)
     if found.shape != shape:
         raise ModelError(f"{name}: has the shape {found.shape}, must have {shape}")
@@ -39,7 +39,7 @@ def array(name: str, value: ArrayLike, shape: tuple[int, ...]) -> Array:
 
 
 def _numbers(name: str, value: ArrayLike) -> Array:
-    """A copy of `value` as an array of floats, or a `ModelError` that names it."""
+    """Return a copy of `value` as an array of floats; raise a `ModelError` that names it."""
     try:
         return floats(value)
     except (TypeError, ValueError, OverflowError):
@@ -47,12 +47,12 @@ def _numbers(name: str, value: ArrayLike) -> Array:
 
 
 def floats(value: ArrayLike) -> Array:
-    """A copy of `value` as an array of floats.
+    """Return a copy of `value` as an array of floats.
 
     Raises
     ------
     TypeError, ValueError, OverflowError
-        If it holds anything but numbers; text and truth values, which numpy would take, are none.
+        If an entry is no number, such as text and booleans, which numpy would accept.
     """
     is_plain = getattr(getattr(value, "dtype", None), "kind", "O") != "O"  # one kind for all
     if not all(map(is_number, [value] if is_plain else np.asarray(value, dtype=object).flat)):
@@ -61,7 +61,7 @@ def floats(value: ArrayLike) -> Array:
 
 
 def _all_of(name: str, value: Any, kind: type) -> tuple[Any, ...]:
-    """`value` as a tuple, or a `ModelError` if it is no sequence of that kind."""
+    """Return `value` as a tuple; raise a `ModelError` if it is no sequence of this class."""
     found = tuple(value) if isinstance(value, Sequence) else (None,)
     if not all(isinstance(each, kind) for each in found):
         raise ModelError(f"{name} = {value!r}: must be a sequence of gapsweep.{kind.__name__}(...)")
@@ -69,7 +69,7 @@ def _all_of(name: str, value: Any, kind: type) -> tuple[Any, ...]:
 
 
 def _named(name: str, value: Any) -> Mapping[str, Any]:
-    """`value`, or a `ModelError` if it maps no names."""
+    """Return `value`; raise a `ModelError` if it is no mapping with strings as keys."""
     if not isinstance(value, Mapping) or not all(isinstance(key, str) for key in value):
         raise ModelError(f"{name} = {value!r}: must map names to values")
     return value
@@ -83,13 +83,13 @@ class Harmonic:
     Parameters
     ----------
     amplitude : array_like, shape (n,)
-        Generalised forces [N]; if `inertial`, of mass times length [kg m].
+        Generalised forces [N]; if `inertial`, mass times length [kg m].
     k : int
         Multiple of the forcing frequency, 0 to 1000.
     phase : float
         Phase [rad] in ``amplitude * cos(2 pi k omega t + phase)``.
     inertial : bool
-        Whether the amplitude is multiplied by ``(2 pi k omega)²``, as of an unbalance or a moving
+        Whether the amplitude is multiplied by ``(2 pi k omega)²``, as for an unbalance or a moving
         base.
 
     Examples
@@ -172,7 +172,7 @@ class Modulation:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Lags:
-    """First-order states, as of aerodynamics or filters: ``z' = E q' + G q + H z``.
+    """First-order states, such as aerodynamic lags or filters: ``z' = E q' + G q + H z``.
 
     Parameters
     ----------
@@ -291,7 +291,7 @@ class System:
 
     @property
     def parts(self) -> dict[str, tuple[str, ...]]:
-        """Dimensions of a response with several entries, and their labels."""
+        """Dimensions of a response (coordinate, contact, lag) with several entries, and labels."""
         lags = tuple(f"z_{i + 1}" for i in range(self.n_lags))
         found = {COORDINATE: tuple(self.coordinates), CONTACT: tuple(self.contacts), LAG: lags}
         return {name: labels for name, labels in found.items() if len(labels) > 1}
@@ -318,7 +318,7 @@ class System:
 
     @property
     def sizes(self) -> Hashable:
-        """Numbers of coordinates, contacts and loads, equal for systems integrated together."""
+        """Sizes and load harmonics of the system; systems integrated together share them."""
         harmonics = tuple((load.k, load.phase) for load in self.forcing)
         terms = tuple(map(len, self.modulation.values()))
         return self.n, self.n_lags, len(self.contacts), len(self.cubic), harmonics, terms
@@ -335,7 +335,7 @@ class System:
 
     @property
     def is_held(self) -> bool:
-        """Whether every coordinate has a stiffness without contact."""
+        """Whether the stiffness matrix is regular: no rigid-body mode without contact."""
         return int(np.linalg.matrix_rank(self.stiffness)) == self.n
 
     @property
@@ -367,15 +367,14 @@ class System:
 
     @property
     def deflection(self) -> float:
-        """`held` by no wall [m]."""
+        """Estimate of the largest static displacement without contact, as `held` returns it [m]."""
         return self.held(np.zeros_like(self.stiffness))
 
     def held(self, walls: Array) -> float:
-        """Largest static displacement under all loads [m], with further stiffness [N/m], about.
+        """Estimate the largest static displacement under all loads [m], scaled as by `unit`.
 
-        In the scale of `unit`.
-
-        Cubic springs of several coordinates are left out; an inertial load moves a free mass.
+        `walls` is a stiffness matrix [N/m] that is added. Cubic springs are left out if there are
+        several coordinates; an inertial load moves a free mass.
         """
         matrices = self.stiffness + walls, self.mass
         places = [
@@ -470,7 +469,7 @@ def _lags(lags: Any, n: int) -> Lags:
 
 
 def fraction(phase: float) -> float:
-    """A phase [rad] as a part of a period, in [0, 1)."""
+    """Return a phase [rad] as a fraction of the period, in [0, 1)."""
     turns = phase / (2.0 * math.pi)
     return turns - math.floor(turns)
 

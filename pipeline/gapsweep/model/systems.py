@@ -5,7 +5,7 @@ A function ``NAME`` returns the `gapsweep.System`, ``NAME_law`` the law of its c
     system, law = gs.systems.two_masses(), gs.systems.two_masses_law()
     motion = gs.simulate(system, law, omega=0.1, t_end=100.0)
 
-``paper_oscillator`` returns a `gapsweep.Oscillator`, whose contact law is an argument of its own.
+``paper_oscillator`` returns a `gapsweep.Oscillator`; its contact law is a separate argument.
 """
 
 import math
@@ -49,9 +49,9 @@ _LAG_PARTS, _LAG_RATES = np.array([0.165, 0.335]), np.array([0.0455, 0.300])
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Section:
-    """The typical section in vacuo, as one copy prints it, per metre of span.
+    """Structural parameters of the typical section in one publication, per metre of span.
 
-    Mass of the wing m [kg/m] and of all that plunges m_t [kg/m]; static moments [kg], moments of
+    Mass of the wing m [kg/m] and of all plunging parts m_t [kg/m]; static moments [kg], moments of
     inertia [kg m], springs [N/m², N, N] and damping ratios of plunge, pitch and flap.
     """
 
@@ -75,13 +75,13 @@ class _Section:
         )
 
     def damping(self) -> Array:
-        """``2 zeta sqrt(k I)`` of each coordinate as if alone, plunge with m."""
+        """Return diagonal damping: ``2 zeta sqrt(k I)`` of each uncoupled coordinate."""
         inertias = np.array([self.m, self.I_alpha, self.I_beta])
         return np.diag(2.0 * np.array(self.zeta) * np.sqrt(np.array(self.springs) * inertias))
 
 
 def _from_ratios(m: float, m_t: float) -> _Section:
-    """The section from its printed distances x, radii r [semichords] and frequencies [rad/s]."""
+    """Return the section from its published distances, radii [semichords] and frequencies."""
     x_alpha, x_beta = 0.4340, 0.02
     lengths = np.array([1.0, _SEMICHORD * 0.7321, _SEMICHORD * 0.1140])
     inertias = m * lengths**2
@@ -158,7 +158,7 @@ def typical_section(speed: float, copy: str = "darabseh", density: float = 1.225
     -----
     Conner, Tang, Dowell and Virgin, *J. Fluids Struct.* 11 (1997) 89-109. Printed: linear flutter,
     the flap on its spring, at 23.9 m/s; it is at 23.898 and 23.846 m/s in the two copies.
-    They disagree in masses (m 1.558 or 1.5666 kg/m, with what plunges along 3.3843 or 3.39298) and
+    They disagree in masses (m 1.558 or 1.5666 kg/m, total plunging mass 3.3843 or 3.39298) and
     damping ratios (0.0133, 0.01626, 0.0133 or 0.0113, 0.01626, 0.0115), applied here to each
     uncoupled coordinate. Published from h = 0.01 m: with ``"conner-scaled"`` an asymmetric
     limit cycle at 12.36842 m/s, and a change to another at 12.7778 m/s.
@@ -225,9 +225,9 @@ def _section(copy: str) -> _Section:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Air:
-    """Loads ``mass q'' + damping q' + stiffness q + load C(k) w``, ``w`` = the downwash.
+    """Aerodynamic loads ``mass q'' + damping q' + stiffness q + load C(k) w``.
 
-    The first three are not circulatory; ``w = of_speed q' + of_place q``.
+    The first three are not circulatory; the downwash is ``w = of_speed q' + of_place q``.
     """
 
     mass: Array
@@ -239,7 +239,7 @@ class _Air:
 
 
 def _aerodynamics(speed: float, density: float) -> _Air:
-    """Theodorsen's loads on a metre of span; rows and columns are plunge, pitch and flap."""
+    """Return Theodorsen's loads per metre of span; rows and columns are plunge, pitch, flap."""
     a, b, c = _AXIS, _SEMICHORD, _HINGE
     T = _theodorsen_constants(a, c)
     pi = math.pi
@@ -268,7 +268,7 @@ def _aerodynamics(speed: float, density: float) -> _Air:
 
 
 def _theodorsen_constants(a: float, c: float) -> dict[int, float]:
-    """T_1 ... T_13, those that occur; `a` and `c` are elastic axis and hinge [semichords]."""
+    """Return Theodorsen's constants T_i by i; elastic axis `a` and hinge `c` [semichords]."""
     s, angle = math.sqrt(1 - c * c), math.acos(c)
     T = {
         1: -s * (2 + c * c) / 3 + c * angle,
@@ -362,7 +362,7 @@ def gear_pair(
     Notes
     -----
     A. Kahraman and R. Singh, *J. Sound Vib.* 146 (1991) 135-156; the values are those of public
-    code of the Fraunhofer SCAI on the detection of damage, which starts it at rest at x = 0.
+    code of the Fraunhofer SCAI on damage detection, with initial state x = 0, v = 0.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""A contact law that was measured: forces at displacements, and a curve through them."""
+"""Contact law from measured forces at displacements, interpolated by a curve."""
 
 import re
 from dataclasses import dataclass
@@ -20,8 +20,8 @@ Array = NDArray[np.float64]
 MAX_POINTS = 10_000
 _LENGTHS = {"m": 1.0, "mm": 1e-3, "um": 1e-6}
 _FORCES = {"N": 1.0, "mN": 1e-3, "kN": 1e3}
-_DECIMAL_COMMA = r"\s*[-+]?\d+,\d+[;\s]+[-+.\d]"  # at the start of a line
-_NO_WALL = 1e-12  # of the other chord: the ratio of two needs both
+_DECIMAL_COMMA = r"\s*[-+]?\d+,\d+[;\s]+[-+.\d]"  # at the beginning of a line
+_NO_WALL = 1e-12  # of the other chord's slope: the ratio of two needs both
 
 
 @called_as(
@@ -99,7 +99,7 @@ class ForceTable(ContactLaw):
 
         Columns are separated by commas, semicolons or blanks; lines of words at the top and lines
         that begin with ``#`` are skipped. Units of `x` are ``"m"``, ``"mm"``, ``"um"``, of `force`
-        ``"N"``, ``"mN"``, ``"kN"``; `gap` and `noise` are as of the class, in SI units.
+        ``"N"``, ``"mN"``, ``"kN"``; `gap` and `noise` are those of the class, in SI units.
 
         Raises
         ------
@@ -153,10 +153,10 @@ class ForceTable(ContactLaw):
 
     @cached_property
     def pieces(self) -> Array:
-        """Left ends of the pieces [m], and their coefficients, highest power first.
+        """Left end [m] and coefficients, highest power first, of every piece of the curve.
 
-        Shape (n + 1, 5): the line below the table, the pieces, the line above it. The number of a
-        displacement's piece is the number of table points that are not above it.
+        Shape (n + 1, 5): the line below the table, the pieces, the line above it. A displacement
+        lies in the piece whose index is the number of table points not above the displacement.
         """
         from scipy.interpolate import PchipInterpolator  # slow to import, and few laws are tables
 
@@ -225,14 +225,14 @@ def _check(x: Array, force: Array) -> None:
 
 
 def _quiet(x: Array, force: Array, noise: float) -> slice:
-    """The points around zero at which no force is larger than the noise."""
+    """Slice of the table points around zero at which no force is larger than the noise."""
     loud = np.flatnonzero(np.abs(force) > noise)
     below, above = loud[x[loud] <= 0.0], loud[x[loud] >= 0.0]
     return slice(below[-1] + 1 if below.size else 0, above[0] if above.size else x.size)
 
 
 def _width(x: Array) -> Gap:
-    """The walls at the ends of an interval; none where it does not hold zero."""
+    """The gap with walls at the ends of an interval; zero gap if the interval excludes zero."""
     # Zero may be a single point without force, or lie between two with one.
     return Gap(0.0 - x[0], x[-1]) if x.size and x[0] <= 0.0 <= x[-1] else Gap(0.0, 0.0)
 

@@ -1,4 +1,4 @@
-"""A user's own contact law: a Python function of the displacement."""
+"""Contact law defined by a user's Python function of the displacement."""
 
 import math
 from collections.abc import Callable, Mapping
@@ -11,13 +11,13 @@ from numpy.typing import ArrayLike, NDArray
 
 from gapsweep.errors import ModelError, described
 from gapsweep.model.contact import ContactLaw
-from gapsweep.model.oscillator import NO_LOSS, checked
+from gapsweep.model.oscillator import NO_LOSS, called_as, checked
 from gapsweep.user_code.load import blame, plain
 
 Array = NDArray[np.float64]
 
 # Slopes are central differences: over the part of x that balances truncation
-# and rounding, and of SLOPE_LENGTH [m] where x is smaller, as nothing moves by less.
+# and rounding, and of SLOPE_LENGTH [m] for smaller x, as motions are larger than that.
 SLOPE_STEP, SLOPE_LENGTH = 6e-6, 1e-9
 MOST_PARAMETERS = 4  # the compiled laws have that many free rows
 # Displacements between which jumps are searched for, the share of the gap beyond its walls, and the
@@ -25,6 +25,7 @@ MOST_PARAMETERS = 4  # the compiled laws have that many free rows
 _PROBES, _BEYOND, _JUMP = 65, 0.01, 1e-3
 
 
+@called_as("gs.UserLaw(1.4e4, gs.Gap(4e-4, 4e-4), function), in N/m and m")
 @dataclass(frozen=True)
 class UserLaw(ContactLaw):
     """A user law: a function of the displacement.
@@ -75,7 +76,7 @@ class UserLaw(ContactLaw):
         self._refuse_jumps()
 
     def _named(self) -> dict[str, float]:
-        """The parameters in the function's order; each of its arguments but x must be one."""
+        """Return the parameters in the order of the function's arguments; refuse other names."""
         names = parameters_of(self.function)
         if {*names} != {*self.parameters} or len(names) > MOST_PARAMETERS:
             raise ModelError(
@@ -86,7 +87,7 @@ class UserLaw(ContactLaw):
         return {name: checked(name, self.parameters[name]) for name in names}
 
     def _refuse_jumps(self) -> None:
-        """Halve steps of the force until they are small, or between neighbouring floats."""
+        """Raise a `ModelError` if the force jumps; bisection locates jumps."""
         low, high = -self.gap.j_1, self.gap.j_2
         beyond, tiny = _BEYOND * (high - low), math.ulp(0.0)
         grid = np.linspace(low - beyond, high + beyond, _PROBES).tolist()
@@ -113,7 +114,7 @@ class UserLaw(ContactLaw):
         return _number(self.function(x, **self.parameters))
 
     def _known(self, x: float) -> float:
-        """The force [N]; NaN where the function raises."""
+        """Return the force [N] at `x` [m]; NaN if the function raises."""
         try:
             return self._at(x)
         except KeyboardInterrupt:
@@ -141,19 +142,19 @@ class UserLaw(ContactLaw):
 
 
 def parameters_of(function: Callable[..., Any]) -> list[str]:
-    """Names of a law's arguments but the first, the displacement."""
+    """Names of a law's arguments after the first, the displacement."""
     try:
         arguments = (
             [] if isinstance(function, np.ufunc) else signature(function).parameters.values()
         )
-    except (TypeError, ValueError):  # of what is written in C
+    except (TypeError, ValueError):  # of functions written in C
         return []
     several = Parameter.VAR_POSITIONAL, Parameter.VAR_KEYWORD
     return [each.name for each in arguments if each.kind not in several][1:]
 
 
 def _number(force: Any) -> float:
-    """What a function returned, if it is a number: `float` would read text and truth as one."""
+    """Return the result of a user's function as a float; refuse text and booleans."""
     if np.asarray(force).dtype.kind in "bSU":
         raise TypeError(f"must return a number, not {force!r:.40}")
     return float(force)

@@ -28,7 +28,7 @@ from gapsweep.variables import to_dataframe
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-_RIM, _DOT = 5.0, 3.0  # points: of the law behind, of the one before it
+_RIM, _DOT = 5.0, 3.0  # points: dots of the law behind, and of the law in front
 
 
 P = ParamSpec("P")
@@ -37,7 +37,7 @@ P = ParamSpec("P")
 def _figure(
     draw: "Callable[Concatenate[xr.Dataset, P], Axes]",
 ) -> "Callable[Concatenate[GapsweepAccessor, P], Axes]":
-    """A method that draws the accessor's dataset by a function of a dataset."""
+    """A method of the accessor that calls a plotting function with the accessor's dataset."""
 
     @wraps(draw)
     def method(self: "GapsweepAccessor", /, *args: P.args, **kwargs: P.kwargs) -> "Axes":
@@ -82,7 +82,7 @@ class GapsweepAccessor:
         ax: "Axes | None" = None,
         **wanted: Any,
     ) -> "Axes":
-        """A number of every response over frequency, one curve per representation and start.
+        """A number of every response over frequency: a curve per representation and initial state.
 
         Curves are broken at jumps.
 
@@ -208,12 +208,12 @@ class GapsweepAccessor:
     def attractors(
         self, *, along: str | None = None, ax: "Axes | None" = None, **wanted: Any
     ) -> "Axes":
-        """Attractors.
+        """Attractors: peaks over frequency, stroboscopic sections, or their initial conditions.
 
-        Of ``attractors.nc``: the peak of every attractor over frequency, the dot as large as its
-        basin, hollow if not periodic; at a single frequency the stroboscopic sections. Of
-        ``responses.nc`` at a single frequency, and of `gapsweep.basins`: the attractor that every
-        start ends on. ``map("attractor", x="x_0", y="v_0")`` draws many starts as one mesh.
+        From ``attractors.nc``: the peak of every attractor over frequency, the dot as large as its
+        basin, hollow if not periodic; at a single frequency the stroboscopic sections. From
+        ``responses.nc`` at a single frequency, and from `gapsweep.basins`: the attractor that each
+        initial condition leads to; ``map("attractor", x="x_0", y="v_0")`` draws many as one mesh.
 
         Parameters
         ----------
@@ -257,7 +257,7 @@ class GapsweepAccessor:
         variable : str
             A summary, as ``"same_attractor_mean"``: a row per representation with its confidence
             interval, and the exact law with other settings as a dashed line. A variable over
-            `along`, as ``"amplitude_error"``: a curve per representation and start.
+            `along`, as ``"amplitude_error"``: a curve per representation and initial state.
         along, ax, **wanted
             As for `frequency_response`; `regime` is ``"all"`` if not given.
         """
@@ -348,14 +348,14 @@ _AGREEMENT = "; the metrics are in agreement.nc, which gs.open opens"
 def _numbers(
     dataset: xr.Dataset, name: str, dims: tuple[str, ...], wanted: dict[str, Any]
 ) -> xr.DataArray | None:
-    """A summary variable over the dimensions; None if there is none."""
+    """A variable over exactly these dimensions; None if the dataset lacks it."""
     if name not in dataset:
         return None
     return scene(dataset, {name: dims}, wanted)[name]
 
 
 def _basins(found: xr.Dataset, ax: "Axes | None") -> "Axes":
-    """A map of the initial conditions; a few attractors have their periods and peaks as names."""
+    """Draw `basins` as a map; up to 8 attractors are named by their periods and peaks."""
     names = drawing.attractor_names(found["period_multiple"], found["x_max"])
     if len(names) <= maps.MOST_KINDS:
         words = " ".join(name.replace(" ", "_") for name in names)
@@ -373,7 +373,7 @@ def _starts(dataset: xr.Dataset, ax: "Axes | None") -> "Axes":
             "attractors: x_0 and v_0 of several coordinates lie in no plane; the attractors are in "
             "attractors.nc, which gs.open opens"
         )
-    # As variables, so that of a single start they get their dimension back too.
+    # As variables, so that a single initial condition gets its dimension back, too.
     dataset = dataset.reset_coords([name for name in ("x_0", "v_0") if name in dataset.coords])
     names = ("attractor", "period_multiple", "x_max", "x_0", "v_0")
     shown = scene(dataset, dict.fromkeys(names, ("initial_condition",)), {})

@@ -1,10 +1,10 @@
-"""Which approximation is adequate in which case, and its cost: the head of the report.
+"""Verdicts on approximations by case, and their cost: the head of the report.
 
 A case is a stiffness and a gap. Verdicts follow from ``agreement.nc``:
 
 exact here
-    Neither number is worse than for the exact law with other settings: this study cannot tell the
-    two apart.
+    Neither number is worse than for the exact law with other settings: this study cannot
+    distinguish the two.
 use
     95 % of the amplitudes are within 5 %, the thickness of a plotted line, and 95 % of the exact
     attractors are found.
@@ -51,19 +51,19 @@ _COST_RATIO = "cpu_time_per_period_ratio"
 _CONTACTS = "n_contacts_per_period"
 COLUMNS = ("use", "with care", "no")
 _NO_APPROXIMATIONS = ("piecewise-noevents", AUTO)
-# Of each number the estimate, and the best and the worst end of its interval.
+# Estimate of each number, and the best and the worst end of its interval.
 Values = dict[str, NDArray[np.float64]]
-Row = dict[str, Any]  # variables of one law in one contact
+Row = dict[str, Any]  # variables of one law in one case
 _NEAR = 1.5  # cost ratios whose interval lies within this factor about 1 are shown as 1
 _WITH = "with this study's solver"  # a cost depends on the solver as much as on the law
-MOST_CONTACTS = 16  # that are listed one by one
+MOST_CONTACTS = 16  # cases that are listed one by one
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Judged:
-    """A law in a case: its numbers, and what follows from them.
+    """A law in a case: its numbers, and its verdict.
 
-    `possible` are the columns of the table that its intervals leave open.
+    `possible` holds the columns of the table that its intervals allow.
     """
 
     law: str
@@ -74,16 +74,16 @@ class Judged:
     cost_ratio: float
     low: float
     high: float
-    periodic_cost_ratio: float = np.nan  # where the exact law is periodic
+    periodic_cost_ratio: float = np.nan  # at points with a periodic response of the exact law
 
     @property
     def is_approximation(self) -> bool:
-        """False for the exact force without located contacts, and for ``auto``."""
+        """Whether the law is an approximation: False for ``piecewise-noevents`` and ``auto``."""
         return self.law not in _NO_APPROXIMATIONS
 
     @property
     def is_firm(self) -> bool:
-        """Whether its intervals leave no other verdict open."""
+        """Whether its intervals allow one column of the table only."""
         return len(self.possible) == 1
 
     @property
@@ -93,7 +93,7 @@ class Judged:
 
     @property
     def name(self) -> str:
-        """Its label, marked if its verdict is not firm."""
+        """The label of the law, with ± if its verdict is not firm."""
         return self.law if self.is_firm else f"{self.law} ±"
 
     @property
@@ -111,9 +111,9 @@ class Judged:
 class Contact:
     """A case: stiffness [N/m] and gap [mm], and the verdict on every law.
 
-    `floors` are the errors of the exact law with other settings, `floor_cost_ratio` its cost ratio;
-    `swept` the values of other swept parameters, `at` the position in the files, `unjudged` why
-    no law can be judged.
+    `floors` are the errors of the exact law with other settings, `floor_cost_ratio` its cost ratio,
+    `swept` the values of other swept parameters, `at` the position in the files, and `unjudged` the
+    reason if no law can be judged.
     """
 
     K_c: float
@@ -139,7 +139,7 @@ class Contact:
 
     @property
     def anchor(self) -> str:
-        """The id of its section in the page."""
+        """The id of the case's section in the page."""
         return anchor_of(self.at)
 
     @property
@@ -150,7 +150,7 @@ class Contact:
 
     @property
     def picks(self) -> list[Judged]:
-        """The cheapest adequate approximation, and those that may cost the same."""
+        """The cheapest adequate approximation, and others whose cost may be as low."""
         usable = [one for one in self.columns["use"] if one.is_approximation]
         best = next((one for one in usable if one.is_firm), usable[0] if usable else None)
         # Without an interval of either it is unknown whether they cost the same.
@@ -163,7 +163,7 @@ class Contact:
 
     @property
     def is_open(self) -> bool:
-        """Whether no firm verdict is "use", but one may be."""
+        """Whether no approximation is adequate with a firm verdict, but one may be."""
         laws = [one for one in self.laws if one.is_approximation]
         return not self.is_sure and any("use" in one.possible for one in laws)
 
@@ -180,7 +180,7 @@ class Contact:
 
 
 def contacts(agreement: xr.Dataset, static: xr.Dataset | None = None) -> list[Contact]:
-    """The verdicts of every case of a study, the softest and narrowest first.
+    """The verdicts of every case of a study, ordered by stiffness and gap width.
 
     Parameters
     ----------
@@ -197,7 +197,7 @@ def contacts(agreement: xr.Dataset, static: xr.Dataset | None = None) -> list[Co
         return []
     dims = scene_dims(agreement["n_attractors_exact"].dims)
     pooled = pooled.transpose("representation", *dims, ...)
-    # As arrays: a study may have a thousand contacts.
+    # As arrays: a study may have a thousand cases.
     tables = {str(name): pooled[name].values for name in pooled}
     periodic = agreement[_COST_RATIO].sel(regime="periodic")
     tables["periodic"] = periodic.transpose("representation", *dims).values
@@ -239,8 +239,8 @@ def verdict(values: Values, floors: Values) -> list[str]:
         & (found >= np.fmin(MOST, floor["found"])),
         "with care": care,
     }
-    said: list[str] = np.select(list(demands.values()), list(demands), "no").tolist()
-    return said
+    best: list[str] = np.select(list(demands.values()), list(demands), "no").tolist()
+    return best
 
 
 def _values(row: Row) -> Values:
@@ -268,22 +268,22 @@ def _worst(exact: Sequence[Values]) -> Values:
 
 
 def _unjudged(exact: Row) -> str:
-    """Why no law can be compared with the exact one; empty where all can."""
-    if np.isnan(exact[_SHOWN["found"]]):  # of no attractors
+    """Reason why no law can be judged in a case; empty if laws can be judged."""
+    if np.isnan(exact[_SHOWN["found"]]):  # no attractors
         return "the exact law has no steady response"
     return "" if exact[_CONTACTS] else "the exact law touches no wall"
 
 
 def _is_judged(label: str, row: Row) -> bool:
-    """Whether there is an attractor to find; user code that always fails has an error."""
+    """Whether a law has a verdict: the exact law has attractors, and user code has not failed."""
     is_broken = ":" in label and np.isnan(row[_SHOWN["median"]])
     return not is_broken and bool(np.isfinite(row[_SHOWN["found"]]))
 
 
 def _judged(label: str, row: Row, floors: Values, noise: float) -> Judged:
     values = _values(row)
-    # The best end of a law with the worst end of the exact law's floor, and the other way round:
-    # their intervals are independent.
+    # The best end of a law with the worst end of the exact law's limit, and the worst with the
+    # best: their intervals are independent.
     ends = verdict(values, {name: floor[[0, 2, 1]] for name, floor in floors.items()})
     numbers = [*values.values(), *floors.values()]
     is_known = not any(np.isnan(v[1:]).any() and np.isfinite(v[0]) for v in numbers)
@@ -309,43 +309,43 @@ def _threshold(static: xr.Dataset | None, here: xr.Dataset) -> str:
 
 
 def in_words(found: Sequence[Contact]) -> list[str]:
-    """Which law to use, the cost of approximations, and where no law can be judged."""
+    """Sentences: the law to use, the cost of approximations, and cases without verdicts."""
     judged = [contact for contact in found if not contact.unjudged]
-    said = _said(judged) if judged else []
+    sentences = _recommendation(judged) if judged else []
     for reason, n in Counter(c.unjudged for c in found if c.unjudged).items():
-        said.append(f"Laws cannot be judged in {how_many(n, found)}: {reason}.")
-    return said
+        sentences.append(f"Laws cannot be judged in {how_many(n, found)}: {reason}.")
+    return sentences
 
 
 def how_many(n: int, found: Sequence[Contact]) -> str:
-    """So many of some cases, in words."""
+    """The number `n` of some cases in words, as "3 of 8 cases"."""
     return "the only case" if len(found) == 1 else f"{n} of {len(found)} cases"
 
 
-def _said(found: Sequence[Contact]) -> list[str]:
+def _recommendation(found: Sequence[Contact]) -> list[str]:
     paying = [c for c in found if c.is_paying]
     others = [c for c in found if not c.is_paying]
     picks = [one for contact in others for one in contact.picks]
     if paying:
         count = how_many(len(paying), found)
-        said = f"An approximation is faster {_WITH} in {count}: {_picked(paying)}"
+        answer = f"An approximation is faster {_WITH} in {count}: {_picked(paying)}"
     elif not picks:
         laws = [one for contact in found for one in contact.laws if one.is_approximation]
         is_open = any(contact.is_open for contact in found)
         how = "has been shown to be adequate" if is_open else "is adequate"
-        said = f"Use the exact law: no approximation {how if laws else 'was computed'}"
+        answer = f"Use the exact law: no approximation {how if laws else 'was computed'}"
     else:
         is_dearer = all(one.low > 1.0 for one in picks)
         but = f"cost {_range(picks)} as much" if is_dearer else "none is clearly faster"
-        said = f"Use the exact law: approximations {_adequate(found)}, but {but} {_WITH}"
+        answer = f"Use the exact law: approximations {_adequate(found)}, but {but} {_WITH}"
     if not others or not (picks or paying):
-        return [f"{said}."]
+        return [f"{answer}."]
     where = "Elsewhere use the exact law. Cheapest" if paying else "Cheapest"
-    return [f"{said}.", f"{where} adequate approximation: {_picked(others)}."]
+    return [f"{answer}.", f"{where} adequate approximation: {_picked(others)}."]
 
 
 def _adequate(found: Sequence[Contact]) -> str:
-    """In how many cases approximations are adequate, in words."""
+    """Number of cases with adequate approximations, in words."""
     n_sure, n_open = sum(c.is_sure for c in found), sum(c.is_open for c in found)
     if not n_sure:
         return f"may be adequate in {how_many(n_open, found)}"
@@ -354,7 +354,7 @@ def _adequate(found: Sequence[Contact]) -> str:
 
 
 def _picked(found: Sequence[Contact]) -> str:
-    """Which approximations for which cases, cases with the same ones together."""
+    """The cheapest adequate approximations in words, with the cases they are for."""
     groups: dict[tuple[str, ...], list[Contact]] = {}
     for contact in found:
         groups.setdefault(tuple(sorted(one.name for one in contact.picks)), []).append(contact)

@@ -1,4 +1,4 @@
-"""Walls and class bands behind the points of a figure, and their captions."""
+"""Walls and class bands behind the points of a figure, and the sentences for its caption."""
 
 import json
 from collections.abc import Iterable, Iterator, Mapping
@@ -27,7 +27,7 @@ _WALLS = {"j_1": -1.0, "j_2": 1.0}
 
 
 def caption_of_walls(scene: xr.Dataset, along: str = "omega", *, of_peaks: bool = False) -> str:
-    """The caption of walls, with a leading blank; empty if none is drawn."""
+    """Caption sentence on walls, with a leading blank; empty if none is drawn."""
     n = len(list(_walls(scene, along, of_peaks)))
     if n and _SYSTEM in scene.attrs:
         return " Dashed: walls within the axis."
@@ -56,7 +56,7 @@ def walls(axes: "Axes", scene: xr.Dataset, along: str = "omega", *, of_peaks: bo
 
 
 def _walls(scene: xr.Dataset, along: str, of_peaks: bool) -> Iterator[NDArray[np.float64]]:
-    """Heights of walls: one number, or one for every value along the axis."""
+    """Height of each wall in the figure: one number, or an array along the axis."""
     for factor, own in _contacts(scene):
         for name, sign in _WALLS.items():
             # Without stiffness there is no wall.
@@ -70,16 +70,16 @@ def _walls(scene: xr.Dataset, along: str, of_peaks: bool) -> Iterator[NDArray[np
 
 
 def _one(name: str, scene: xr.Dataset, own: Mapping[str, float]) -> float:
-    """The only value of a parameter; NaN if it has several or none."""
+    """The value of a parameter in a parameter set; NaN if it has several values or none."""
     if name in own:
         return own[name]
     return float(scene[name]) if name in scene.coords and scene[name].ndim == 0 else np.nan
 
 
 def _contacts(scene: xr.Dataset) -> Iterator[tuple[float, dict[str, float]]]:
-    """Of every contact on the drawn coordinate: the factor of the coordinate, and its own settings.
+    """Contacts on the drawn coordinate: each with the coordinate's factor, and separate settings.
 
-    Directions are those at the values in ``[parameters]``; files hold no others.
+    The factors hold at the values in ``[parameters]``; files have no others.
     """
     if _SYSTEM not in scene.attrs:
         yield 1.0, {}
@@ -94,7 +94,7 @@ def _contacts(scene: xr.Dataset) -> Iterator[tuple[float, dict[str, float]]]:
     for name, direction in system["contacts"].items():
         factor, table = float(direction[number]), own.get(name, {})
         if not factor or np.count_nonzero(direction) > 1:
-            continue  # it is not on this coordinate only
+            continue  # not a contact on this coordinate only
         gap = dict(zip(_WALLS, table.get("gap") or (), strict=False))
         ratio = table.get("K_ratio")
         yield factor, gap | ({} if ratio is None else {"K_ratio": ratio})
@@ -103,7 +103,7 @@ def _contacts(scene: xr.Dataset) -> Iterator[tuple[float, dict[str, float]]]:
 def bands(
     axes: "Axes", one: xr.Dataset, along: str = "omega", *, of: Iterable[str] = tuple(BANDS)
 ) -> None:
-    """Pale bands where any response has one of the classes `of`."""
+    """Draw pale bands where any response has one of the classes `of`."""
     x = drawn(one[along])
     width = np.gradient(x) if x.size > 1 else np.ones(1)
     kinds = one["response_class"].transpose(along, ...).values.reshape(x.size, -1)
@@ -119,7 +119,7 @@ def bands(
 
 
 def unresolved(axes: "Axes", scene: xr.Dataset, along: str) -> None:
-    """Bands of unresolved responses, named in the legend, if there are any."""
+    """Draw bands of unresolved responses, with a legend entry, if there are any."""
     if _UNRESOLVED in _has(scene):
         bands(axes, scene, along, of=[_UNRESOLVED])
         look: dict[str, Any] = {"color": BANDS[_UNRESOLVED], "markersize": 8}
@@ -127,13 +127,13 @@ def unresolved(axes: "Axes", scene: xr.Dataset, along: str) -> None:
 
 
 def _has(scene: xr.Dataset) -> list[str]:
-    """The kinds of bands in a parameter set."""
+    """Response classes in a parameter set that have bands."""
     found = np.unique(scene["response_class"].values)
     return [kind for kind in BANDS if ResponseClass[kind.upper()] in found]
 
 
 def key_of_bands(figure: "Figure", scene: xr.Dataset) -> None:
-    """A legend of the bands of a figure, if it has any."""
+    """Add a legend of the bands to a figure, if it has any."""
     from matplotlib.patches import Patch
 
     handles = [Patch(color=BANDS[kind], label=kind) for kind in _has(scene)]
@@ -142,7 +142,7 @@ def key_of_bands(figure: "Figure", scene: xr.Dataset) -> None:
 
 
 def caption_of_bands(scene: xr.Dataset) -> str:
-    """The caption of bands, with a leading blank."""
+    """Caption sentence on bands, with a leading blank; empty without bands."""
     if not (kinds := _has(scene)):
         return ""
     whose = " from some initial conditions" if scene.sizes.get(START, 1) > 1 else ""
@@ -151,7 +151,7 @@ def caption_of_bands(scene: xr.Dataset) -> str:
 
 
 def caption_of_missing(scene: xr.Dataset) -> str:
-    """The caption of responses without extrema, with a leading blank."""
+    """Caption sentence on responses that are not drawn, with a leading blank, or empty."""
     found = np.unique(scene["response_class"].values)
     missing = [words for kind, words in _NOT_DRAWN.items() if kind in found]
     return f" Not drawn: {', '.join(missing)}." if missing else ""

@@ -51,12 +51,12 @@ _QUANTITIES = {
 
 
 def work_precision_figure(bench: xr.Dataset) -> Figure:
-    """Cost over total error, a panel per scenario.
+    """Figure of cost over total error, a panel per scenario.
 
     Parameters
     ----------
     bench : Dataset
-        ``work_precision.nc``, or some of its scenes.
+        ``work_precision.nc``, or some of its scenarios.
     """
     n_rows = math.ceil(bench.sizes["scene"] / _COLUMNS)
     columns = min(_COLUMNS, bench.sizes["scene"])
@@ -86,9 +86,9 @@ def work_precision_figure(bench: xr.Dataset) -> Figure:
 
 
 def _widen(axes: Axes) -> None:
-    """Show a decade about a single value.
+    """Widen each axis with a single value to a decade.
 
-    Error bars split one value into two that differ by rounding, which sets a too narrow axis.
+    Error bars split one value into two that differ by rounding: the axis would be too narrow.
     """
     for (low, high), set_limits in (
         (axes.get_xlim(), axes.set_xlim),
@@ -99,7 +99,7 @@ def _widen(axes: Axes) -> None:
 
 
 def tolerance_figure(bench: xr.Dataset) -> Figure:
-    """Solver errors over the tolerance, medians over the scenarios."""
+    """Figure of solver errors over the tolerance, as medians over the scenarios."""
     figure = Figure(figsize=(_WIDTH, 4.2), layout="constrained")
     panels = figure.subplots(1, len(_QUANTITIES))
     labels = bench["method"].values.tolist()
@@ -130,7 +130,7 @@ def _in_range(stability: xr.Dataset, *, tight: bool) -> xr.DataArray:
 
 
 def worst(stability: xr.Dataset, *, tight: bool) -> xr.DataArray:
-    """Worst outcome over the tight or the loose rungs, over scene and method."""
+    """Worst outcome over the tight or the loose tolerances, per scenario and method."""
     ranked = stability["outcome"].transpose("scene", "method", "tolerance")
     counts = _in_range(stability, tight=tight).transpose("method", "tolerance").values
     ranks = np.where(counts, _RANK[ranked.values - min(CellOutcome)], 0).max(axis=-1)
@@ -139,7 +139,7 @@ def worst(stability: xr.Dataset, *, tight: bool) -> xr.DataArray:
 
 
 def atlas(stability: xr.Dataset, *, tight: bool) -> Figure:
-    """Scene by method: outcomes as colours and as letters."""
+    """Figure of outcomes by scenario and method, as colours and as letters."""
     outcome = worst(stability, tight=tight)
     n_scenes, n_methods = outcome.shape
     figure = Figure(figsize=(_WIDTH, 1.6 + 0.24 * n_scenes), layout="constrained")

@@ -28,7 +28,7 @@ _NAMED = (
     CellOutcome.UNDECIDED,
     CellOutcome.SILENT_WRONG,
 )
-# Errors up to here matter in practice.
+# Largest error that matters in practice.
 _USEFUL = 1e-2
 
 
@@ -41,7 +41,7 @@ class Conclusions:
 
 
 def bench_parts(work_precision: xr.Dataset | None, stability: xr.Dataset | None) -> Iterator[Part]:
-    """Sections on the given datasets."""
+    """Sections of the report on the given benchmark datasets."""
     if work_precision is not None:
         yield _work_precision_part(work_precision.load())
     if stability is not None:
@@ -49,7 +49,7 @@ def bench_parts(work_precision: xr.Dataset | None, stability: xr.Dataset | None)
 
 
 def conclusions(dataset: xr.Dataset) -> Conclusions:
-    """Conclusions from a dataset of ``gapsweep bench``."""
+    """Sentences and numbers that summarize a dataset of ``gapsweep bench``."""
     dataset = dataset.load()
     return _atlas_conclusions(dataset) if "outcome" in dataset else _front_conclusions(dataset)
 
@@ -58,12 +58,12 @@ def conclusions(dataset: xr.Dataset) -> Conclusions:
 
 
 def _is_exact(label: str) -> bool:
-    """Whether a method has the label of the exact law, with or without located contacts."""
+    """Whether a label is of the exact law, with any solver settings."""
     return law_of(label) == EXACT
 
 
 def beaten(bench: xr.Dataset) -> dict[str, list[str]]:
-    """Scenarios with other methods on the Pareto front at errors of 1e-2 or below, and which."""
+    """Methods of other laws on the Pareto front at errors of 1e-2 or below, by scenario."""
     shown = bench["on_front"].astype(bool) & (bench["total_error"] <= _USEFUL)
     found = {}
     for scene in bench["scene"].values.tolist():
@@ -82,7 +82,7 @@ def _front_conclusions(bench: xr.Dataset) -> Conclusions:
 
 
 def _on_front(bench: xr.Dataset, exceptions: dict[str, list[str]]) -> list[str]:
-    """The methods on the Pareto front, and the failed runs."""
+    """Sentences on the methods on the Pareto front, and on failed runs."""
     n = bench.sizes["scene"]
     sentences = [
         "The exact law with located contacts is the whole Pareto front at errors of 1e-2 and below "
@@ -99,7 +99,7 @@ def _on_front(bench: xr.Dataset, exceptions: dict[str, list[str]]) -> list[str]:
 
 
 def _cost(row: Mapping[str, Any]) -> str:
-    """The cheapest method of a corner at a target error."""
+    """Sentence on the cheapest method at a stiffness, gap and error."""
     corner = f"K_c = {plain(row['K_c'])} N/m, {row['gap']} mm, error {row['error']:.0e}"
     if not row["method"]:
         return f"{corner}: no method"
@@ -109,7 +109,7 @@ def _cost(row: Mapping[str, Any]) -> str:
 
 
 def _failures(bench: xr.Dataset) -> str:
-    """Numbers of failed runs by method and status."""
+    """Text with the numbers of failed runs by method and status."""
     counts = []
     for label in bench["method"].values.tolist():
         status = bench["status"].sel({"method": label}).values
@@ -121,7 +121,7 @@ def _failures(bench: xr.Dataset) -> str:
 
 
 def _cheapest(bench: xr.Dataset) -> list[dict[str, Any]]:
-    """Cheapest method of every corner at every target error, and the best of another law."""
+    """Cheapest method at every stiffness, gap and target error, and the best of another law."""
     rows = []
     for target in TARGETS:
         for K_c, gap, cost in corners(bench, target):
@@ -215,8 +215,8 @@ def _atlas_conclusions(stability: xr.Dataset) -> Conclusions:
             if o is not CellOutcome.NOT_REQUESTED
         }
         numbers[name] = counts
-        said = ", ".join(f"{n} {label.replace('_', ' ')}" for label, n in counts.items())
-        sentences.append(f"Runs at {name} tolerances: {said}.")
+        words = ", ".join(f"{n} {label.replace('_', ' ')}" for label, n in counts.items())
+        sentences.append(f"Runs at {name} tolerances: {words}.")
     silent = [
         {"scene": str(scene), "method": str(method), "rtol": float(rtol)}
         for scene, method, rtol in _where(stability, CellOutcome.SILENT_WRONG)
@@ -264,7 +264,7 @@ def _stability_part(stability: xr.Dataset) -> Part:
 
 
 def _scene_table(stability: xr.Dataset) -> Table:
-    """Outcomes of all methods in each scenario at tight tolerances."""
+    """Table of outcomes of all methods in each scenario at tight tolerances."""
     outcome = worst(stability, tight=True)
     rows = []
     for scene in stability["scene"].values.tolist():
@@ -289,7 +289,7 @@ def _scene_table(stability: xr.Dataset) -> Table:
 
 
 def _law_table(stability: xr.Dataset) -> Table:
-    """Properties of each law without integration, over all scenarios."""
+    """Table of properties of each law that need no integration, over all scenarios."""
     rows = []
     for label in stability["method"].values.tolist():
         one = stability.sel({"method": label})

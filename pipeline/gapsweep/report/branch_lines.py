@@ -33,7 +33,7 @@ Array = NDArray[np.float64]
 FREQUENCY, REPRESENTATION = "frequency", "representation"
 _LOOP = "is_loop"
 _OF_ORBITS = "stable", "special", "period_multiple"
-_TOLD = "period_multiple", MULTIPLIER
+_LISTED = "period_multiple", MULTIPLIER
 KINDS = {
     Special.FOLD: ("o", "fold"),
     Special.PERIOD_DOUBLING: ("s", "period doubling"),
@@ -54,7 +54,7 @@ _MOST_SYMBOLS = 100  # special points of a figure, beyond which markers must do
 
 
 def shown(found: xr.Dataset, names: Sequence[str], wanted: Mapping[str, Any]) -> xr.Dataset:
-    """Variables of branches that are drawn, over branch and step.
+    """Dataset of the drawn variables of branches, over branch and step.
 
     Raises
     ------
@@ -86,12 +86,12 @@ def special_table(found: xr.Dataset) -> Any:
         nearest=parts.isel({MULTIPLIER: off.argmin(MULTIPLIER)}),
     )
     frame = to_dataframe(points).set_index(POINT).rename(columns={"nearest": MULTIPLIER})
-    wanted = *points.coords, BRANCH, STEP, "kind", "symbol", *names, "x_max", *_TOLD
+    wanted = *points.coords, BRANCH, STEP, "kind", "symbol", *names, "x_max", *_LISTED
     return frame[[c for name in dict.fromkeys(wanted) for c in frame if c.split("[")[0] == name]]
 
 
 def default_axis(found: xr.Dataset) -> str:
-    """The horizontal axis of branches: their parameter; of free motions the frequency."""
+    """Name of the horizontal axis: the parameter of branches, or frequency for free motions."""
     along = str(_checked(found).attrs.get("along", "omega"))
     return along if along in found and along != "amplitude" else FREQUENCY
 
@@ -105,7 +105,7 @@ def _checked(found: Any) -> xr.Dataset:
 def of_scene(
     found: xr.Dataset | None, here: xr.Dataset, along: str, *heights: str
 ) -> xr.Dataset | None:
-    """The branches of what a figure shows, as `shown`; None if there are none along its axis."""
+    """Branches of the parameter sets in `here`, as from `shown`; None if none is along the axis."""
     if found is None or not found.sizes.get(BRANCH, 1) or default_axis(found) != along:
         return None
     found = _checked(found)
@@ -116,7 +116,7 @@ def of_scene(
 
 
 def in_scene(found: xr.Dataset, here: xr.Dataset, dim: str, prefix: str = "") -> NDArray[np.bool_]:
-    """Which entries of a dimension are of what a figure shows, by coordinates with a prefix."""
+    """Mask of entries along `dim` at the values of `here`; `prefix` begins their coordinates."""
     inside = np.ones(found.sizes[dim], bool)
     for name in [*places(here), REPRESENTATION]:
         if prefix + name in found.coords and name in here.coords:
@@ -125,14 +125,14 @@ def in_scene(found: xr.Dataset, here: xr.Dataset, dim: str, prefix: str = "") ->
 
 
 def label(variable: xr.DataArray) -> str:
-    """The label of an axis: a parameter is called as in other datasets."""
+    """The label of an axis; parameters have the same names as in other datasets."""
     words = scales.long_name(variable).removesuffix(" along the branch")
-    is_known = words in COORDINATES and words != "gap"  # there of both walls
+    is_known = words in COORDINATES and words != "gap"  # the name of "gap" is of both walls
     return scales.axis_label(variable, COORDINATES[words][1].long_name if is_known else words)
 
 
 def is_log(variable: xr.DataArray) -> bool:
-    """Whether an axis over branches is logarithmic: of some parameters, never of a result."""
+    """Whether the axis of a branch variable is logarithmic; False for all but parameters."""
     if variable.name in (*VARIABLES, FREQUENCY):
         return False
     return scales.is_log(variable.stack(point=(BRANCH, STEP)).dropna("point"))
@@ -141,7 +141,7 @@ def is_log(variable: xr.DataArray) -> bool:
 def behind(
     axes: "Axes", found: xr.Dataset | None, here: xr.Dataset, along: str, heights: Sequence[str]
 ) -> None:
-    """Branches behind what a figure shows, in the colour of its one representation, or grey."""
+    """Draw branches behind a figure's dots, in the colour of a single representation or grey."""
     branches = of_scene(found, here, along, *heights)
     if branches is not None:
         labels = np.atleast_1d(here[REPRESENTATION].values)
@@ -150,7 +150,7 @@ def behind(
 
 
 def caption(found: xr.Dataset | None, here: xr.Dataset, along: str) -> str:
-    """The caption of branches, with a leading blank; empty if none is drawn."""
+    """Caption sentences on branches, with a leading blank; empty if none is drawn."""
     branches = of_scene(found, here, along)
     if found is None or branches is None:
         return ""
@@ -166,31 +166,31 @@ def caption(found: xr.Dataset | None, here: xr.Dataset, along: str) -> str:
 def draw(
     axes: "Axes", branches: xr.Dataset, along: str, heights: Sequence[str], shade: str = ""
 ) -> None:
-    """Branches as lines, solid where they are stable, and their special points.
+    """Draw branches as lines, solid where stable, with their special points.
 
     Parameters
     ----------
     branches : Dataset
-        As `shown` returns it.
+        Branches as from `shown`.
     along : str
         Variable of the horizontal axis.
     heights : sequence of str
         Variables of the vertical axis; the first has the special points.
     shade : str
-        One colour of all; if empty, that of the representation, or of the branch where there is
-        one representation at most. Then the legend names them.
+        One colour for all; if empty, a colour for each representation, or for each branch of a
+        single representation, named in the legend.
     """
     look = _looks(branches) if not shade else [(shade, "")] * branches.sizes[BRANCH]
     style: dict[str, Any] = {"linewidth": 1.3, "zorder": 1.8}
     for name in heights:
         for number, is_stable, line in lines(branches, along, name):
-            own, told = look[number]
+            own, entry = look[number]
             dashes, word = ("-", "stable") if is_stable else ("--", "unstable")
-            axes.plot(*line.T, dashes, color=own, label=f"_{told or BRANCH} {word}", **style)
-    for told, own in {told: own for own, told in look if told}.items():
-        axes.plot([], [], "-", color=own, label=told, **style)
+            axes.plot(*line.T, dashes, color=own, label=f"_{entry or BRANCH} {word}", **style)
+    for entry, own in {entry: own for own, entry in look if entry}.items():
+        axes.plot([], [], "-", color=own, label=entry, **style)
     dashed = [line for line in axes.lines if str(line.get_label()) == f"_{BRANCH} unstable"]
-    if shade and dashed:  # one of them in a legend
+    if shade and dashed:  # one legend entry
         dashed[0].set_label(f"{BRANCH} unstable")
     elif (branches["stable"] == 0).any():
         axes.plot([], [], "--", color=_COLOURS[-1], label="unstable", **style)
@@ -211,12 +211,12 @@ def draw(
 
 
 def of_orbits(branches: xr.Dataset, *names: str) -> list[Array]:
-    """Variables as they are drawn, shape (n_branches, n_steps)."""
+    """Values of variables in drawn units, each of shape (n_branches, n_steps)."""
     return [drawn(branches[name].transpose(BRANCH, STEP)) for name in names]
 
 
 def _looks(branches: xr.Dataset) -> list[tuple[str, str]]:
-    """Colour and name of every branch; a curve has the name of its special point."""
+    """Colour and legend entry of every branch; curves are named by their special point."""
     n = branches.sizes[BRANCH]
     if "curve" in branches.attrs:
         kind = Special[branches.attrs["curve"].upper()]
@@ -236,20 +236,20 @@ def _looks(branches: xr.Dataset) -> list[tuple[str, str]]:
 
 
 def lines(branches: xr.Dataset, along: str, height: str) -> Iterator[tuple[int, bool, Array]]:
-    """Number of every branch and the points of its unstable or stable part, with gaps."""
+    """For each branch its number, whether the part is stable, and points with NaN in gaps."""
     columns = of_orbits(branches, along, height, "stable", "special")
     n = branches.sizes[BRANCH]
     is_loop = np.broadcast_to(branches.coords.get(_LOOP, False), n)
     for number, (x, y, stable, special) in enumerate(zip(*columns, strict=True)):
         there = np.isfinite(x) & np.isfinite(y)
-        # At a bifurcation rounding decides whether a multiplier exceeds 1: its neighbour says more.
+        # At a bifurcation rounding decides whether a multiplier exceeds 1: take the neighbour's.
         is_at = (special > 0) & (special != Special.GRAZING)
         of_step = np.where(is_at[:-1], stable[1:], stable[:-1])
         for is_stable in (False, True):
             chosen = (of_step == is_stable) & there[:-1] & there[1:]
             ends = np.flatnonzero(np.diff(chosen.astype(int), prepend=0, append=0)).reshape(-1, 2)
             pieces = [np.r_[np.c_[x, y][a : b + 1], [[np.nan, np.nan]]] for a, b in ends]
-            if is_loop[number] and stable[0] == is_stable:  # to its first orbit again
+            if is_loop[number] and stable[0] == is_stable:  # closes the line at its first orbit
                 last = np.flatnonzero(there)[-1]
                 pieces.append(np.c_[x, y][[last, 0]])
             if pieces:
@@ -257,9 +257,9 @@ def lines(branches: xr.Dataset, along: str, height: str) -> Iterator[tuple[int, 
 
 
 def name_points(axes: "Axes", branches: xr.Dataset, along: str, height: str) -> None:
-    """Symbols next to special points where they overlap no other; called when all else is drawn.
+    """Draw symbols next to special points where they overlap no other symbol; to be called last.
 
-    The rarest kind comes first. Points of a kind that are closer than a symbol have one.
+    Rare kinds come first. Points of a kind that are closer than a symbol share one.
     """
     x, y, special = of_orbits(branches, along, height, "special")
     there = np.isfinite(x) & np.isfinite(y)

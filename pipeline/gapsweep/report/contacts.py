@@ -1,4 +1,4 @@
-"""Figures of contacts: how fast they are met, and which walls a response touches."""
+"""Figures of contacts: impact speeds, and the walls that responses touch."""
 
 import json
 from typing import TYPE_CHECKING, Any
@@ -44,13 +44,13 @@ def impacts(
     dataset : Dataset
         ``responses.nc``, or a part of it with the full state.
     n_periods : int
-        Forcing periods of responses that are not periodic; others take one period of their own.
+        Forcing periods of responses that are not periodic; others take one of their periods.
     along, ax, **wanted
-        As of `GapsweepAccessor.frequency_response`; of systems with
-        several contacts one `contact` must be left.
+        As for `GapsweepAccessor.frequency_response`; for systems with several contacts, `contact`
+        must select one.
     """
     along = axis_of(dataset, along, wanted)
-    needed = {"force_max": CURVES, "response_class": CURVES}  # one contact is left in the first
+    needed = {"force_max": CURVES, "response_class": CURVES}  # force_max requires one contact
     shown = scene_along(dataset, along, needed, wanted)
     dims = ("representation", along, START)
     found = {at: _impacts(run, shown) for at, run in motions(dataset, dims, wanted, n_periods)}
@@ -91,9 +91,9 @@ def contact_map(
     ax: "Axes | None" = None,
     **wanted: Any,
 ) -> "Axes":
-    """Which walls each steady response touches, over two parameters.
+    """Map of the walls that each steady response touches, over two parameters.
 
-    Found from the stored extrema of the relative displacement: no wall (free motion within the
+    Computed from the stored extrema of the relative displacement: no wall (free motion within the
     freeplay), one, both, or never off one of them (no loss of contact). ``map("contact_share")``
     has the share of the time beyond the walls.
 
@@ -102,8 +102,8 @@ def contact_map(
     dataset : Dataset
         ``responses.nc``, or a part of it.
     x, y, ax, **wanted
-        As of `GapsweepAccessor.map`; of systems with several contacts
-        one `contact` must be left.
+        As for `GapsweepAccessor.map`; for systems with several contacts, `contact` must select
+        one.
     """
     part = selected(dataset, wanted)
     if CONTACT in part.dims:

@@ -1,4 +1,4 @@
-"""Stored steady responses, simulated further: for figures that need more than is stored."""
+"""Simulation of stored steady responses, for figures that need more than the stored data."""
 
 import json
 from collections.abc import Iterator, Mapping, Sequence
@@ -42,13 +42,13 @@ def motions(
     dataset : Dataset
         ``responses.nc`` or ``attractors.nc``, or a selection with the full state.
     dims : sequence of str
-        Dimensions of the responses; of all others one value must be left.
+        Dimensions of the responses; all other dimensions must have one value.
     wanted : mapping
         Selection by coordinate; `coordinate` and `contact` select no part of the state.
     n_periods : int
         Forcing periods, ``> 0``.
     once : bool
-        Whether a periodic response is simulated for one of its own periods only.
+        Whether to simulate a periodic response for one of its periods only.
 
     Yields
     ------
@@ -97,7 +97,7 @@ def weights(run: Trajectory, shown: xr.Dataset, variable: str) -> Array:
     Raises
     ------
     DatasetError
-        If it holds no displacement of a section.
+        If `variable` is no displacement of a section.
     """
     if variable not in DISPLACEMENTS:
         raise DatasetError(f"variable = {variable!r}: must be {' or '.join(DISPLACEMENTS)}")
@@ -132,7 +132,7 @@ def _study(dataset: xr.Dataset) -> Study:
 
 
 def _cell(grid: Grid, one: xr.Dataset) -> int:
-    """Flat position of a response in the grid of its study; of any initial condition."""
+    """Flat position of a response in the grid of its study, at the first initial condition."""
     at = []
     for name in grid.dims:
         values = grid.labels(name)

@@ -22,19 +22,19 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-MANY = 60  # points as vectors would make a file heavy
+MANY = 60  # points; more are rasterized, to limit the size of the file
 _SPARE = 0.5  # room around the exact law, in widths of its range
-_DOT = 12.0  # points², of an attractor whose basin is not known
+_DOT = 12.0  # points², dot of an attractor with an unknown basin share
 
 
 def labels_of(dataset: xr.Dataset) -> list[str]:
-    """Representations of a dataset."""
+    """Labels of the representations of a dataset."""
     return [str(label) for label in dataset["representation"].values]
 
 
 SETS = "sets_axis"
 MARKERS = ("o", "s", "^", "D", "v")
-DOTS = (".", "x", "+", "1", "2")  # of many points; those of one colour differ
+DOTS = (".", "x", "+", "1", "2")  # markers of many points, one for each representation of a colour
 _ERRORS = (1e-14, 1e2)
 # Variables of a work-precision diagram.
 WORK_PRECISION = (
@@ -46,14 +46,14 @@ WORK_PRECISION = (
 def curves(
     axes: "Axes", variable: xr.DataArray, along: str, kinds: xr.DataArray | None = None
 ) -> None:
-    """A curve per representation and start, broken at jumps; the exact law thick, behind others.
+    """Draw a curve per representation and initial state, broken at jumps; the exact law thick.
 
     Parameters
     ----------
     variable : DataArray
         Dimensions representation, `along`, initial_condition.
     kinds : DataArray, optional
-        The ``response_class`` of each value; what is not steady sets no axis.
+        The ``response_class`` of each value; unresolved responses set no axis.
     """
     setting = variable.notnull() if kinds is None else sets_axis(variable, kinds)
     x = drawn(variable[along])
@@ -67,7 +67,7 @@ def curves(
         sets = setting.sel(representation=label).transpose(*order).values
         exact = label == EXACT
         for start, curve in enumerate(y):
-            # A start may be swept at every second frequency only: dots show which.
+            # Dots show the frequencies of an initial condition, which may be every second one.
             there = np.isfinite(curve)
             gaps = breaks(curve[there])
             _line(
@@ -77,10 +77,10 @@ def curves(
                 np.insert(sets[start, there], gaps, False),
                 linestyle=styles[label],
                 color=colour(label),
-                label=label if start == 0 else f"_{label}",  # one of each in a legend
+                label=label if start == 0 else f"_{label}",  # one legend entry per law
                 linewidth=2.2 if exact else 1.2,
                 zorder=1 if exact else 2,
-                marker=".",  # also of a value between two jumps
+                marker=".",  # shows single values between two jumps
                 markersize=5 if exact else 3,
             )
 
@@ -88,14 +88,14 @@ def curves(
 def extrema(
     axes: "Axes", one: xr.Dataset, along: str, *, other: str | None = None, marker: str = "."
 ) -> None:
-    """All steady extrema of one representation.
+    """Draw all steady extrema of one representation as dots.
 
     Parameters
     ----------
     one : Dataset
         ``extrema(along, initial_condition, extremum)``, ``response_class`` and `SETS`.
     other : str, optional
-        Colour of responses that are not periodic; that of the representation if None.
+        Colour of responses that are not periodic; None: the colour of the representation.
     marker : str
         Symbol of matplotlib.
     """
@@ -122,7 +122,7 @@ def peaks(
     *,
     along: str = "omega",
 ) -> None:
-    """Peaks of one representation: periodic full, others pale, those outside the frame on it.
+    """Draw peaks of one representation: periodic opaque, others pale, triangles at the frame.
 
     Parameters
     ----------
@@ -149,7 +149,7 @@ def peaks(
 
 
 def caption_of_marks(figure: "Figure") -> str:
-    """The caption of pale dots and triangles, with leading blanks; empty if there are none."""
+    """Caption sentences on pale dots and triangles, with leading blanks; empty without any."""
     lines = [line for axes in figure.axes for line in axes.lines]
     labels = {str(line.get_label()) for line in lines if np.size(line.get_xdata())}
     kinds = {
@@ -160,12 +160,12 @@ def caption_of_marks(figure: "Figure") -> str:
 
 
 def frame(scene: xr.Dataset, lowest: str, exact: str) -> tuple[float, float]:
-    """Common axis with room for the exact law, and for what others add within reason.
+    """Limits of a common axis: range of the exact law, extended by up to half of it for others.
 
     Parameters
     ----------
     lowest : str
-        The variable that bounds it from below; ``x_max`` does from above.
+        The variable of the lower limit; ``x_max`` is the variable of the upper limit.
     exact : str
         The exact law's label.
     """
@@ -177,7 +177,7 @@ def frame(scene: xr.Dataset, lowest: str, exact: str) -> tuple[float, float]:
     if not np.isfinite(top[is_exact]).any():
         is_exact[:] = True
     low, high = np.nanmin(bottom, initial=np.inf), np.nanmax(top, initial=-np.inf)
-    if not low <= high:  # there is no result at all
+    if not low <= high:  # without any result
         return -1.0, 1.0
     own_low, own_high = np.nanmin(bottom[is_exact]), np.nanmax(top[is_exact])
     spare = _SPARE * (own_high - own_low)
@@ -187,7 +187,7 @@ def frame(scene: xr.Dataset, lowest: str, exact: str) -> tuple[float, float]:
 
 
 def outside(axes: "Axes", omega: Any, edge: float, marker: str, label: str) -> None:
-    """Triangles on the edge of the frame for what lies beyond it."""
+    """Draw triangles on the edge of the frame for points beyond it."""
     if len(omega):
         edges = np.full(len(omega), edge)
         look: dict[str, Any] = {"color": colour(label), "label": f"_{label}, outside"}
@@ -195,7 +195,7 @@ def outside(axes: "Axes", omega: Any, edge: float, marker: str, label: str) -> N
 
 
 def attractor_peaks(axes: "Axes", one: xr.Dataset, along: str) -> None:
-    """Peak of every attractor of one representation; the larger its basin, the larger the dot.
+    """Draw the peak of every attractor of one representation; dot area grows with basin share.
 
     Parameters
     ----------
@@ -206,7 +206,7 @@ def attractor_peaks(axes: "Axes", one: xr.Dataset, along: str) -> None:
     height = drawn(one["x_max"].transpose(*order))
     x = np.broadcast_to(drawn(one[along])[:, None], height.shape)
     share = one["basin_share"].transpose(*order).values
-    # No share is known of what only sweeps reach: a dot like any other.
+    # Attractors that only sweeps reach have no share: a dot of fixed size.
     area = np.where(np.isfinite(share), 4.0 + 20.0 * share, _DOT)
     periodic = one["response_class"].transpose(*order).values == ResponseClass.PERIODIC
     label, shade = _label(one), colour(_label(one))
@@ -219,26 +219,26 @@ def attractor_peaks(axes: "Axes", one: xr.Dataset, along: str) -> None:
             facecolors=face,
             edgecolors=shade,
             linewidths=0.8,
-            rasterized=bool(shown.sum() > MANY / 4),  # each dot is a path of its own
+            rasterized=bool(shown.sum() > MANY / 4),  # each dot is a separate path
             label=f"_{label}, {kind}",
         )
 
 
 def caption_of_peaks(found: xr.Dataset) -> str:
-    """The caption of the dots of attractors, with a leading blank."""
+    """Caption sentence on the dots of attractors, with a leading blank, or empty."""
     has_peak = np.isfinite(found["x_max"].values)
     kinds = {*np.unique(found["response_class"].values[has_peak]).tolist()}
     rest = " or in equilibrium" if ResponseClass.EQUILIBRIUM in kinds else ""
-    said = []
+    words = []
     if np.isfinite(found["basin_share"].values).any():
-        said.append("Dot area: share of the initial conditions that lead to the attractor")
+        words.append("Dot area: share of the initial conditions that lead to the attractor")
     if kinds - {ResponseClass.PERIODIC}:
-        said.append(f"{'hollow' if said else 'Hollow'}: not periodic{rest}")
-    return f" {'; '.join(said)}." if said else ""
+        words.append(f"{'hollow' if words else 'Hollow'}: not periodic{rest}")
+    return f" {'; '.join(words)}." if words else ""
 
 
 def sections(axes: "Axes", one: xr.Dataset) -> None:
-    """Stroboscopic section of every attractor in the plane of displacement and velocity.
+    """Draw the stroboscopic section of every attractor in the phase plane.
 
     Parameters
     ----------
@@ -255,7 +255,7 @@ def sections(axes: "Axes", one: xr.Dataset) -> None:
 
 
 def starts(axes: "Axes", one: xr.Dataset) -> None:
-    """Attractor of every fixed start of one sweep point, by colour; crosses where there is none.
+    """Draw fixed initial conditions in the colour of their attractor; a cross without attractor.
 
     Parameters
     ----------
@@ -275,7 +275,7 @@ def starts(axes: "Axes", one: xr.Dataset) -> None:
 
 
 def attractor_names(period_multiple: xr.DataArray, x_max: xr.DataArray) -> list[str]:
-    """Period and peak of each attractor, in words."""
+    """Name of each attractor: its period and peak."""
     unit = shown_unit(x_max)[1]
     pairs = zip(period_multiple.values, drawn(x_max), strict=True)
     return [f"{f'P{n}' if n else 'chaotic'}, peak {x:.4g} {unit}" for n, x in pairs]
@@ -287,7 +287,7 @@ def summary(
     interval: xr.DataArray | None,
     floor: xr.DataArray | None,
 ) -> None:
-    """A row per representation: its number, its confidence interval, and the floor of all.
+    """Draw a row per representation: number, confidence interval, and reproducibility limit.
 
     Parameters
     ----------
@@ -296,7 +296,7 @@ def summary(
     interval : DataArray, optional
         Over representation and bound.
     floor : DataArray, optional
-        One number: of the exact law with other settings.
+        One number, of the exact law with other settings.
     """
     labels = [str(label) for label in value["representation"].values]
     numbers = drawn(value)
@@ -312,7 +312,7 @@ def summary(
 
 
 def work_precision(axes: "Axes", scene: xr.Dataset) -> None:
-    """Cost over error of every method in one scene, a point per tolerance.
+    """Draw cost over error of every method in one scenario, a point per tolerance.
 
     Parameters
     ----------
@@ -355,9 +355,9 @@ def work_precision(axes: "Axes", scene: xr.Dataset) -> None:
             crosses = axes.plot(np.ones(failed.sum()), y[failed], "x", **look)
             crosses[0].set_in_layout(False)
     axes.grid(which="minor", visible=False)
-    said = _failed_words(scene, labels)
-    if said:
-        axes.text(0.98, 0.97, said, transform=axes.transAxes, ha="right", va="top", fontsize=7)
+    failures = _failed_words(scene, labels)
+    if failures:
+        axes.text(0.98, 0.97, failures, transform=axes.transAxes, ha="right", va="top", fontsize=7)
 
 
 def _failed_words(scene: xr.Dataset, labels: list[str]) -> str:
@@ -375,21 +375,21 @@ def _label(one: xr.Dataset) -> str:
 
 
 def _broadcast(one: xr.Dataset, name: str, along: str) -> Iterator[NDArray[np.float64]]:
-    """Places along the axis, and values; both of shape (along, initial_condition, ...)."""
+    """Positions along the axis, and values of a variable, both of the shape of the values."""
     values = drawn(one[name].transpose(along, "initial_condition", ...))
     places = drawn(one[along]).reshape(-1, *[1] * (values.ndim - 1))
     return iter((np.broadcast_to(places, values.shape), values))
 
 
 def with_setting(scene: xr.Dataset, name: str) -> xr.Dataset:
-    """A scene with a variable `SETS`: which values of a variable set the axis, for all laws."""
+    """The parameter set with a variable `SETS`: mask of values that set the axis, for all laws."""
     return scene.assign({SETS: sets_axis(scene[name], scene["response_class"])})
 
 
 def sets_axis(values: xr.DataArray, kinds: xr.DataArray) -> xr.DataArray:
-    """Which values set the axis: those of steady responses, and all if there are none.
+    """Mask of the values that set the axis: of steady responses, or of all if none is steady.
 
-    A motion that was still growing when it was left is larger than any that is steady.
+    An unresolved motion that still grows may be larger than all steady ones.
     """
     known = values.notnull()
     steady = known & (kinds != ResponseClass.UNRESOLVED)
@@ -405,10 +405,10 @@ def _points(
 def _line(
     axes: "Axes", x: NDArray[Any], y: NDArray[Any], sets: NDArray[np.bool_], **style: Any
 ) -> None:
-    """A line of which only some values set the axis across; the others may be beyond it."""
+    """Draw a line; only values in `sets` set the vertical axis, others may be outside it."""
     from matplotlib.lines import Line2D
 
-    axes.add_artist(Line2D(x, y, **style))  # which, unlike plot, leaves the limits alone
+    axes.add_artist(Line2D(x, y, **style))  # unlike plot, this does not change the limits
     places = np.column_stack([x, y])
     axes.update_datalim(places, updatey=False)
     axes.update_datalim(places[sets])

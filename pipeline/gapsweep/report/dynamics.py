@@ -1,6 +1,6 @@
-"""Figures of nonlinear dynamics: each a function of a dataset that draws into one axes.
+"""Figures of nonlinear dynamics: functions of a dataset that draw into one axes.
 
-`poincare` and `waterfall` need more than is stored: they simulate the stored responses further
+`poincare` and `waterfall` need more than the stored data: they simulate stored responses further
 (`gapsweep.report.continued`).
 """
 
@@ -45,11 +45,11 @@ WORDS = {
 }
 _HISTORY, _BIN = "history", "frequency_bin"
 _ERRORS = 3.0  # standard errors of an exponent, beyond which its sign counts as certain
-_FEW = 500  # section points, which larger dots show
-_DECADES = 3.0  # of amplitude in a waterfall
+_FEW = 500  # section points, up to which dots are larger
+_DECADES = 3.0  # decades of amplitude in a waterfall
 _RISE = 4.0  # height of its largest peak, in rows
 _MOST_TICKS = 9
-_WORTH = 1e-2  # of the largest amplitude: what sets the horizontal axis
+_WORTH = 1e-2  # of the largest amplitude: smallest one that sets the horizontal axis
 _MARGIN = 1.1  # beyond the highest frequency of a waterfall
 
 
@@ -63,11 +63,11 @@ def bifurcation(
     ax: "Axes | None" = None,
     **wanted: Any,
 ) -> "Axes":
-    """Bifurcation diagram: all steady extrema, or section points, from all starts.
+    """Bifurcation diagram: steady extrema, or section points, for all initial conditions.
 
-    What is unresolved has a pale band, and does not set the axis: it may be beyond.
-    One representation: its colour where the response is periodic, red where it is not.
-    Several: each in its colour.
+    Unresolved responses have a pale band and set no axis: their dots may be outside it. A single
+    representation has its colour where the response is periodic and red elsewhere; several
+    representations have a colour each.
 
     Parameters
     ----------
@@ -80,8 +80,8 @@ def bifurcation(
         As for `GapsweepAccessor.frequency_response`.
     branches : Dataset, optional
         Periodic orbits continued along the same axis, as `gapsweep.branches` returns them: the
-        largest and smallest displacements of those of this scene are lines behind the extrema,
-        dashed where they are unstable, with their special points.
+        largest and smallest displacements of the branches of this parameter set are lines behind
+        the extrema, dashed where unstable, with their special points.
     """
     is_section = variable != "extrema"
     along = axis_of(dataset, along, wanted)
@@ -101,10 +101,12 @@ def bifurcation(
 
 
 def dots(axes: "Axes", shown: xr.Dataset, variable: str, along: str, label: str) -> "Axes":
-    """Dots of every response, red where one representation is not periodic."""
+    """Draw dots of a variable for every response; responses of a single law that are not
+    periodic are red.
+    """
     labels = labels_of(shown)
     other = NOT_PERIODIC if len(labels) == 1 else None
-    # Drawn as extrema are, whatever they are.
+    # Any variable is drawn in the same way as extrema.
     renamed = drawing.with_setting(shown.rename({variable: "extrema"}), "extrema")
     for name, marker in by_colour(labels, drawing.DOTS).items():
         one = renamed.sel(representation=name)
@@ -131,7 +133,7 @@ def lyapunov(
     dataset : Dataset
         ``responses.nc``, or a part of it.
     along, ax, **wanted
-        As of `GapsweepAccessor.frequency_response`.
+        As for `GapsweepAccessor.frequency_response`.
     """
     along = axis_of(dataset, along, wanted)
     names = ("lyapunov", "lyapunov_error", "response_class")
@@ -214,23 +216,23 @@ def waterfall(
 ) -> "Axes":
     """Amplitude spectra of steady displacements, one above the other over a parameter.
 
-    Of ``histories.nc`` the stored spectra. Of ``responses.nc`` each response is simulated for 60
-    forcing periods from its first section point on, 256 samples a period, Hann window. Heights are
-    logarithmic over three decades, as the bar at the right says; what is less is flat. The mean
-    displacement is left out.
+    ``histories.nc`` has the spectra. Each response of ``responses.nc`` is simulated for 60 forcing
+    periods from its first section point on, with 256 samples a period and a Hann window. Heights
+    are logarithmic over three decades, as the bar at the right shows; smaller amplitudes are flat.
+    The mean displacement is left out.
 
     Parameters
     ----------
     dataset : Dataset
         ``histories.nc`` or ``responses.nc``, or a part of it.
     variable : str
-        Of what: as for `poincare`; of ``histories.nc`` always its `spectrum`.
+        The displacement, as for `poincare`; for ``histories.nc`` always its `spectrum`.
     along : str, optional
-        Parameter of the rows; None: omega, or the only number that is swept.
+        Parameter of the rows; None: omega, or the only swept number.
     ax : Axes, optional
         Drawn into; new ones if None.
     **wanted
-        Selection by coordinate: of all but `along` one value must be left.
+        Selection by coordinate: all but `along` must have one value.
     """
     along = axis_of(dataset, along, wanted)
     rows: _Rows = []
@@ -258,25 +260,25 @@ def waterfall(
     return titled(axes, shown)
 
 
-# Of every row its position along the parameter, frequencies [Hz] and amplitudes.
+# Rows: position along the parameter, frequencies [Hz] and amplitudes.
 _Rows = list[tuple[int, Array, Array]]
 
 
 def _histories(dataset: xr.Dataset, along: str, wanted: Mapping[str, Any]) -> xr.Dataset:
-    """Spectra of ``histories.nc``, of which only one parameter may vary."""
+    """Selected spectra of ``histories.nc``; DatasetError unless only `along` varies."""
     shown = scene(dataset, {"spectrum": (_HISTORY, _BIN)}, wanted)
     if along not in shown.coords or _HISTORY not in shown[along].dims:
         raise DatasetError(f"{along}: no parameter of these histories; choose, as along='omega'")
     for name in places(shown):
         values = np.unique(shown[name].values)
         if name != along and len(values) > 1:
-            said = f"{name}: this plot has room for one value and the histories have"
-            raise DatasetError(f"{said} {listed(values)}; choose: {name}={values[0].item()!r}")
+            why = f"{name}: this plot has room for one value and the histories have"
+            raise DatasetError(f"{why} {listed(values)}; choose: {name}={values[0].item()!r}")
     return shown
 
 
 def _ridges(axes: "Axes", places: xr.DataArray, rows: _Rows, unit: tuple[float, str]) -> None:
-    """Lines of amplitudes on a logarithmic scale, each in front of the one above it."""
+    """Draw spectra as lines with logarithmic heights, each line in front of the one above."""
     at = drawn(places)
     rows = sorted(rows, key=lambda row: float(at[row[0]]))
     largest = max(float(amplitude.max()) for _, _, amplitude in rows)

@@ -1,4 +1,4 @@
-"""The data of a figure: CSV for people, JSON for the page that draws it interactively."""
+"""Data of a figure: CSV for users, JSON for the page that draws it interactively."""
 
 import base64
 import csv
@@ -21,27 +21,27 @@ from matplotlib.patches import Rectangle
 from matplotlib.ticker import FixedLocator
 
 HEADER = ("panel", "series", "mark", "x", "y", "x_end")
-_ABOUT = "# panel"  # how a line starts that says what a panel is
-_NONE = ("None", "none", "", " ", None)  # how matplotlib calls no line and no marker
+_ABOUT = "# panel"  # prefix of the lines that describe panels
+_NONE = ("None", "none", "", " ", None)  # matplotlib's names of no line and no marker
 Row = tuple[str, ...]
 
 
 @dataclass(frozen=True, slots=True)
 class Marks:
-    """Marks of one look, in the units of their axes.
+    """Marks of one appearance, in the units of their axes.
 
     Attributes
     ----------
     kind : str
         ``line``, ``point``, ``tick`` above the panel, ``band`` behind it, from `x` to `x_end`, or
-        ``level`` across it, over parts of it from the first to the second of `x_end`: no data.
+        ``level`` across the part of it from the first to the second of `x_end`, which is no data.
     x, y, x_end : sequence
         Numbers, or words on an axis of words.
     colour : RGBA tuple of float
     size : float or array
-        Of a line its width, of points their diameter or diameters [points].
+        Width of a line, or diameter or diameters of points [points].
     dashes : str
-        As matplotlib writes them.
+        Line style of matplotlib.
     dots : float
         Diameter of the marks on a line [points]; 0 without.
     zorder : float
@@ -61,19 +61,19 @@ class Marks:
 
 
 def as_csv(figure: Figure) -> str:
-    """All lines, points, bands and ticks of a figure, in the units of its axes.
+    """Lines, points, bands and ticks of a figure as CSV, in the units of its axes.
 
-    Lines that start with # say what the panels and their axes are. Points that lie on each other
-    to six digits stand there once: many starts end on one attractor. Empty if the figure shows
-    images, whose colours are not their numbers: these are in the datasets.
+    Lines that begin with # describe the panels and their axes. Points that agree to six digits
+    occur once: many initial conditions lead to one attractor. Empty if the figure shows images,
+    whose numbers are in the datasets.
     """
     panels = _panels(figure)
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     for number, axes in enumerate(panels, start=1):
         x, y = _labels(axes)
-        said = f"{axes.get_title(loc='left')}; x: {x}; y: {y}".replace("\n", " ")
-        text.write(f"{_ABOUT} {number}: {said}\n")
+        words = f"{axes.get_title(loc='left')}; x: {x}; y: {y}".replace("\n", " ")
+        text.write(f"{_ABOUT} {number}: {words}\n")
     writer.writerows([HEADER] if panels else [])
     for number, axes in enumerate(panels, start=1):
         for marks in _marks(axes):
@@ -82,9 +82,9 @@ def as_csv(figure: Figure) -> str:
 
 
 def as_json(figure: Figure) -> str:
-    """The same, with all that a page needs to draw it: places, scales and looks.
+    """Panels of a figure as JSON for the page that draws them: marks, places, scales, styles.
 
-    Numbers of marks are single precision, little-endian, in base64. Empty as `as_csv` is, and where
+    Numbers of marks are single precision, little-endian, in base64. Empty with images, and if the
     panels do not form a grid of rectangles (polar ones, insets, a second axis).
     """
     panels: list[Any] = _panels(figure)
@@ -94,7 +94,7 @@ def as_json(figure: Figure) -> str:
 
 
 def label_of(axes: Axes, which: str) -> str:
-    """The label of an axis, or that of the panels it is shared with."""
+    """The label of an axis, or the first label of panels that share it."""
     shared = getattr(axes, f"get_shared_{which}_axes")().get_siblings(axes)
     labels = [getattr(one, f"get_{which}label")() for one in (axes, *shared)]
     return next(filter(None, labels), "")
@@ -106,7 +106,7 @@ def _panels(figure: Figure) -> list[Axes]:
 
 
 def _labels(axes: Axes) -> tuple[str, str]:
-    """Labels of both axes, or those of the whole figure."""
+    """Labels of both axes, or else the labels of the whole figure."""
     figure: Any = axes.figure
     common = figure.get_supxlabel(), figure.get_supylabel()
     x, y = (label_of(axes, n) or alone for n, alone in zip("xy", common, strict=True))
@@ -114,7 +114,7 @@ def _labels(axes: Axes) -> tuple[str, str]:
 
 
 def _marks(axes: Axes) -> Iterator[Marks]:
-    """All marks in data coordinates, and levels."""
+    """Marks of a panel from its matplotlib artists: data, ticks, bands and levels."""
     for line in axes.lines:
         yield from _line(axes, line)
     for found in axes.collections:
@@ -170,7 +170,7 @@ def _line(axes: Axes, line: Line2D) -> Iterator[Marks]:
 
 
 def _apart(segments: Any) -> tuple[Any, Any]:
-    """Segments as one line with gaps."""
+    """x and y of segments as one line, with NaN between segments."""
     gap = np.full((1, 2), np.nan)
     pieces = [piece for segment in segments for piece in (segment, gap)]
     x, y = np.concatenate([np.empty((0, 2)), *pieces]).T
@@ -189,19 +189,19 @@ def _rows(marks: Marks) -> Iterator[Row]:
 
 
 def _text(value: Any) -> str:
-    """A number (empty if there is none), or a word on a categorical axis."""
+    """A number (empty for NaN) or a word of a categorical axis, as text for CSV."""
     if isinstance(value, str):
         return _cell(value)
     return f"{float(value):.6g}" if np.isfinite(value) else ""
 
 
 def _cell(text: str) -> str:
-    """A text that no spreadsheet takes for a formula."""
+    """The text, with a leading quote if a spreadsheet would take it for a formula."""
     return f"'{text}" if text[:1] in tuple("=+-@\t\r") else text
 
 
 def _series(artist: Any) -> str:
-    """The label of an artist; empty for names that matplotlib made."""
+    """The label of an artist; empty for automatic names of matplotlib."""
     label = str(artist.get_label())
     return "" if re.fullmatch(r"_child\d+|_nolegend_", label) else label.removeprefix("_")
 
@@ -237,7 +237,7 @@ def _scale(axis: Any) -> dict[str, Any]:
         places = axis.get_majorticklocs()
         names = axis.get_major_formatter().format_ticks(places)
         scale["words"] = [[float(p), name] for p, name in zip(places, names, strict=True)]
-        # Places have names, unless what stands there is only the number.
+        # Whether tick labels are names, or only the numbers of their places.
         scale["named"] = not all(map(_is_number, places, names))
     return scale
 
@@ -250,7 +250,7 @@ def _is_number(place: float, name: str) -> bool:
 
 
 def _note(axes: Any, text: Any) -> dict[str, Any]:
-    """A text in a panel: where in the data, or in which part of the panel."""
+    """A text in a panel with its position, in data coordinates or as a share of the panel."""
     x, y = text.get_position()
     if is_in_data := bool(text.get_transform() == axes.transData):
         x, y = axes.convert_xunits(x), axes.convert_yunits(y)

@@ -1,4 +1,4 @@
-"""Figures of the report, each from a dataset to a matplotlib figure."""
+"""Figures of the report: functions from a dataset to a matplotlib figure."""
 
 import math
 from collections.abc import Callable, Mapping, Sequence
@@ -15,11 +15,11 @@ from gapsweep.report.scales import axis_label, drawn, is_log
 from gapsweep.status import Status
 
 _WIDTH = 9.5  # inches, the report's column
-_FEW = 60  # frequencies, whose dots may be larger
+_FEW = 60  # frequencies, up to which dots are larger
 
 
 def frequency_response(responses: xr.Dataset, along: str = "omega") -> Figure:
-    """Amplitude over frequency, one curve per representation and start, broken at jumps.
+    """Amplitude over frequency, a curve per representation and initial state, broken at jumps.
 
     Parameters
     ----------
@@ -42,9 +42,9 @@ def frequency_response(responses: xr.Dataset, along: str = "omega") -> Figure:
 def bifurcation(
     responses: xr.Dataset, along: str = "omega", continued: xr.Dataset | None = None
 ) -> Figure:
-    """All steady extrema over frequency, a panel per representation.
+    """Steady extrema over frequency, a panel per representation.
 
-    Behind it are pale bands where any start is not periodic, and branches of ``branches.nc``.
+    Behind the dots are pale bands where a response is not periodic, and the branches.
     """
 
     def extrema(axes: Axes, one: xr.Dataset) -> None:
@@ -83,7 +83,7 @@ def attractors(
 
 
 def compared_with_exact(scene: xr.Dataset, exact: str, titles: Mapping[str, str]) -> Figure:
-    """Peaks of some laws over those of the exact one, black where it is missed, a panel per law.
+    """Peaks of laws in front of the exact law's, which show in black if missed; a panel per law.
 
     Parameters
     ----------
@@ -92,7 +92,7 @@ def compared_with_exact(scene: xr.Dataset, exact: str, titles: Mapping[str, str]
     exact : str
         Label of the exact law.
     titles : mapping of str to str
-        What stands over the panel of each law.
+        Title of the panel of each law.
     """
     figure = Figure(figsize=(_WIDTH, 2.3), layout="constrained")
     panels = figure.subplots(1, len(titles), sharex=True, sharey=True, squeeze=False)[0]
@@ -112,14 +112,14 @@ def compared_with_exact(scene: xr.Dataset, exact: str, titles: Mapping[str, str]
 
 
 def _where_asked(law: xr.Dataset, scene: xr.Dataset, exact: str) -> xr.Dataset:
-    """The exact law at the points where another law was requested, too."""
+    """Responses of the exact law, restricted to the points of another law."""
     theirs, asked = scene.sel(representation=exact), law["status"] != Status.NOT_REQUESTED
     known = {"x_max": np.nan, "status": int(Status.NOT_REQUESTED)}
     return theirs.assign({name: theirs[name].where(asked, other) for name, other in known.items()})
 
 
 def maps(pictures: Sequence[MapImage]) -> Figure:
-    """Pictures of one representation, two in a row."""
+    """Figure of several maps, two in a row."""
     n_rows = math.ceil(len(pictures) / 2)
     figure = Figure(figsize=(_WIDTH, 1.0 + 3.4 * n_rows))
     panels = iter(figure.subplots(n_rows, 2, squeeze=False).ravel())
@@ -136,7 +136,7 @@ def _grid(
     y_label: str,
     drawn_in: Callable[[Axes, xr.Dataset], None],
 ) -> Figure:
-    """A panel per representation, as many columns as rows or one more: two fit a printed page."""
+    """Figure with a panel per representation, as many columns as rows or one more."""
     labels = labels_of(found)
     n_columns = math.ceil(math.sqrt(len(labels)))
     n_rows = math.ceil(len(labels) / n_columns)
@@ -161,7 +161,7 @@ def _axis(axes: Axes, coordinate: xr.DataArray) -> None:
     if is_log(coordinate):
         axes.set_xscale("log")
         return
-    # A few values would stand on the frame.
+    # Without this margin, dots would lie on the frame.
     pad = max(0.02, 0.25 / values.size) * (values.max() - values.min()) or 0.5
     low = values.min() - pad
     axes.set_xlim(max(0.0, low) if values.min() >= 0.0 else low, values.max() + pad)

@@ -53,25 +53,24 @@ def findings(inputs: Inputs, found: Sequence[Contact]) -> list[str]:
 
 
 def _doubtful(responses: xr.Dataset) -> list[str]:
-    """Numbers of an oscillator that are probably in another unit; no code of the user is run."""
+    """Sentences on oscillator numbers probably in another unit; user code is not called."""
     tables = json.loads(responses.attrs.get("study_json", "{}"))
     if "oscillator" not in tables:
         return []
     study = Study.from_dict({k: v for k, v in tables.items() if k not in ("claims", "report")})
-    said = doubts_of(study, own=False)
-    return [f"{each[0].upper()}{each[1:]}." for each in said if not each.startswith("gap")]
+    return [f"{each[0].upper()}{each[1:]}." for each in doubts_of(study, own=False)]
 
 
 _CURVE = 10  # values that make a curve
-_SAID = 3  # intervals of it that are listed
+_LISTED = 3  # intervals of it that are listed
 
 
 def unreached_walls(responses: xr.Dataset) -> str:
-    """The cases, or the contacts of a system, in which no motion reaches a wall; empty if none."""
+    """Sentence on cases or contacts in which no motion reaches a wall; empty if all do."""
     if in_metres(responses):
         dims = [str(dim) for dim in responses["status"].dims]
-        said = never_reached(lambda name: responses[name].values, dims, labels_of(responses))
-        return f"{said[0].upper()}{said[1:]}." if said else ""
+        sentence = never_reached(lambda name: responses[name].values, dims, labels_of(responses))
+        return f"{sentence[0].upper()}{sentence[1:]}." if sentence else ""
     if "contact_share" not in responses:
         return ""
     share, ends = responses["contact_share"], abs(responses[["x_min", "x_max"]]).to_dataarray()
@@ -94,7 +93,7 @@ _OF_SYSTEMS = {
 
 
 def outcomes(responses: xr.Dataset) -> str:
-    """Counts of sweep points by class, and the reasons of failures."""
+    """Sentence with the counts of sweep points by class, and with reasons of failures."""
     status, kind = (responses[n].values for n in ("status", "response_class"))
     asked = status != Status.NOT_REQUESTED
     counts = _counted(kind[asked])
@@ -107,7 +106,7 @@ def outcomes(responses: xr.Dataset) -> str:
     of_laws = zip(labels_of(responses), left.sum(others_than).values, strict=True)
     n_left = Counter[bool]()
     for label, n in of_laws:
-        n_left[":" in label] += int(n)  # only tables of the user's laws have ends
+        n_left[":" in label] += int(n)  # among user laws, only tables have ends
     beyond = "".join(
         f"; {n_left[is_table]} with a steady response beyond {words}"
         for is_table, words in ((False, "the range of their fit"), (True, "the table's ends"))
@@ -126,7 +125,7 @@ def outcomes(responses: xr.Dataset) -> str:
 
 
 def _tried(responses: xr.Dataset) -> str:
-    """How many initial conditions were tried, and what these cannot show."""
+    """Sentence on the number of initial conditions at a point, and on its limits."""
     n = int((responses["status"] != Status.NOT_REQUESTED).sum(START).max())
     several = "1 initial condition was" if n == 1 else f"At most {n} initial conditions were"
     remedy = " Sweeps do not show coexisting attractors: add states to initial_condition."
@@ -135,13 +134,16 @@ def _tried(responses: xr.Dataset) -> str:
 
 
 def _counted(values: NDArray[np.integer]) -> Counter[int]:
-    """How often each number is there."""
+    """Number of occurrences of each value."""
     numbers, counts = np.unique(values, return_counts=True)
     return Counter(dict(zip(numbers.tolist(), counts.tolist(), strict=True)))
 
 
 def _along(responses: xr.Dataset) -> Iterator[str]:
-    """Where on the only curve of a run a response is not periodic, for the exact law if any."""
+    """Sentences on intervals without periodic responses, if a run has a single swept axis.
+
+    They are of the exact law if it was computed, else of the first law.
+    """
     kinds = responses["response_class"]
     long = [dim for dim in kinds.dims if kinds.sizes[dim] > 1]
     dims = [dim for dim in long if dim not in (REPRESENTATION, START)]
@@ -160,12 +162,12 @@ def _along(responses: xr.Dataset) -> Iterator[str]:
 
 
 def _ranges(is_so: NDArray[np.bool_], x: NDArray[np.float64]) -> str:
-    """The widest intervals of a grid on which a condition holds, in words."""
+    """Text with the 3 widest intervals of a grid on which a condition holds."""
     edges = np.flatnonzero(np.diff(is_so, prepend=False, append=False)).reshape(-1, 2) - (0, 1)
-    widest = sorted(sorted(edges.tolist(), key=lambda edge: edge[0] - edge[1])[:_SAID])
-    said = [f"{x[a]:.4g}{f' to {x[b]:.4g}' if b > a else ''}" for a, b in widest]
-    more = [f"{len(edges) - _SAID} more"] if len(edges) > _SAID else []
-    *first, last = [*said, *more] or [""]
+    widest = sorted(sorted(edges.tolist(), key=lambda edge: edge[0] - edge[1])[:_LISTED])
+    words = [f"{x[a]:.4g}{f' to {x[b]:.4g}' if b > a else ''}" for a, b in widest]
+    more = [f"{len(edges) - _LISTED} more"] if len(edges) > _LISTED else []
+    *first, last = [*words, *more] or [""]
     return f"{', '.join(first)} and {last}" if first else last
 
 
@@ -175,7 +177,7 @@ def _exact_if_swept(dataset: xr.Dataset) -> str:
 
 
 def _coexisting(attractors: xr.Dataset) -> Iterator[str]:
-    """At how many points several attractors coexist, for the exact law if computed."""
+    """Sentence on the number of points with coexisting attractors, of the exact law if computed."""
     label = _exact_if_swept(attractors)
     n = attractors["n_attractors"].sel(representation=label).values
     n_places, n_several = int((n > 0).sum()), int((n > 1).sum())
@@ -186,7 +188,7 @@ def _coexisting(attractors: xr.Dataset) -> Iterator[str]:
 
 
 def _agreeing(agreement: xr.Dataset) -> Iterator[str]:
-    """Agreement of every approximation with the exact law, for the worst coordinate."""
+    """Sentences on the agreement of each approximation with the exact law, worst coordinate."""
     floors = str(agreement.attrs["floor_representations"]).split()
     error, recall, n = "amplitude_error_p95", "recall_pooled", "n_compared"
     of_scenes = agreement[[error, recall, n]].sel(regime="all").load()
@@ -227,7 +229,7 @@ def _costs(found: Sequence[Contact]) -> Iterator[str]:
 
 
 def _choices(advice: xr.Dataset) -> str:
-    """Which laws representation ``auto`` uses."""
+    """Sentence on the models that representation ``auto`` uses, with their counts."""
     flags = advice["model"].attrs
     names = dict(zip(np.ravel(flags["flag_values"]), flags["flag_meanings"].split(), strict=True))
     chosen, counts = np.unique(advice["model"].values, return_counts=True)

@@ -24,19 +24,19 @@ GROUPS = {
     "found": "Exact attractors found [%]",
     "cost": "Cost of laws to use [×]",
 }
-MANY = 10  # cases; with more of them one group is shown at a time
+MANY = 10  # cases; with more cases one group is shown at a time
 _LEAST, _MOST = 0.005, 1.0  # errors of the palest and the darkest cell
 _DEAREST = 10.0  # cost ratio of the darkest cell
 T = TypeVar("T")
 
 
 def heat(found: Sequence[Contact]) -> list[tuple[str, list[Judged | None]]]:
-    """Every law with its verdicts in the order of cases, the most adequate law first.
+    """Rows of the heat map: each law with its verdicts by case, the most adequate law first.
 
     Parameters
     ----------
     found : sequence of Contact
-        The columns of every group; a law that is not judged in one of them has None there.
+        The cases, columns of every group; None for a law without a verdict in a case.
     """
     here = [{one.law: one for one in contact.laws} for contact in found]
     rows = {law: [judged.get(law) for judged in here] for judged in here for law in judged}
@@ -44,7 +44,7 @@ def heat(found: Sequence[Contact]) -> list[tuple[str, list[Judged | None]]]:
 
 
 def cell(one: Judged, group: str) -> tuple[str, float]:
-    """The number of a law in a group as short text, and how dark it is drawn, 0 to 1."""
+    """Cell of a law in a group: its number as short text, and its darkness from 0 to 1."""
     error, share = (float(one.values[name][0]) for name in ("p95", "found"))
     if group == "error":
         shade = 1.0 if np.isnan(error) else _between(error, _LEAST, _MOST)
@@ -57,7 +57,7 @@ def cell(one: Judged, group: str) -> tuple[str, float]:
 
 
 def _cost(one: Judged) -> str:
-    """The cost ratio in short, with a question mark if the repeatability is unknown."""
+    """The cost ratio as short text, with a question mark if its interval is unknown."""
     if one.cost.startswith("≈"):
         return "≈\u00a01"
     if one.low <= 1.0 <= one.high:
@@ -78,7 +78,7 @@ def _between(value: float, low: float, high: float) -> float:
 
 
 def _short(value: float) -> str:
-    """Two digits, to fit a column on a phone."""
+    """A number as text with two digits, to fit a column on a phone."""
     if not np.isfinite(value) or value == 0.0:
         return number(value)
     if value >= 999.5:

@@ -56,9 +56,9 @@ from gapsweep.report.tables import (
 from gapsweep.status import Status
 from gapsweep.store.artefact import is_recorded, recording, remove, text_of
 
-ANSWER = "own-answer"  # the study's own part that the page begins with
+ANSWER = "own-answer"  # anchor of a user section that replaces the headline of the page
 FIGURES = "figures"  # the folder of figures and sections, next to the page
-# Files there with such a name were written by a report.
+# Names of files in that folder that a report has written.
 _OURS = re.compile(r"(figure-[a-z0-9-]*\.(svg|csv)|(figure|section)-[a-z0-9-]*\.html)")
 MOST_FIGURES = 8  # on one page; with more figures every section has its own page
 _TEMPLATES = Path(__file__).parent / "templates"
@@ -74,7 +74,7 @@ def write_report(path: Path, inputs: Inputs, made_from: str = "") -> Path:
         The HTML file.
     inputs : Inputs
     made_from : str
-        Kept in a meta element, so that the report is made again only if that changes.
+        Value of a meta element, so that the report is rewritten only if it changes.
     """
     responses, claims = inputs.responses, inputs.claims
     own = [part for part in inputs.own_parts if part["anchor"] != ANSWER]
@@ -95,7 +95,7 @@ def write_report(path: Path, inputs: Inputs, made_from: str = "") -> Path:
         hrefs={part["anchor"]: part["href"] for part in parts},
         hero=hero,
         folder=f"{FIGURES}/",
-        claims=claims and {"counts": claims["counts"], "rows": _claims(claims, parts)},
+        claims=claims and {"otherwise": {}, **claims, "rows": _claims(claims, parts)},
         scripts=[_script("figures"), *([_script("claims")] if claims else [])],
     )
     folder, written, home = path.parent / FIGURES, set[str](), f"../{path.name}"
@@ -120,7 +120,7 @@ def write_report(path: Path, inputs: Inputs, made_from: str = "") -> Path:
 
 
 def sections(inputs: Inputs) -> Iterator[Part]:
-    """The sections of a report, except those of the study."""
+    """The sections of a report, except the user sections of the study."""
     yield from bench_parts(inputs.work_precision, inputs.stability)
     yield from [overview(inputs)] if is_wide(inputs.responses) else _scenes(inputs)
 
@@ -135,28 +135,28 @@ def head(inputs: Inputs) -> dict[str, Any]:
         if inputs.agreement is not None and is_judged
         else []
     )
-    told, said = found[:MOST_CONTACTS], in_words(found)
+    listed, answer = found[:MOST_CONTACTS], in_words(found)
     own_answer = [part["sentences"] for part in inputs.own_parts if part["anchor"] == ANSWER]
     own = [sentence for sentences in own_answer for sentence in sentences]
     return {
         "title": responses.attrs["title"],
         "study": responses.attrs["study"],
         "findings": findings(inputs, found),
-        "contacts": told,
+        "contacts": listed,
         "far": unreached_walls(responses) if is_judged else "",
-        "headline": own or said[:1],
-        "answer": said[0 if own else 1 :],
+        "headline": own or answer[:1],
+        "answer": answer[0 if own else 1 :],
         "signs": SIGNS,
         "groups": GROUPS,
         "verdicts": VERDICTS,
-        "stiffnesses": heads(contact.K_c for contact in told),
-        "gaps": heads((contact.K_c, contact.gap) for contact in told),
-        "swept": swept_columns(told) if any(contact.swept for contact in told) else None,
-        "is_many": len(told) > MANY,
-        "has_own_starts": any(len({law.n_exact for law in one.laws}) > 1 for one in told),
-        "heat": heat(told),
-        "cut": f"The first {how_many(len(told), found)}. " if len(found) > len(told) else "",
-        "starts": [starts_of(responses, EXACT, one.at) for one in told],
+        "stiffnesses": heads(contact.K_c for contact in listed),
+        "gaps": heads((contact.K_c, contact.gap) for contact in listed),
+        "swept": swept_columns(listed) if any(contact.swept for contact in listed) else None,
+        "is_many": len(listed) > MANY,
+        "has_own_starts": any(len({law.n_exact for law in one.laws}) > 1 for one in listed),
+        "heat": heat(listed),
+        "cut": f"The first {how_many(len(listed), found)}. " if len(found) > len(listed) else "",
+        "starts": [starts_of(responses, EXACT, one.at) for one in listed],
         "model": model(responses),
         "provenance": provenance(responses),
         "settings": _indented(responses.attrs["study_json"]),
@@ -185,13 +185,13 @@ def _environment() -> jinja2.Environment:
 def _files(
     environment: jinja2.Environment, figure: Mapping[str, Any], back: str
 ) -> dict[str, bytes]:
-    """A figure as files by name; those with numbers have a page that draws them, too."""
+    """Files of a figure by name; a figure with numbers also has a page that draws them."""
     files = {f"{figure['id']}.{kind}": data for kind, data in figure["files"].items()}
     if figure["data"]:
         page = environment.get_template("figure.html").render(
             title=figure["name"] or figure["description"],
             figure=figure,
-            # No text of the data may end their element.
+            # No text of the data may close the script element.
             data=Markup(figure["data"].replace("<", "\\u003c")),
             back=back,
             scripts=[_script("figure")],
@@ -210,14 +210,14 @@ def _write(folder: Path, files: Mapping[str, bytes]) -> set[str]:
     if folder.is_symlink():
         raise StoreError(f"{folder}: a symbolic link, which could lead anywhere: remove it")
     for name, data in files.items():
-        # All files of such a name in this folder are ours, even if SHA256SUMS is lost.
+        # gapsweep owns files of such names in this folder, even if SHA256SUMS is lost.
         with recording(folder / name, lambda path: True) as temporary:
             temporary.write_bytes(data)
     return set(files)
 
 
 def _remove_others(folder: Path, written: Collection[str]) -> None:
-    """Remove figures that a report before this one had."""
+    """Remove figures and sections of earlier reports that this report has not written."""
     if folder.is_symlink() or not folder.is_dir():
         return
     files = [path for path in folder.iterdir() if path.is_file() and not path.is_symlink()]
@@ -226,7 +226,7 @@ def _remove_others(folder: Path, written: Collection[str]) -> None:
 
 
 def _hero(responses: xr.Dataset, found: Sequence[Contact]) -> dict[str, Any] | None:
-    """Figure of the case with the most different verdicts; None without frequencies."""
+    """First figure of the report, of the case with the most verdicts; None without frequencies."""
     if not found or responses.sizes["omega"] < 2:
         return None
     contact = max(found, key=lambda one: (len(list(filter(None, one.columns.values()))), one.K_c))
@@ -234,30 +234,33 @@ def _hero(responses: xr.Dataset, found: Sequence[Contact]) -> dict[str, Any] | N
     laws = {o.law: f"{o.law}: {o.verdict}{' ±' * (not o.is_firm)}" for o in _telling(contact)}
     if scene is None or not laws:
         return None
-    said = (
+    description = (
         f"Peak displacement at {contact.place}: contact laws (coloured) and the exact law (larger "
         "dots behind), for the same initial conditions"
     )
     with matplotlib.rc_context(MATPLOTLIB):
         figure = compared_with_exact(swept(scene.sel(representation=[EXACT, *laws])), EXACT, laws)
         looks = f"{caption_of_walls(scene, of_peaks=True)}{caption_of_marks(figure)}"
-        made = pictured(Figured(figure, f"{said}.{looks}", said))
+        made = pictured(Figured(figure, f"{description}.{looks}", description))
     return {**shown(made), "id": HERO}
 
 
 def _telling(contact: Contact) -> list[Judged]:
-    """The cheapest approximation of each verdict, firm if any; best and worst if all are alike."""
+    """Approximations for the first figure: the cheapest of each verdict, a firm one if any.
+
+    If all have the same verdict, the most and the least accurate.
+    """
     columns = ([one for one in laws if one.is_approximation] for laws in contact.columns.values())
     shown = [next((one for one in laws if one.is_firm), laws[0]) for laws in columns if laws]
     if len(shown) > 1:
         return shown
-    told = [one for one in contact.laws if one.is_approximation]
-    told.sort(key=lambda one: np.nan_to_num(one.values["p95"][0], nan=np.inf))
-    return told[:1] + told[1:][-1:]
+    laws = [one for one in contact.laws if one.is_approximation]
+    laws.sort(key=lambda one: np.nan_to_num(one.values["p95"][0], nan=np.inf))
+    return laws[:1] + laws[1:][-1:]
 
 
 def _claims(decided: Mapping[str, Any], parts: Sequence[Mapping[str, Any]]) -> list[Row]:
-    """The claims, each with a link to the figure or section that its place names."""
+    """Rows of the claims table, each with a link to the figure or section of its place."""
     names = {f.get("name"): f["href"] for part in parts[::-1] for f in part["figures"][::-1]}
     return [{**row, "leads_to": _place(row["place"], names, parts)} for row in claim_rows(decided)]
 
@@ -274,22 +277,22 @@ def _place(place: str, names: Mapping[str, str], parts: Sequence[Mapping[str, An
 
 
 def _begins(text: str, start: str) -> bool:
-    """Whether a name begins with another one that ends before a number does."""
+    """Whether a name begins with another one, and no digit follows (not "Fig. 11" for "Fig. 1")."""
     return text.startswith(start) and not text[len(start) : len(start) + 1].isdigit()
 
 
 def _digest(script: str) -> str:
-    """SHA-256 by which the page allows only its own script."""
+    """SHA-256 of a script in base64, for the page's content security policy."""
     return base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
 
 
 def _is_ours(path: Path) -> bool:
-    """Whether the file is a report, sound or changed, which may be replaced."""
+    """Whether the file is a report of gapsweep, possibly changed; then it may be replaced."""
     return is_recorded(path) or '<meta name="generator" content="gapsweep">' in text_of(path)[:1000]
 
 
 def _scenes(inputs: Inputs) -> Iterator[Part]:
-    """Everything about one parameter set after the other."""
+    """Sections of the report for each parameter set: outcomes, tables and figures."""
     responses = inputs.responses
     for at, here in _found(Scenes(responses), responses):
         labels = labels_of(here)
@@ -308,7 +311,7 @@ def _scenes(inputs: Inputs) -> Iterator[Part]:
 
 
 def _found(scenes: Scenes, responses: xr.Dataset) -> Iterator[tuple[At, xr.Dataset]]:
-    """Every computed parameter set, with its position."""
+    """Position and responses of every computed parameter set."""
     for at in all_scenes(responses, scene_dims(responses["status"].dims)):
         here = scenes.at(at)
         if here is not None:
@@ -316,7 +319,7 @@ def _found(scenes: Scenes, responses: xr.Dataset) -> Iterator[tuple[At, xr.Datas
 
 
 def _title(scene: xr.Dataset) -> str:
-    """The values that a scene has one of, in words."""
+    """Title of a parameter set: its values in words."""
     others = [named(scene[name]) for name in other_parameters(scene)]
     return ", ".join([named(scene["K_c"]), f"gap {gap_label(scene)} mm", *others])
 
@@ -340,7 +343,7 @@ def _scene_figures(inputs: Inputs, scene: xr.Dataset, at: At, title: str) -> Ite
 
 
 def _attractors(attractors: xr.Dataset | None, scene: xr.Dataset, at: At) -> xr.Dataset | None:
-    """Attractors of a scene, at the frequencies that have several starts; None if none has."""
+    """Attractors of a parameter set at frequencies with several initial conditions, or None."""
     several = (scene["status"] != Status.NOT_REQUESTED).sum("initial_condition") > 1
     if attractors is None or not several.any():
         return None
@@ -354,7 +357,7 @@ def _attractors(attractors: xr.Dataset | None, scene: xr.Dataset, at: At) -> xr.
 
 
 def _where_few(found: xr.Dataset, scene: xr.Dataset) -> str:
-    """The few frequencies with several initial conditions, in words."""
+    """Caption words for up to 5 frequencies with several initial conditions; empty for more."""
     omega = found["omega"].values
     if omega.size > min(_FEW, scene.sizes["omega"] - 1):
         return ""
@@ -362,6 +365,6 @@ def _where_few(found: xr.Dataset, scene: xr.Dataset) -> str:
 
 
 def _without_protocols(scene: xr.Dataset) -> xr.Dataset:
-    """Representations without other solver settings; all if there are no others."""
+    """The parameter set without protocols such as ``@half``; with them if all laws have one."""
     plain = [i for i, label in enumerate(scene["representation"].values) if "@" not in str(label)]
     return swept(scene.isel(representation=plain)) if plain else scene

@@ -9,18 +9,18 @@ import xarray as xr
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Inputs:
-    """Datasets as stored in a run's folder, by their files, its claims and its own sections.
+    """Datasets, claims and user sections as stored in a run's folder.
 
     Attributes
     ----------
     agreement : Dataset, optional
         None if the exact law was not computed.
     attractors : Dataset, optional
-        Drawn where there are several initial conditions.
+        Drawn at points with several initial conditions.
     advice : Dataset, optional
-        Where ``auto`` is a representation.
+        Present if ``auto`` is a representation.
     static : Dataset, optional
-        Says from which parameter on tanh has no false well.
+        Gives the parameter of tanh from which on it has no false well.
     work_precision, stability : Dataset, optional
         For the sections of the benchmark.
     branches : Dataset, optional

@@ -1,4 +1,4 @@
-"""Axes, horizontal coordinate and labels, common to all plots of the accessor."""
+"""Axes, horizontal coordinate and labels of all plots of the accessor."""
 
 import textwrap
 from collections.abc import Mapping
@@ -22,7 +22,7 @@ _COLUMN = 6  # entries of a legend in one column
 
 
 def axes_of(ax: "Axes | None") -> "Axes":
-    """The axes given, or new ones in the user's own style."""
+    """The given axes, or new ones in the user's matplotlib style."""
     if ax is not None:
         return ax
     import matplotlib.pyplot as plt
@@ -31,7 +31,7 @@ def axes_of(ax: "Axes | None") -> "Axes":
 
 
 def axis_of(dataset: xr.Dataset, along: str | None, wanted: Mapping[str, Any]) -> str:
-    """The horizontal axis: as it is given, or else omega or the only number that is swept."""
+    """Name of the horizontal axis: `along`, or else omega or the only swept number."""
     if along is not None or "omega" in dataset.coords:
         return along or "omega"
     swept = maps.numeric_axes(selected(dataset, wanted))
@@ -44,14 +44,14 @@ def scene_along(
     variables: Mapping[str, tuple[str, ...]],
     wanted: Mapping[str, Any],
 ) -> xr.Dataset:
-    """The variables that are drawn, over `along` and the other dimensions they need."""
+    """Dataset of the drawn variables, over `along` and the other dimensions they need."""
     if along not in dataset.coords:
         swept = maps.numeric_axes(dataset)
         remedy = "select without drop=True to keep it"
         if swept:
             remedy = f"it sweeps {', '.join(swept)}: choose, as along={swept[0]!r}"
-        said = f"{along}: no coordinate of this dataset, so nothing can be drawn along it"
-        raise DatasetError(f"{said}; {remedy}")
+        why = f"{along}: no coordinate of this dataset, so nothing can be drawn along it"
+        raise DatasetError(f"{why}; {remedy}")
     if dataset[along].dtype.kind not in "iuf":
         raise DatasetError(f"{along}: holds text; draw along omega or K_c")
     needed = {name: tuple(dict.fromkeys((along, *dims))) for name, dims in variables.items()}
@@ -59,9 +59,9 @@ def scene_along(
 
 
 def finished(axes: "Axes", shown: xr.Dataset, along: str) -> "Axes":
-    """Label the horizontal axis, and title the plot."""
+    """Label the horizontal axis, and add title and legend; returns the axes."""
     axes.set_xlabel(axis_label(shown[along]))
-    # Also where nothing is drawn.
+    # The whole axis is shown, also values without dots.
     axes.update_datalim(np.column_stack([drawn(shown[along])] * 2), updatey=False)
     axes.autoscale_view()
     if is_log(shown[along]):
@@ -70,7 +70,7 @@ def finished(axes: "Axes", shown: xr.Dataset, along: str) -> "Axes":
 
 
 def titled(axes: "Axes", shown: xr.Dataset) -> "Axes":
-    """Add a legend, and a title with all parameters that have one value."""
+    """Add a legend, and a title with all parameters that have one value; returns the axes."""
     if axes.get_legend() is None and axes.get_legend_handles_labels()[0]:
         n = len(axes.get_legend_handles_labels()[0])
         axes.legend(fontsize=8, ncols=2 if n > _COLUMN else 1)

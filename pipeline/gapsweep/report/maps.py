@@ -1,4 +1,4 @@
-"""Maps: one variable over two numeric axes, every cell a colour of one mesh."""
+"""Maps: one variable over two numeric axes, as a mesh of coloured cells."""
 
 import math
 import re
@@ -24,32 +24,32 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 _START = "initial_condition"
-MOST_KINDS = 8  # colours that can be told apart; whole numbers beyond have a colour bar
+MOST_KINDS = 8  # colours that can be distinguished; more whole numbers have a colour bar
 _TAIL = 0.005  # share of the numbers at either end that may lie beyond the colour bar
-_ALIKE = 0.05  # of the peak: attractors of two laws that one would call the same in a diagram
-# Colours of attractors, which no order of lightness may seem to rank (Okabe & Ito, 2008).
+_ALIKE = 0.05  # of the peak: largest difference of matching attractors of two laws
+# Colours of attractors, without an order of lightness (Okabe & Ito, 2008).
 _NAMED = ("#56B4E9", "#E69F00", "#009E73", "#CC79A7", "#0072B2", "#D55E00", "#F0E442", "#999999")
 _FAILED = "failed"
 _NO_PICTURE = ("unresolved", _FAILED)
 _HATCH = "////"
-_FINENESS = 2000  # cells of one width along an axis of uneven ones
+_FINENESS = 2000  # cells of equal width that represent an uneven axis
 
 
 @dataclass
 class MapImage:
-    """A map before it is drawn.
+    """Contents of a map: axes, kinds of cells and numbers.
 
     Attributes
     ----------
     x, y : DataArray, shapes (n_x,) and (n_y,)
     kind : ndarray of int, shape (n_y, n_x)
-        Position among `names`; -1: a number, or nothing.
+        Position in `names`; -1: the cell shows a number, or is blank.
     names, colours : list of str
-        Of the kinds.
+        Name and colour of each kind.
     numbers : DataArray, shape (n_y, n_x)
-        What the colour bar is of; NaN where there is none.
+        Values of the colour bar; NaN for cells without a number.
     blank : str
-        What a cell without a colour means.
+        Meaning of a cell without a colour.
     """
 
     x: xr.DataArray
@@ -61,7 +61,7 @@ class MapImage:
     blank: str = "no value"
 
     def mark(self, where: NDArray[np.bool_], name: str, colour: str) -> None:
-        """Give cells a colour of their own in place of their number."""
+        """Give cells a named kind with a colour, instead of their number."""
         if where.any():
             self.kind[where] = len(self.names)
             self.names.append(name)
@@ -79,15 +79,15 @@ def picture(
     Parameters
     ----------
     x, y : str
-        Numeric dimensions, or ``x_0`` and ``v_0`` of starts that form a full grid; `y` is the
-        longest other numeric dimension if None.
+        Numeric dimensions, or ``x_0`` and ``v_0`` if the initial conditions form a full grid; `y`
+        is the longest other numeric dimension if None.
     wanted : mapping
-        As for `gapsweep.analysis.dimensions.selected`; one value must be left of all others.
+        As for `gapsweep.analysis.dimensions.selected`; all other dimensions must have one value.
 
     Raises
     ------
     DatasetError
-        If something is missing, or there is more than a map has room for.
+        If a variable or coordinate is missing, or another dimension has several values.
     """
     if variable not in dataset.data_vars:
         raise DatasetError(missing_variable(dataset, variable))
@@ -106,7 +106,7 @@ def picture(
 
 
 def numeric_axes(dataset: xr.Dataset) -> list[str]:
-    """Numeric dimensions of more than one value, the longest first; starts have only numbers."""
+    """Numeric dimensions with several values, the longest first, without initial conditions."""
     found = [
         str(dim)
         for dim, n in dataset.sizes.items()
@@ -116,12 +116,12 @@ def numeric_axes(dataset: xr.Dataset) -> list[str]:
 
 
 def on_grid(starts: xr.Dataset, y: str = "v_0", x: str = "x_0") -> xr.Dataset:
-    """Variables over the starts as variables over two coordinates of these; sweeps left out.
+    """Variables over initial conditions, reshaped to a grid of two coordinates, without sweeps.
 
     Raises
     ------
     DatasetError
-        If the fixed starts do not form a full grid.
+        If the fixed initial conditions do not form a full grid.
     """
     here = starts.isel({_START: np.isfinite(starts[x].values) & np.isfinite(starts[y].values)})
     others = [name for name, held in here.coords.items() if held.ndim and name not in (x, y)]
@@ -145,7 +145,7 @@ def numbered_as(starts: xr.Dataset, exact: xr.Dataset) -> xr.Dataset:
     Parameters
     ----------
     starts, exact : Dataset
-        ``attractor(initial_condition)``, ``period_multiple`` and ``x_max`` of either.
+        ``attractor(initial_condition)``, ``period_multiple`` and ``x_max`` of each law.
     """
     ours, theirs = _attractors(starts), _attractors(exact)
     pairs = sorted(
@@ -169,7 +169,7 @@ def numbered_as(starts: xr.Dataset, exact: xr.Dataset) -> xr.Dataset:
 
 
 def _attractors(starts: xr.Dataset) -> dict[int, tuple[int, float]]:
-    """Period multiple and peak of every attractor that a start ends on."""
+    """Period multiple and peak of every attractor that an initial condition leads to."""
     attractor = starts["attractor"].values
     return {
         int(i): (
@@ -181,7 +181,7 @@ def _attractors(starts: xr.Dataset) -> dict[int, tuple[int, float]]:
 
 
 def draw(axes: "Axes", shown: MapImage) -> None:
-    """The mesh, a colour bar of its numbers and a legend of everything else."""
+    """Draw a map: mesh, colour bar of the numbers, legend of the kinds."""
     from matplotlib.cm import ScalarMappable
     from matplotlib.colors import to_rgba_array
 
@@ -202,13 +202,13 @@ def draw(axes: "Axes", shown: MapImage) -> None:
     axes.set_ylabel(axis_label(shown.y))
     is_blank = not (is_number | (shown.kind >= 0)).all()
     names = shown.names + [f"blank: {shown.blank}"] * is_blank
-    # A colour bar says itself what it is of.
+    # The colour bar has its own label.
     title = "" if is_number.any() else re.sub(", -?[0-9]+: none", "", axis_label(shown.numbers))
     _key(axes, names, shown.colours + [BLANK] * is_blank, title)
 
 
 def _hatch(axes: "Axes", shown: MapImage) -> None:
-    """Hatch failed cells, which have no response of any colour."""
+    """Hatch the failed cells of a map."""
     from matplotlib.colors import ListedColormap
 
     if _FAILED in shown.names:
@@ -220,7 +220,7 @@ def _hatch(axes: "Axes", shown: MapImage) -> None:
 
 
 def _key(axes: "Axes", names: Sequence[str], colours: Sequence[str], title: str) -> None:
-    """A legend below the axes."""
+    """Add a legend of the kinds below the axes."""
     from matplotlib.patches import Patch
 
     if not names:
@@ -254,7 +254,7 @@ def _check_axis(part: xr.Dataset, name: str) -> None:
 
 
 def _companions(part: xr.Dataset, variable: str) -> list[str]:
-    """Variables that explain missing numbers, if they are stored for every cell."""
+    """``status`` and ``response_class``, which explain missing numbers, if of the same dims."""
     needed = ("status", "response_class")
     dims = set(part[variable].dims)
     return [n for n in needed if n in part and n != variable and dims == set(part[n].dims)]
@@ -291,7 +291,7 @@ def _picture(shown: xr.Dataset, variable: str, x: str, y: str) -> MapImage:
 
 
 def _mark_periods(made: MapImage, numbers: NDArray[np.int64]) -> None:
-    """Periods and other classes, each in its colour."""
+    """Give the cells of each period and of each other class a kind with its colour."""
     shades = sequence(CHAOTIC)
     for number in np.unique(numbers[numbers >= 0]).tolist():
         name = CLASSES[number]
@@ -300,7 +300,7 @@ def _mark_periods(made: MapImage, numbers: NDArray[np.int64]) -> None:
 
 
 def _mark_whole_numbers(made: MapImage, values: xr.DataArray) -> None:
-    """Flags by their names, and few different numbers as they are; negative ones are none."""
+    """Give the cells of each flag or whole number a kind; more than 8 stay numbers."""
     whole, attributes = values.values, values.attrs
     first = 1 if values.name == "n_attractors" else 0
     there = np.unique(whole[whole >= first]).tolist()
@@ -309,7 +309,7 @@ def _mark_whole_numbers(made: MapImage, values: xr.DataArray) -> None:
     if not known and len(there) > MOST_KINDS:
         made.numbers = made.numbers.where(whole >= first)
         return
-    # Those of attractors are names: one number has one colour in the maps of all laws.
+    # Numbers of attractors are names, with the same colour in the maps of all laws.
     is_name = values.name == "attractor" and max(there, default=0) < len(_NAMED)
     several = sorted(known) or there  # a flag has one colour, whichever others there are
     shades = dict(zip(several, sequence(len(several)), strict=True))
@@ -321,12 +321,12 @@ def _mark_whole_numbers(made: MapImage, values: xr.DataArray) -> None:
 
 
 def _norm(numbers: NDArray[np.float64]) -> tuple[Any, str]:
-    """How numbers become colours, a few far ones left out, and at which ends some are."""
+    """Normalization of a colour bar, without a few outliers, and its ends with outliers."""
     from matplotlib.colors import LogNorm, Normalize
 
     low, high = (float(end) for end in (numbers.min(), numbers.max()))
     inner = np.quantile(numbers, [_TAIL, 1.0 - _TAIL]).tolist()
-    # A resonance that ran away must not leave one colour for all the rest.
+    # A few large values at a resonance must not leave one colour for all others.
     if high - low > 3.0 * (inner[1] - inner[0]) > 0.0:
         low, high = inner
     beyond = bool(numbers.min() < low), bool(numbers.max() > high)
@@ -358,17 +358,17 @@ def edges(values: NDArray[np.float64], *, log: bool) -> NDArray[np.float64]:
         inner = 0.5 * (at[1:] + at[:-1])
         ends = np.concatenate([[2.0 * at[0] - inner[0]], inner, [2.0 * at[-1] - inner[-1]]])
         if at[0] > 0.0 and not log:
-            ends[0] = max(ends[0], 0.0)  # what is positive has no cells below zero
+            ends[0] = max(ends[0], 0.0)  # positive values have no cells below zero
     return np.exp(ends) if log else ends
 
 
 def mesh(axes: "Axes", x: xr.DataArray, y: xr.DataArray, cells: NDArray[Any], **style: Any) -> Any:
-    """Cells whose edges lie halfway between the values, as one image; logarithmic by `is_log`.
+    """Draw cells as one image, with edges halfway between the values; returns the image.
 
     Parameters
     ----------
     cells : ndarray, shape (n_y, n_x, ...)
-        What `matplotlib.axes.Axes.imshow` takes.
+        Values or colours, as for `matplotlib.axes.Axes.imshow`.
     """
     scaled: dict[int, NDArray[np.float64]] = {}
     for axis, coordinate in ((1, x), (0, y)):
@@ -379,7 +379,7 @@ def mesh(axes: "Axes", x: xr.DataArray, y: xr.DataArray, cells: NDArray[Any], **
         scaled[axis] = getattr(axes, f"{which}axis").get_transform().transform(ends)
         cells = _even(cells, scaled[axis], axis)
     limits = axes.get_xlim(), axes.get_ylim()
-    # Evenly spaced on the scale, not in the data: matplotlib would stretch it a second time.
+    # Evenly spaced on the scale, not in the data: matplotlib would transform it a second time.
     look = {"transform": axes.transLimits + axes.transAxes, "interpolation": "none", **style}
     extent = *scaled[1][[0, -1]].tolist(), *scaled[0][[0, -1]].tolist()
     made = axes.imshow(cells, extent=extent, origin="lower", aspect="auto", **look)
@@ -389,7 +389,7 @@ def mesh(axes: "Axes", x: xr.DataArray, y: xr.DataArray, cells: NDArray[Any], **
 
 
 def _even(cells: NDArray[Any], ends: NDArray[np.float64], axis: int) -> NDArray[Any]:
-    """Cells of one width along an axis: as they are, or repeated to fit their edges.
+    """Cells of equal width along an axis: unchanged, or repeated to fit their edges.
 
     Parameters
     ----------

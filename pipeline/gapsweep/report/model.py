@@ -15,7 +15,7 @@ from gapsweep.report.scales import plain, shortened
 _EQUATION = (
     "ẍ + (2ζω_n + c / m) ẋ + ω_n² x + (α x³ + F) / m = (p₀ + p cos ωt) / m, with ω and ω_n in rad/s"
 )
-# Its numbers in the order of the section: symbol and unit.
+# Parameters of the equation in the order of the section: symbol and unit.
 _NUMBERS = {
     "zeta": ("ζ", ""),
     "omega_n": ("ω_n", "Hz"),
@@ -47,11 +47,11 @@ _EQUATION_OF_SYSTEMS = "M q̈ + C q̇ + K q + Σ α (a·q)³ a + Σ F(b·q) b = 
 _EQUATION_OF_LAGS = " − D z, ż = E q̇ + G q + H z"
 _MATRICES = {"mass": "M", "damping": "C", "stiffness": "K"}
 _OF_LAGS = {"force": "D", "of_speed": "E", "of_place": "G", "of_lags": "H"}
-_MANY = 5  # values of a number; of more, the ends are shown
+_MANY = 5  # values of a parameter; of more, the first and the last are shown
 
 
 def model(responses: xr.Dataset) -> list[tuple[str, str]]:
-    """The equation of a run, its numbers and its laws, by name.
+    """The equation of a run, its parameters and its contact laws, as pairs of name and text.
 
     Parameters
     ----------
@@ -63,47 +63,47 @@ def model(responses: xr.Dataset) -> list[tuple[str, str]]:
     study = json.loads(responses.attrs["study_json"])
     fixed = {"K_ratio": 1.0} | study["oscillator"]
     held = {n: responses[n].values if n in responses else fixed[n] for n in _NUMBERS}
-    told = [
-        f"{symbol} {_told(held[name])} {unit}".strip() for name, (symbol, unit) in _NUMBERS.items()
+    numbers = [
+        f"{symbol} {_text(held[name])} {unit}".strip() for name, (symbol, unit) in _NUMBERS.items()
     ]
-    told.append(_walls(responses))
+    numbers.append(_walls(responses))
     labels = [label for label in labels_of(responses) if label != AUTO]
     if any(map(is_fitted, labels)):
-        told.append(f"fits over ±{1e3 * study['fit']['range']:g} mm")
+        numbers.append(f"fits over ±{1e3 * study['fit']['range']:g} mm")
     return [
         ("Equation", _EQUATION),
-        ("Numbers", ", ".join(told)),
+        ("Numbers", ", ".join(numbers)),
         *_laws(responses, labels),
     ]
 
 
 def _system(responses: xr.Dataset) -> list[tuple[str, str]]:
-    """The system at the values in [parameters]; walls of its contacts in their unit."""
+    """Equation, matrices, loads and contacts of a system at the values in [parameters]."""
     held, study = (json.loads(responses.attrs[f"{name}_json"]) for name in ("system", "study"))
     at = ", ".join(
         f"{name} = {plain(value)}" for name, value in study.get("parameters", {}).items()
     )
-    told = [
+    rows = [
         (f"{symbol}{f' at {at}' if at else ''}", _rows(held[name]))
         for name, symbol in _MATRICES.items()
     ]
     lags = held["lags"] or {}
-    told += [(symbol, _rows(lags[name])) for name, symbol in _OF_LAGS.items() if lags]
-    told += [(f"b of {name}", _rows(along)) for name, along in held["contacts"].items()]
-    told += [("a, α", f"{_rows(each['along'])}, {plain(each['alpha'])}") for each in held["cubic"]]
+    rows += [(symbol, _rows(lags[name])) for name, symbol in _OF_LAGS.items() if lags]
+    rows += [(f"b of {name}", _rows(along)) for name, along in held["contacts"].items()]
+    rows += [("a, α", f"{_rows(each['along'])}, {plain(each['alpha'])}") for each in held["cubic"]]
     for load in held["forcing"]:
         size = f"{_rows(load['amplitude'])}{f' ({_rate(load)})²' if load['inertial'] else ''}"
-        told.append(("Load", f"{size}{_turning(load)}"))
+        rows.append(("Load", f"{size}{_turning(load)}"))
     for name, terms in held["modulation"].items():
         parts = (f"{plain(term['depth'])}{_turning(term)}" for term in terms)
-        told.append((f"F of {name}", f"times 1 + {' + '.join(parts)}"))
-    told += _numbers_of_contacts(responses, study.get("contact", {}))
+        rows.append((f"F of {name}", f"times 1 + {' + '.join(parts)}"))
+    rows += _numbers_of_contacts(responses, study.get("contact", {}))
     equation = _EQUATION_OF_SYSTEMS + (_EQUATION_OF_LAGS if lags else "")
     labels = [label for label in labels_of(responses) if label != AUTO]
     names = ", ".join(held["coordinates"])
     return [
         ("Equation", f"{equation}; x = b·q, q = ({names})"),
-        *told,
+        *rows,
         *_laws(responses, labels),
     ]
 
@@ -114,24 +114,24 @@ def _numbers_of_contacts(
     """Swept settings of all contacts of a system, and separate settings of some."""
     for name, symbol in {"K_c": "K_c", "j_1": "j₁", "j_2": "j₂"}.items():
         if name in responses.dims:
-            yield symbol, _told(responses[name].values)
+            yield symbol, _text(responses[name].values)
     if "gap" in responses:
         yield "j₁/j₂", _listed([shortened(str(gap)) for gap in responses["gap"].values])
     if "K_ratio" in responses or "K_c" in responses.dims:
         ratios = np.ravel(responses["K_ratio"].values) if "K_ratio" in responses else np.ones(1)
         none = "" if ratios.all() else "; 0: no lower wall"
-        yield _RATIO[0], f"{_told(ratios)} {_RATIO[1]}{none}"
+        yield _RATIO[0], f"{_text(ratios)} {_RATIO[1]}{none}"
     for contact, table in own.items():
-        told = (
+        settings = (
             f"{symbol} {_written(table[name])}".strip()
             for name, symbol in _OWN.items()
             if table.get(name) is not None
         )
-        yield f"Only {contact}", ", ".join(told)
+        yield f"Only {contact}", ", ".join(settings)
 
 
 def _written(value: Any) -> str:
-    """A label, a number, or the two distances of a gap."""
+    """Text of a label, a number, or the two distances of a gap."""
     if isinstance(value, str):
         return value
     return "/".join(map(plain, np.ravel(value)))
@@ -145,27 +145,27 @@ def _turning(term: Any) -> str:
 
 
 def _rate(term: Any) -> str:
-    """Its angular frequency, of ω in Hz."""
+    """Text of the angular frequency of a load or modulation, as a multiple of ω in Hz."""
     return f"{2 * term['k']}πω"
 
 
 def _rows(numbers: Any) -> str:
-    """Numbers of a vector or of a matrix, row by row."""
+    """Text of the numbers of a vector or of a matrix, row by row."""
     if numbers and isinstance(numbers[0], list):
         return f"[{', '.join(map(_rows, numbers))}]"
     return f"[{', '.join(plain(number + 0.0) for number in numbers)}]"  # -0.0 as 0
 
 
 def _walls(responses: xr.Dataset) -> str:
-    """The walls: the gap, or both distances where these are swept."""
+    """Text on the walls: the gaps, or both distances if these are swept."""
     if "gap" in responses:
         gaps = _listed([shortened(str(gap)) for gap in responses["gap"].values])
         return f"walls at −j₁ and j₂: {gaps} mm"
-    j_1, j_2 = (_told(1e3 * responses[name].values) for name in ("j_1", "j_2"))
+    j_1, j_2 = (_text(1e3 * responses[name].values) for name in ("j_1", "j_2"))
     return f"walls at −j₁ and j₂: j₁ {j_1} mm, j₂ {j_2} mm"
 
 
-def _told(values: Any) -> str:
+def _text(values: Any) -> str:
     return _listed([plain(number) for number in np.ravel(values)])
 
 
@@ -174,7 +174,7 @@ def _listed(texts: Sequence[str]) -> str:
 
 
 def _laws(responses: xr.Dataset, labels: Iterable[str]) -> list[tuple[str, str]]:
-    """The force of each law, under the name of its family or of the user's function."""
+    """Name and formula of the force of each law; user laws are named by their label."""
     tables = json.loads(responses.attrs.get("tables_json", "{}"))
     is_length = in_metres(responses)
     found = {}
@@ -182,8 +182,8 @@ def _laws(responses: xr.Dataset, labels: Iterable[str]) -> list[tuple[str, str]]
         law = family(law_of(label))
         if law is None:
             table = tables.get(law_of(label))
-            said = _table(table, is_length) if table else "user-defined"
-            found[f"F of {law_of(label)}"] = said
+            formula = _table(table, is_length) if table else "user-defined"
+            found[f"F of {law_of(label)}"] = formula
         else:
             # The length unit of a system is the user's choice.
             unit = "[1/m]" if is_length else "[1/unit of x]"
@@ -192,7 +192,7 @@ def _laws(responses: xr.Dataset, labels: Iterable[str]) -> list[tuple[str, str]]
 
 
 def _table(table: Mapping[str, Any], is_length: bool) -> str:
-    """Number and range of the points of a measured force."""
+    """Text on the number and range of the points of a measured force."""
     scale, unit = (1e3, " mm") if is_length else (1.0, "")
     low, high = (plain(scale * table[end]).replace("-", "−") for end in ("low", "high"))
     return (

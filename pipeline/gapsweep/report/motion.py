@@ -1,4 +1,4 @@
-"""A simulated motion as a picture: history, phase portrait, section and spectrum."""
+"""Figure of a simulated motion: history, phase portrait, section and spectrum."""
 
 from __future__ import annotations
 
@@ -15,19 +15,19 @@ from gapsweep.integrate.trajectory import SystemTrajectory, Trajectory
 from gapsweep.model.contact import ContactLaw
 from gapsweep.report.style import CLASS_COLOURS, MATPLOTLIB, WALL
 
-_PER_PERIOD = 512  # samples: harmonics up to the 256th are told from each other
+_PER_PERIOD = 512  # samples per period: resolves harmonics up to the 256th
 _MOST_PERIODS = 256
 _FEWEST = 2**15  # samples in all: motions may be much faster than their forcing
-_N_PERIODS = 16  # at the end, that a history shows
-_FLOOR = 1e-6  # of the largest amplitude, the smallest that is shown
-_WORTH = 1e-3  # of it: up to twice the highest frequency of such a one
+_N_PERIODS = 16  # last periods, shown by the history
+_FLOOR = 1e-6  # smallest amplitude shown, relative to the largest
+_WORTH = 1e-3  # relative amplitude; the axis ends at twice the highest frequency with it
 _MM = 1e3
 _SECTIONS = {True: "Stroboscopic section", False: "Section at maxima of the first coordinate"}
 _SECTION = CLASS_COLOURS["chaotic"]
 
 
 class _Picture(Figure):
-    """A figure that a notebook shows without pyplot; one of pyplot's would be shown twice."""
+    """A figure that a notebook shows without pyplot, which would show it twice."""
 
     def _repr_png_(self) -> bytes:
         file = BytesIO()
@@ -97,7 +97,7 @@ def plot(run: Trajectory, coordinate: str | None = None, *, start: float | None 
         section.set(xlabel=labels[0], ylabel=labels[1], title=_SECTIONS[_is_forced(run)])
         for axes in (phase, section):
             axes.locator_params(nbins=5)
-        section.set(xlim=phase.get_xlim(), ylim=phase.get_ylim())  # few points, in their place
+        section.set(xlim=phase.get_xlim(), ylim=phase.get_ylim())  # same axes as the phase portrait
         amplitude, frequency = spectrum(x), np.fft.rfftfreq(x.size, period / per_period)
         lines.plot(frequency, amplitude, color="black", linewidth=0.8)
         lines.set(xlabel="frequency [Hz]", ylabel=f"amplitude{unit}", title="Amplitude spectrum")
@@ -116,7 +116,7 @@ def plot(run: Trajectory, coordinate: str | None = None, *, start: float | None 
 
 
 def _periods(run: Trajectory, start: float) -> tuple[float, int]:
-    """A period [s], and the number of whole periods from `start` on, at least one."""
+    """The period [s] of the section, and the number of whole periods after `start`, ``>= 1``."""
     shown = run.t_end - start
     times = run.t_section[run.t_section >= start]
     if times.size < 2:
@@ -137,14 +137,14 @@ def _quantity(run: Trajectory, coordinate: str | None) -> tuple[Array, str, floa
     known = {**run.system.contacts, **own}
     name = run.system.coordinates[0] if coordinate is None else coordinate
     if name not in known:
-        said = f"coordinates {', '.join(own)}, contacts {', '.join(run.system.contacts) or 'none'}"
-        raise ModelError(f"coordinate = {coordinate!r}: must be one of {said}")
-    # Whether it is a length or an angle the user knows.
+        names = f"coordinates {', '.join(own)}, contacts {', '.join(run.system.contacts) or 'none'}"
+        raise ModelError(f"coordinate = {coordinate!r}: must be one of {names}")
+    # Without unit: only the user knows whether it is a length or an angle.
     return np.asarray(known[name]), name, 1.0, ""
 
 
 def _walls(run: Trajectory, along: Array) -> list[float]:
-    """Positions of the walls of a contact of one displacement, in its unit."""
+    """Positions of walls along the drawn displacement, of contacts parallel to it."""
     if not isinstance(run, SystemTrajectory):
         return _both(1.0, run.laws[0])
     found = []
@@ -156,9 +156,9 @@ def _walls(run: Trajectory, along: Array) -> list[float]:
 
 
 def _both(factor: float, law: ContactLaw) -> list[float]:
-    """Values of a coordinate at the walls of a contact on a multiple of it."""
+    """Positions of both walls of a contact on `factor` times the coordinate."""
     places = (-law.gap.j_1, law.K_c * law.K_ratio), (law.gap.j_2, law.K_c)
-    return [place / factor for place, stiffness in places if stiffness]  # else there is none
+    return [place / factor for place, stiffness in places if stiffness]  # no wall without stiffness
 
 
 def _is_forced(run: Trajectory) -> bool:
@@ -166,6 +166,6 @@ def _is_forced(run: Trajectory) -> bool:
 
 
 def _section(run: Trajectory, start: float, along: Array) -> tuple[Array, Array]:
-    """Displacement and velocity at whole forcing periods from `start` on."""
+    """Displacement and velocity at the section points from `start` on."""
     shown, n = run.section[run.t_section >= start], along.size
     return shown[:, :n] @ along, shown[:, n : 2 * n] @ along

@@ -37,7 +37,7 @@ from gapsweep.status import Status
 from gapsweep.study.grid import COORDINATE
 
 MOST_SCENES, MOST_POINTS = 16, 200_000
-_TOLD_APART = ("K_c", "gap")  # parameters whose sets have separate sections
+_SEPARATE = ("K_c", "gap")  # parameters whose sets have separate sections
 _START = SWEPT[1]
 _STATE = ("x_0", "v_0")
 _FEW_STARTS = 500
@@ -56,7 +56,7 @@ _WORDS = {
 
 
 def is_wide(responses: xr.Dataset) -> bool:
-    """Whether there are too many parameter sets, points or parameters for figures of every set.
+    """Whether an overview replaces figures of every set: for systems, many sets, points or axes.
 
     Parameters
     ----------
@@ -67,14 +67,14 @@ def is_wide(responses: xr.Dataset) -> bool:
     dims = scene_dims(asked.dims)
     return (
         not in_metres(responses)
-        or any(asked.sizes[dim] > 1 for dim in dims if dim not in _TOLD_APART)
+        or any(asked.sizes[dim] > 1 for dim in dims if dim not in _SEPARATE)
         or int(asked.any(swept(asked)).sum(dims).max()) > MOST_SCENES
         or int(asked.sum([*dims, *swept(asked)]).max()) > MOST_POINTS
     )
 
 
 def overview(inputs: Inputs) -> Part:
-    """The section of the report in place of one for each of its scenes."""
+    """The section on all parameter sets, which replaces a section for each set."""
     responses, attractors, branches = inputs.responses, inputs.attractors, inputs.branches
     asked = responses["status"].load() != Status.NOT_REQUESTED
     n_points = asked.sum([dim for dim in asked.dims if dim != REPRESENTATION])
@@ -127,7 +127,7 @@ def overview(inputs: Inputs) -> Part:
 
 
 def _apart(asked: xr.DataArray, n_scenes: int) -> list[tuple[str, At]]:
-    """Parameter sets that are few enough to be listed, by the parameters that differ."""
+    """Words and position of each parameter set, if they are few enough to be listed."""
     if not 1 < n_scenes <= MOST_SCENES:
         return []
     dims = [dim for dim in scene_dims(asked.dims) if asked.sizes[dim] > 1]
@@ -140,10 +140,10 @@ def _apart(asked: xr.DataArray, n_scenes: int) -> list[tuple[str, At]]:
 
 
 def _axes(responses: xr.Dataset) -> tuple[list[str], list[str]]:
-    """The axes of figures, frequency the horizontal one; and the axis drawn value by value.
+    """Axes of the figures, frequency first, and the axis with a figure for each value.
 
-    These are the two longest axes, or the longest one for each of the few values of the second. If
-    there are no two, the plane of many initial conditions.
+    The axes are the two longest ones; if the second has few values, the longest one, with a figure
+    for each value of the second. Without a second axis, the plane of many initial conditions.
     """
     axes = numeric_axes(responses["status"].to_dataset())[:2]
     if len(axes) < 2 and responses.sizes[_START] > _FEW_STARTS and (plane := plane_of(responses)):
@@ -154,7 +154,7 @@ def _axes(responses: xr.Dataset) -> tuple[list[str], list[str]]:
 
 
 def plane_of(responses: xr.Dataset) -> list[str]:
-    """The two states of which the initial conditions form a grid; empty without a grid."""
+    """``x_0`` and ``v_0`` if the initial conditions form a grid; else empty."""
     if COORDINATE in responses.dims:
         return []
     try:
@@ -172,7 +172,7 @@ def _figures(
     label: str,
     axes: list[str],
 ) -> Iterator[Figured]:
-    """Figures of a representation, with other axes at the values with the most points."""
+    """Figures of a representation, with other parameters at the values with the most points."""
     at = _most(asked, label, [_START] if axes[0] in _STATE else axes)
     here = responses.isel(at)
     found = None if attractors is None else attractors.isel(at, missing_dims="ignore")
@@ -212,7 +212,7 @@ def _start_in_words(here: xr.Dataset) -> str:
 def _maps(
     here: xr.Dataset, found: xr.Dataset | None, axes: list[str], where: str
 ) -> Iterator[Figured]:
-    """Class, period and attractors, common to all coordinates, and the amplitude of each."""
+    """Figure of maps: class, period, attractors, and the amplitude of every coordinate."""
     parts = [(here, "response_class"), (here, "period_multiple")]
     if axes[0] in _STATE:
         parts.append((here, "attractor"))
@@ -230,21 +230,21 @@ def maps_of(
     Parameters
     ----------
     parts : sequence of (Dataset, str)
-        What to show, and of which dataset.
+        Dataset and name of each variable.
     axes : list of str
-        The horizontal and the vertical one.
+        The horizontal and the vertical axis.
     where : str
-        What of, for the caption.
+        Representation and parameters, for the caption.
     """
     pictures = [(name, picture(part, name, axes[0], axes[1], {})[0]) for part, name in parts]
     alike = [(name, value) for name, one in pictures if (value := _everywhere(one))]
     shown = [(name, one) for name, one in pictures if not _everywhere(one)] or pictures[:1]
     drawn = dict.fromkeys(_WORDS[name] for name, _ in shown)
-    said = f"{', '.join(drawn)}: {where}."
+    text = f"{', '.join(drawn)}: {where}."
     if "attractor" in drawn and any("numbered_as" in part[name].attrs for part, name in parts):
-        said += " Attractors have the numbers and colours of matching ones of the exact law."
-    said += "".join(f" {_WORDS[name].capitalize()}: {value} everywhere." for name, value in alike)
-    yield Figured(maps([one for _, one in shown]), said[0].upper() + said[1:], f"Maps, {where}")
+        text += " Attractors have the numbers and colours of matching ones of the exact law."
+    text += "".join(f" {_WORDS[name].capitalize()}: {value} everywhere." for name, value in alike)
+    yield Figured(maps([one for _, one in shown]), text[0].upper() + text[1:], f"Maps, {where}")
 
 
 def _everywhere(one: MapImage) -> str:
@@ -277,9 +277,9 @@ def along_axis(
     attractors : Dataset or None
         Their attractors, with dimensions representation, `along`, attractor; None draws none.
     branches : Dataset or None
-        ``branches.nc``, drawn behind the others.
+        ``branches.nc``, drawn behind the dots.
     where : str
-        The parameters of the scene, in words.
+        The parameters, in words.
     has_curve : bool
         Whether amplitudes are drawn: lines of several initial conditions cross between attractors.
     of_starts, of_attractors : str
@@ -307,7 +307,7 @@ def along_axis(
 
 
 def _most(asked: xr.DataArray, label: str, over: list[str]) -> dict[str, int]:
-    """The position at which a representation has the most points over some dimensions."""
+    """Position of a representation with the most points along the dimensions `over`."""
     r = asked[REPRESENTATION].values.tolist().index(label)
     counts = asked.isel({REPRESENTATION: r}).sum(over)
     place = np.unravel_index(int(counts.values.argmax()), counts.shape)
@@ -317,7 +317,7 @@ def _most(asked: xr.DataArray, label: str, over: list[str]) -> dict[str, int]:
 
 
 def _where(responses: xr.Dataset, here: xr.Dataset) -> list[str]:
-    """The parameters of a part, and the number of values of each."""
+    """Parameters with one value in words, each with the number of swept values."""
     words = []
     for name in places(here):
         if here[name].ndim == 0:

@@ -1,7 +1,7 @@
-"""Sections of the report: what they hold, and how they are rendered once and for all.
+"""Sections of the report: their contents, and their rendering to texts and pictures.
 
-A benchmark and a study's own ``[report] module`` give the same `Part`. Rendered, a part is texts
-and pictures, fit for JSON: what is stored is shown later without running what made it.
+Benchmarks and the ``[report] module`` of a study give the same `Part`. A rendered part has texts
+and pictures for JSON: the report shows stored parts without running the code that made them.
 """
 
 import re
@@ -25,7 +25,7 @@ HERO = "figure-hero"  # id of the first figure of the report
 
 @dataclass(frozen=True, slots=True)
 class Table:
-    """A table of texts; every row has as many as the header."""
+    """A table of texts; every row has as many cells as the header."""
 
     title: str
     header: list[str]
@@ -63,7 +63,7 @@ class Figured:
 
 @dataclass(frozen=True, slots=True)
 class Part:
-    """One section of the report.
+    """A section of the report.
 
     Attributes
     ----------
@@ -73,7 +73,7 @@ class Part:
     sentences : list of str
     tables : iterable of Table
     figures : iterable of Figured
-        Looked at once: a generator holds one figure at a time in memory.
+        Iterated once: with a generator, one figure at a time is in memory.
     """
 
     anchor: str
@@ -102,7 +102,7 @@ def _check_texts(name: str, texts: Any) -> None:
 
 
 def rendered(parts: Iterable[Part]) -> list[dict[str, Any]]:
-    """Parts as texts and SVG in the report's style, without empty ones."""
+    """Render parts to texts and SVG in the report's style; empty parts are left out."""
     if not isinstance(parts, Iterable):
         raise TypeError(f"must give sections, as a list or by yield, not {parts!r:.40}")
     with matplotlib.rc_context(MATPLOTLIB):
@@ -127,7 +127,7 @@ def _rendered(part: Part) -> dict[str, Any]:
 
 
 def pictured(figured: Figured) -> dict[str, str]:
-    """A figure as pictures, with its words."""
+    """A figure as pictures, with its name, caption and description."""
     names = ("name", "caption", "description")
     words = {name: getattr(figured, name) for name in names}
     return {**words, **pictures(figured.figure)}
@@ -170,7 +170,7 @@ def for_page(
 
 
 def _unused(kind: str, name: str, used: set[str]) -> str:
-    """An id of letters, digits and hyphens that no other has, which names files."""
+    """A new id of letters, digits and hyphens, also for file names; it is added to `used`."""
     slug = f"{kind}-{re.sub('[^a-z0-9]+', '-', name.lower())[:_LONGEST]}"
     found = next(
         each for each in chain([slug], (f"{slug}-{n}" for n in count(2))) if each not in used
@@ -180,10 +180,10 @@ def _unused(kind: str, name: str, used: set[str]) -> str:
 
 
 def shown(figure: Mapping[str, str]) -> dict[str, Any]:
-    """A figure for the page: its size, its files, and the data of its page, if it has one."""
+    """A stored figure with its size, its files, and the data of its page (may be empty)."""
     files = {"svg": figure["svg"].encode()}
     for kind in PACKED:
-        with suppress(KeyError, ValueError, zlib.error):  # not there, or not as it was packed
+        with suppress(KeyError, ValueError, zlib.error):  # absent, or not in packed form
             files[kind] = unpacked(figure[kind])
     data = files.pop("json", b"").decode()
     return {**figure, **size(figure["svg"]), "data": data, "files": files}

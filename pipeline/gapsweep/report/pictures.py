@@ -1,7 +1,7 @@
-"""Figures as SVG files with text as text.
+"""Figures as SVG files with searchable text.
 
-In a page they stand as images, not as elements of their own: a study has tens of thousands of
-points, and a browser lays out none of them. As images they cannot run scripts either.
+A page includes them as images, not as elements: a study has tens of thousands of points, and the
+browser need not lay them out. Scripts do not run in images.
 """
 
 import base64
@@ -18,7 +18,7 @@ from matplotlib.text import Text
 from gapsweep.report.figure_marks import as_csv, as_json
 
 PACKED = "csv", "json"
-# What matplotlib draws with. Others run scripts, lead elsewhere or change what is shown.
+# Elements that matplotlib uses. Others could run scripts, link elsewhere or change the page.
 _DRAWING = {
     "svg", "g", "defs", "style", "path", "use", "clipPath", "rect", "circle", "image", "text",
     "tspan",
@@ -30,36 +30,36 @@ _NO_METADATA = dict.fromkeys(("Creator", "Date", "Format", "Type"))
 
 
 def pictures(figure: Figure) -> dict[str, str]:
-    """A figure as texts that JSON can hold; the figure is cleared.
+    """A figure as texts for JSON; the figure is cleared.
 
     Returns
     -------
     dict of str to str
-        ``svg``, and if the figure shows numbers, these `PACKED` as ``csv``, and as ``json`` for a
-        page that draws them.
+        ``svg``; if the figure shows numbers, also ``csv``, and ``json`` for a page that draws them,
+        both as from `packed`.
     """
     numbers = as_csv(figure).encode(), as_json(figure).encode()
     texts: list[Any] = figure.findobj(Text)
     for text in texts:
         text.set_fontsize(max(_SMALLEST, text.get_fontsize()))
     picture = svg(figure)
-    figure.clear()  # its cycles would keep every figure's data until the collector comes by
+    figure.clear()  # reference cycles would keep the data of every figure in memory
     files = {kind: packed(h) for kind, h in zip(PACKED, numbers, strict=True) if h}
     return {"svg": picture, **files}
 
 
 def packed(data: bytes) -> str:
-    """A file as text, for JSON."""
+    """Compressed bytes of a file as base64 text, for JSON."""
     return base64.b64encode(zlib.compress(data, 9)).decode()
 
 
 def unpacked(text: str) -> bytes:
-    """The file that was `packed`."""
+    """Bytes of a file from its text as of `packed`."""
     return zlib.decompress(base64.b64decode(text))
 
 
 def svg(figure: Figure) -> str:
-    """A figure as SVG: the same for the same data."""
+    """A figure as SVG; equal data give equal text."""
     buffer = io.StringIO()
     with rc_context(_AS_TEXT):
         figure.savefig(buffer, format="svg", metadata=_NO_METADATA)
@@ -67,14 +67,14 @@ def svg(figure: Figure) -> str:
 
 
 def size(picture: str) -> dict[str, Any]:
-    """Width and height of a picture in pixels, so that the page does not move when it comes."""
+    """Width and height of a picture in pixels, so that the page keeps its layout on loading."""
     found = _SIZE.search(picture)
     width, height = (round(float(n) * 4 / 3) for n in found.groups()) if found else (0, 0)
     return {"width": width, "height": height}
 
 
 def is_picture(text: str) -> bool:
-    """Whether a text is one SVG of matplotlib's elements, without links and scripts."""
+    """Whether a text is an SVG with elements of matplotlib only, without links and scripts."""
     try:
         elements = list(ElementTree.fromstring(text).iter())
     except ElementTree.ParseError:

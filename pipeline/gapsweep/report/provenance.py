@@ -1,4 +1,4 @@
-"""Provenance of a report: the study, its solver, the machine, the processor time."""
+"""Provenance of a run for its report: study, solver, machine, CPU time."""
 
 import json
 from collections.abc import Mapping
@@ -13,7 +13,7 @@ from gapsweep.status import Status
 
 
 def provenance(responses: xr.Dataset) -> list[tuple[str, str]]:
-    """Facts about a run, by name.
+    """Provenance of a run, as pairs of name and text.
 
     Parameters
     ----------
@@ -39,11 +39,11 @@ def provenance(responses: xr.Dataset) -> list[tuple[str, str]]:
 
 
 def _solver(*tables: Mapping[str, Any]) -> str:
-    """All settings of a solver: what later tables give, then earlier ones, then the defaults."""
+    """All settings of a solver in words; later tables override earlier ones and the defaults."""
     unset = "start_jitter", 0.0
     given = dict(item for table in tables for item in table.items() if item != unset)
     own = {each.name: given.pop(each.name) for each in fields(Solver) if each.name in given}
-    settings = asdict(Solver.of(**own)) | given  # what is no solver's own: how starts are moved
+    settings = asdict(Solver.of(**own)) | given  # with settings of no Solver, as start_jitter
     settings["atol"] = settings["atol"] or "rtol × static deflection"
     shown = {name: value for name, value in settings.items() if value}
     return ", ".join(

@@ -14,31 +14,31 @@ from gapsweep.study.axis_selection import is_numeric
 from gapsweep.study.grid import CONTACT, COORDINATE
 from gapsweep.study.schema import PARAMETER, parts_of, written
 
-_WIDE = 30.0  # largest over smallest value from which an axis may be logarithmic
-_APART = 1.05  # of values that are multiples: those closer are as even on a linear axis
-# What is drawn in millimetres, by its UDUNITS text.
+_WIDE = 30.0  # smallest ratio of largest to smallest value for a logarithmic axis
+_APART = 1.05  # smallest ratio of neighbouring values in a geometric series
+# Units drawn in millimetres, by their UDUNITS text.
 _IN_MILLIMETRES = {"m": "mm", "m s-1": "mm/s"}
 
 
 def factor(variable: xr.DataArray) -> float:
-    """The factor of drawn values: lengths in metres are drawn in millimetres."""
+    """Factor from stored to drawn values: 1000 for lengths in metres, drawn in millimetres."""
     return shown_unit(variable)[0]
 
 
 def drawn(variable: xr.DataArray) -> NDArray[np.float64]:
-    """Values as they are drawn."""
+    """Values of a variable in drawn units."""
     return np.asarray(variable.values * factor(variable), dtype=float)
 
 
 def long_name(variable: xr.DataArray) -> str:
-    """A variable's long name; a system's parameter has but its own."""
+    """A variable's long name; for a parameter of a system, its name."""
     return str(variable.attrs.get("long_name", variable.name)).removeprefix(f"{PARAMETER} ")
 
 
 def axis_label(variable: xr.DataArray, words: str = "") -> str:
-    """The words, or else the variable's long name, and the unit in which it is drawn.
+    """Label of an axis: `words` or else the variable's long name, and its drawn unit.
 
-    Of a system's one coordinate or contact, its name before.
+    The name of a selected coordinate or contact of a system comes first.
     """
     words = words or long_name(variable)
     for part in (COORDINATE, CONTACT):
@@ -58,7 +58,7 @@ class NamedValue:
 
     @classmethod
     def of(cls, coordinate: xr.DataArray) -> "NamedValue":
-        """From a coordinate with one value."""
+        """The text of a coordinate with one value."""
         held = coordinate.values
         value = plain(drawn(coordinate).item()) if is_numeric(held) else str(held.item())
         if coordinate.name == "gap":
@@ -66,19 +66,19 @@ class NamedValue:
         return cls(str(coordinate.name), value, shown_unit(coordinate)[1])
 
     def __str__(self) -> str:
-        """As ``K_c = 14000 N/m``."""
+        """Text such as ``K_c = 14000 N/m``."""
         names = dict.fromkeys(("scene", "representation", COORDINATE), "")
         names |= {"gap": "gap ", "regime": "regime: "}
         return f"{names.get(self.name, f'{self.name} = ')}{self.value} {self.unit}".strip()
 
 
 def named(coordinate: xr.DataArray) -> str:
-    """A coordinate's one value with its name and unit, as ``K_c = 14000 N/m``."""
+    """The only value of a coordinate with name and unit, as ``K_c = 14000 N/m``."""
     return str(NamedValue.of(coordinate))
 
 
 def plain(value: float) -> str:
-    """A number as it was given: 14000, and 1.4e6 for 1.4e+06."""
+    """A number as short text: 14000, and 1.4e6 for 1.4e+06."""
     return re.sub(r"e([+-])0*", lambda m: "e" + m[1].strip("+"), f"{value:g}")
 
 
@@ -88,7 +88,7 @@ def shortened(label: str) -> str:
 
 
 def is_crowded_low(values: NDArray[np.float64]) -> bool:
-    """Whether a logarithmic scale shows values better: wide apart, most at the low end."""
+    """Whether values are positive, extend over a factor of 30, and mostly lie at the low end."""
     low, high = float(values.min()), float(values.max())
     if not (low > 0.0 and high > _WIDE * low):
         return False
@@ -96,13 +96,13 @@ def is_crowded_low(values: NDArray[np.float64]) -> bool:
 
 
 def is_log(coordinate: xr.DataArray) -> bool:
-    """Whether an axis over a coordinate is logarithmic; one over frequency never is."""
+    """Whether the axis of a coordinate is logarithmic; False for frequency."""
     values = coordinate.values
     return coordinate.name != "omega" and (is_crowded_low(values) or _is_geometric(values))
 
 
 def _is_geometric(values: NDArray[np.float64]) -> bool:
-    """Whether each value is the same multiple of the one before."""
+    """Whether values form a geometric series."""
     if values.size < 3 or not (values > 0.0).all():
         return False
     ratios = np.sort(values)[1:] / np.sort(values)[:-1]

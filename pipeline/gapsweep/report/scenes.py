@@ -1,4 +1,4 @@
-"""The parameter sets of ``responses.nc``: all points at one stiffness, gap, ..., in memory."""
+"""Access to ``responses.nc`` by parameter set: all points at one stiffness, gap, ..."""
 
 import numpy as np
 import xarray as xr
@@ -9,7 +9,7 @@ from gapsweep.report.drawing import labels_of
 from gapsweep.status import Status
 from gapsweep.study.axis_selection import positions
 
-# What figures and sentences use.
+# Variables that figures and sentences use.
 _SHOWN = (
     *("status", "response_class", "period_multiple", "amplitude", "attractor"),
     *("x_max", "x_min", "extrema"),
@@ -18,10 +18,10 @@ _PADDED = "extremum"
 
 
 class Scenes:
-    """Scenes of a dataset, the last one kept.
+    """Parameter sets of a dataset in memory; the last one is kept.
 
-    Whole chunks are read and cut in memory: to pick out frequencies or starts on the way from a
-    compressed file costs more than all else in a report.
+    Whole chunks are read and cut in memory: to select frequencies or initial conditions while
+    reading a compressed file takes longer than all other work of a report.
 
     Parameters
     ----------
@@ -35,21 +35,21 @@ class Scenes:
         self._last: tuple[At | None, xr.Dataset | None] = (None, None)
 
     def at(self, at: At) -> xr.Dataset | None:
-        """Representations, frequencies and starts swept at a position; None if there are none.
+        """The part of the dataset swept at a position; None if nothing was swept there.
 
         Parameters
         ----------
         at : mapping of str to int
-            Position along every dimension of scenes.
+            Position along every dimension of parameter sets.
         """
         if self._last[0] != at:
-            self._last = (None, None)  # never two scenes in memory
+            self._last = (None, None)  # never two parameter sets in memory
             asked = self._asked.isel(at)
             self._last = (at, self._scene(at) if bool(asked.any()) else None)
         return self._last[1]
 
     def labelled(self, K_c: float, gap: str) -> xr.Dataset | None:
-        """The scene of a stiffness [N/m] and gap, None if it was not swept."""
+        """The parameter set of a stiffness [N/m] and gap, None if it was not swept."""
         wanted = {"K_c": K_c, "gap": gap}
         try:
             found = {n: positions(n, self._responses[n].values, v) for n, v in wanted.items()}
@@ -76,18 +76,18 @@ class Scenes:
 
 
 def _without_padding(slab: xr.Dataset) -> xr.Dataset:
-    """A slab without the empty end of its ragged lists."""
+    """A dataset without the empty end of its padded extrema, which become single precision."""
     if _PADDED not in slab.dims:
         return slab
     others = [dim for dim in slab["extrema"].dims if dim != _PADDED]
     used = np.flatnonzero(slab["extrema"].notnull().any(others).values)
     kept = slab.isel({_PADDED: slice(0, int(used[-1]) + 1 if used.size else 1)})
-    # What is drawn needs no more digits, and a view would keep the whole slab in memory.
+    # Figures need no more digits, and a view would keep the whole dataset in memory.
     return kept.assign(extrema=kept["extrema"].astype("f4"))
 
 
 def swept(scene: xr.Dataset) -> xr.Dataset:
-    """Only the representations, frequencies and initial conditions that were requested here."""
+    """The parameter set without representations, frequencies and states not requested here."""
     asked = scene["status"] != Status.NOT_REQUESTED
     for dim in asked.dims:
         others = [other for other in asked.dims if other != dim]
@@ -96,22 +96,22 @@ def swept(scene: xr.Dataset) -> xr.Dataset:
 
 
 def caption_of_starts(scene: xr.Dataset) -> str:
-    """Numbers of initial conditions of each law; empty if every law has one."""
+    """Caption words on the number of initial conditions; empty if every law has one."""
     asked = (scene["status"] != Status.NOT_REQUESTED).transpose("representation", "omega", ...)
     groups: dict[str, list[str]] = {}
     for label, of_law in zip(labels_of(scene), asked.values, strict=True):
         groups.setdefault(_many(of_law), []).append(label)
-    commonest, *others = sorted(groups, key=lambda said: -len(groups[said]))
+    commonest, *others = sorted(groups, key=lambda words: -len(groups[words]))
     if not others:
         return "" if commonest == "1 initial condition" else f" from {commonest}"
-    said = [f"of {', '.join(groups[one])} from {one}" for one in others]
+    exceptions = [f"of {', '.join(groups[one])} from {one}" for one in others]
     laws = groups[commonest]
     rest = "the other laws" if len(laws) > 1 else laws[0]
-    return f", {', '.join(said)}, of {rest} from {commonest}"
+    return f", {', '.join(exceptions)}, of {rest} from {commonest}"
 
 
 def starts_of(responses: xr.Dataset, label: str, at: At) -> str:
-    """Numbers of initial conditions of a law at each frequency, in short: ``1–19``."""
+    """Range of the number of initial conditions of a law per frequency, as ``1–19``."""
     status = responses["status"].sel(representation=label).isel(at).transpose("omega", ...)
     counts = (status.values != Status.NOT_REQUESTED).sum(axis=1)
     several = np.unique(counts[counts > 0]).tolist()

@@ -1,4 +1,4 @@
-"""The part of a dataset that a plot shows: selected by coordinate, with the dimensions it needs."""
+"""Selection of the part of a dataset that a plot shows, with exactly the dimensions it needs."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -15,13 +15,13 @@ from gapsweep.study.schema import PARAMETER
 
 _SHOWN_NAMES = 6
 _PLACE = ("K_c", "gap", "j_1", "j_2", "omega", *OSCILLATOR, "K_ratio")
-_NAMELESS = "response"  # where a selection has dropped the representation's label
+_NAMELESS = "response"  # label if a selection has dropped the representation's label
 
 
 def scene(
     dataset: xr.Dataset, variables: Mapping[str, Sequence[str]], wanted: Mapping[str, Any]
 ) -> xr.Dataset:
-    """Variables, each over exactly the dimensions that a plot has room for.
+    """Dataset of variables, each over exactly the dimensions that a plot needs.
 
     Dimensions of one value are dropped, and those that a selection has reduced to a scalar come
     back with one value.
@@ -31,14 +31,14 @@ def scene(
     dataset : Dataset
         Any selection of a dataset.
     variables : mapping of str to sequence of str
-        What is drawn, and over which dimensions.
+        Names of variables, and the dimensions of each.
     wanted : mapping
         Coordinates to values, lists or slices; see `selected`.
 
     Raises
     ------
     DatasetError
-        If a variable is missing, or a dimension is left that must be reduced to one value.
+        If a variable is missing, or another dimension has several values.
     """
     for name in variables:
         if name not in dataset.data_vars:
@@ -59,11 +59,11 @@ def scene(
 
 
 def _over(part: xr.Dataset, name: str, dims: Sequence[str]) -> xr.DataArray:
-    """A variable over all the dimensions; repeated along those that only others have."""
+    """A variable over all the dimensions, repeated along those that it lacks."""
     missing = [dim for dim in dims if dim not in part[name].dims]
     repeated = {dim: part.sizes[dim] for dim in missing if dim in part.dims}
-    alone = [dim for dim in missing if dim not in part.dims]
-    return part[name].expand_dims(repeated).expand_dims(alone)
+    absent = [dim for dim in missing if dim not in part.dims]
+    return part[name].expand_dims(repeated).expand_dims(absent)
 
 
 def places(dataset: xr.Dataset) -> list[str]:
@@ -87,19 +87,19 @@ def other_parameters(scene: xr.Dataset) -> list[str]:
 
 
 def gap_label(scene: xr.Dataset) -> str:
-    """Wall distances of a scene [mm], whether its gap has a label or they are swept as numbers."""
+    """Text of the wall distances of a parameter set [mm], from its gap or from j_1 and j_2."""
     if "gap" in scene.coords:
         return shortened(str(scene["gap"].item()))
     return shortened(Gap(float(scene["j_1"]), float(scene["j_2"])).label)
 
 
 def anchor_of(at: Mapping[str, int]) -> str:
-    """The id of a scene in the page, from its position along the dimensions of scenes."""
+    """The id of a parameter set in the page, from its position along the dimensions."""
     return "-".join(["scene", *map(str, at.values())])
 
 
 def missing_variable(dataset: xr.Dataset, name: str) -> str:
-    """Why a variable cannot be drawn, and where it is."""
+    """Message that a variable is missing, with the file that has it."""
     known = ", ".join(str(variable) for variable in list(dataset.data_vars)[:_SHOWN_NAMES])
     file = next((file for file, names in _FILES.items() if name in names), "")
     remedy = f"; it is in {file}, which gs.open opens" if file else ""
@@ -114,7 +114,7 @@ _FILES = {
 
 
 def too_many(part: xr.Dataset, dim: str) -> str:
-    """Why a dimension of several values cannot be drawn, and how one is chosen."""
+    """Message that a dimension has several values, with an example of a selection."""
     values = listed(part[dim].values) if dim in part.coords else f"0 to {part.sizes[dim] - 1}"
     one = part[dim].values.tolist()[0]
     example = f"{one:.12g}" if isinstance(one, float | int) else repr(str(one))

@@ -1,4 +1,4 @@
-"""One colour per representation, the same in every figure; safe for colour-blind readers."""
+"""Styles of figures: a colour per representation, distinguishable by colour-blind readers."""
 
 from collections import Counter
 from collections.abc import Sequence
@@ -7,8 +7,8 @@ from typing import Any
 from gapsweep.model.contact import ContactLaw, Piecewise
 from gapsweep.model.labels import family, law_of
 
-_NOEVENTS = "#999999"  # the exact law, like one that is not
-# What is not periodic is red in every map; pale is what is most common.
+_NOEVENTS = "#999999"  # the exact law without located contacts
+# Responses that are not periodic are red in every map; the most common classes are pale.
 NOT_PERIODIC, NOT_SETTLED, BLANK = "#c00000", "#a0a0a0", "#ffffff"
 CLASS_COLOURS = {
     "periodic": "#9ecae1",
@@ -18,7 +18,7 @@ CLASS_COLOURS = {
     "unresolved": "#E69F00",
     "failed": "#555555",
 }
-# Backgrounds by class: light enough for every point colour, and told apart by depth.
+# Backgrounds by class: light enough for every point colour, distinguished by lightness.
 BANDS = {"chaotic": "#fbd9d3", "quasiperiodic": "#e6d6ee", "unresolved": "#c8d8e6"}
 WALL: dict[str, Any] = {"color": "#888888", "linewidth": 0.8, "linestyle": "--", "zorder": 1.6}
 # Light to dark in blue and green, apart from red and orange, also for colour-blind readers.
@@ -47,7 +47,7 @@ def colour(label: str) -> str:
 
 
 def sequence(n: int) -> list[str]:
-    """Colours of `n` things that are counted, from pale to dark; the first ones farther apart."""
+    """`n` colours for counted kinds, from pale to dark, with larger steps at the pale end."""
     from matplotlib import colormaps
     from matplotlib.colors import to_hex
 
@@ -56,12 +56,12 @@ def sequence(n: int) -> list[str]:
 
 
 def lines(labels: Sequence[str]) -> dict[str, str]:
-    """Line style of every representation: the first of a colour solid, the next dashed, ..."""
+    """Line style by representation: the first of a colour solid, the next dashed, ..."""
     return by_colour(labels, _LINES)
 
 
 def by_colour(labels: Sequence[str], looks: Sequence[str]) -> dict[str, str]:
-    """A look for every label: the first one of a colour has the first, the next the second, ..."""
+    """An entry of `looks` by label: labels of one colour get the first, the second, ..."""
     used: Counter[str] = Counter()
     found = {}
     for label in labels:

@@ -1,4 +1,4 @@
-"""Contents of a dataset in a few lines: as text and as HTML."""
+"""Summary of a dataset in a few lines, as text and as HTML."""
 
 import html
 from collections.abc import Iterator
@@ -13,11 +13,11 @@ from gapsweep.variables import STATUS_FLAGS
 
 _FEW = 6  # values that are named one by one
 _NOT_REQUESTED = "not_requested"
-_PADDING = (_NOT_REQUESTED, "none")  # cells that are no sweep point or no attractor
+_PADDING = (_NOT_REQUESTED, "none")  # flags of cells without a sweep point or attractor
 
 
 def as_text(dataset: xr.Dataset) -> str:
-    """A line per fact."""
+    """Summary of a dataset as text, a line per fact."""
     facts = list(_facts(dataset))
     width = max((len(name) for name, _ in facts), default=0)
     lines = [f"  {name:<{width}}  {text}" for name, text in facts]
@@ -25,7 +25,7 @@ def as_text(dataset: xr.Dataset) -> str:
 
 
 def as_html(dataset: xr.Dataset) -> str:
-    """A small table; every text in it is escaped."""
+    """Summary of a dataset as an HTML table with escaped texts."""
     rows = "".join(
         f'<tr><th style="text-align:left">{html.escape(name)}</th>'
         f'<td style="text-align:left">{html.escape(text)}</td></tr>'
@@ -40,7 +40,7 @@ def _title(dataset: xr.Dataset) -> str:
 
 
 def _facts(dataset: xr.Dataset) -> Iterator[tuple[str, str]]:
-    """Points, where they came from, outcomes, and what is selected."""
+    """Name and text of each fact: numbers and origin of points, outcomes, parameter values."""
     attributes = dataset.attrs
     if "n_points" in attributes:
         yield (

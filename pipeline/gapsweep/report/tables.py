@@ -19,8 +19,8 @@ from gapsweep.report.scales import drawn
 Row = dict[str, Any]
 
 _COUNTS = ("nfev", "n_steps", "n_rejected", "n_contacts")
-_MOST_ROWS = 40  # of special points
-# The worst first.
+_MOST_ROWS = 40  # rows of special points
+# Verdicts, the worst first.
 VERDICTS = ("refuted", "partly", "confirmed", "undecidable")
 
 
@@ -31,12 +31,12 @@ def scene_tables(
     over: str = "",
     apart: Sequence[tuple[str, At]] = (),
 ) -> list[Table]:
-    """Agreement of representations with the exact law, if that was computed, and their cost.
+    """Tables of agreement with the exact law, if that was computed, and of cost.
 
     Parameters
     ----------
     agreement, timing : Dataset
-        One parameter set of the files of a run; of several, medians without intervals are shown.
+        One parameter set of the files of a run; several give medians without intervals.
     labels : list of str
         Representations computed there.
     over : str
@@ -63,7 +63,7 @@ def scene_tables(
 
 
 def _agreement_rows(agreement: xr.Dataset, labels: list[str]) -> Iterator[list[str]]:
-    """A row per representation, and at the end the exact law with other settings."""
+    """Rows of agreement per representation; the last is the exact law with other settings."""
     pooled = condensed(agreement[list(_SHOWN)].sel(regime="all").load())
     floors = str(agreement.attrs["floor_representations"]).split()
     for label in labels:
@@ -137,7 +137,7 @@ def _timing_rows(timing: xr.Dataset, labels: list[str]) -> Iterator[list[str]]:
 
 
 def special_points(found: xr.Dataset | None, here: xr.Dataset, along: str) -> Iterator[Table]:
-    """Special points of branches by kind and parameter, and of laws compared with the exact law.
+    """Tables of special points of branches: as computed, and compared with the exact law.
 
     Mirror images of an orbit share a row. If the second table has the points of approximations,
     the first one has only those of the exact law.
@@ -191,16 +191,16 @@ def _kind(kind: float) -> str:
 
 
 def _cut(title: str, header: list[str], rows: list[list[str]]) -> Table:
-    """A table of distinct rows, at most `_MOST_ROWS`."""
+    """A table of the distinct rows, at most 40."""
     rows = [list(row) for row in dict.fromkeys(map(tuple, rows))]
     n = f", {_MOST_ROWS} of {len(rows)}: all are in branches.nc" if len(rows) > _MOST_ROWS else ""
     return Table(title + n, header, rows[:_MOST_ROWS])
 
 
 def condensed(dataset: xr.Dataset) -> xr.Dataset:
-    """Medians over parameter sets, and sums of counts; a single set as it is.
+    """Medians over parameter sets, and sums of counts; a single set is returned unchanged.
 
-    Medians of agreement leave out sets without a compared point: there every metric is trivial.
+    Medians of agreement leave out sets without a compared point, whose metrics are trivial.
     """
     dims = [dim for dim in scene_dims(dataset.dims) if dim != BOUND]
     if not dims:
@@ -211,7 +211,7 @@ def condensed(dataset: xr.Dataset) -> xr.Dataset:
     measured = dataset.drop_vars(counted).assign(intervals)
     if "n_compared" in counted:
         n = dataset["n_compared"]
-        # Floors have no representation.
+        # The reproducibility limits have no representation.
         own = [name for name in measured if set(n.dims) <= set(measured[name].dims)]
         measured = measured.assign(measured[own].where(n > 0))
     with warnings.catch_warnings():
@@ -222,7 +222,7 @@ def condensed(dataset: xr.Dataset) -> xr.Dataset:
 
 
 def claim_rows(decided: Mapping[str, Any]) -> Iterator[Row]:
-    """The claims of ``claims.json``, their tests as texts."""
+    """Rows of the claims table from ``claims.json``, with tests as texts."""
     for claim in decided["claims"]:
         tests = [
             {
@@ -242,7 +242,7 @@ def claim_rows(decided: Mapping[str, Any]) -> Iterator[Row]:
 
 
 def _open(tests: Sequence[Mapping[str, Any]]) -> str:
-    """How many tests of a claim are undecided, if no other test fails."""
+    """Text on undecided tests of a claim, if all other tests hold; else empty."""
     outcomes = [test["holds"] for test in tests]
     if {None, True} != set(outcomes):
         return ""
@@ -268,7 +268,7 @@ _SIGNS = {"confirmed": "✓", "refuted": "✗", "partly": "◐", "undecidable": 
 
 
 def number(value: float) -> str:
-    """Three significant digits, all digits of large whole numbers; exponents where shorter."""
+    """A number as text: three significant digits, or all digits before the decimal point."""
     if not np.isfinite(value):
         return "–"
     if value == 0.0 or 1e-3 <= abs(value) < 1e5:
@@ -278,7 +278,7 @@ def number(value: float) -> str:
 
 
 def percent(value: float) -> str:
-    """A share or a relative error, three significant digits."""
+    """A share or a relative error as text in percent, three significant digits."""
     if not np.isfinite(value):
         return "–"
     return f"{100.0 * value:.0f} %" if abs(value) >= 1.0 else f"{number(100.0 * value)} %"

@@ -1,1 +1,1 @@
-"""What a sweep point answers: its steady response."""
+"""Steady responses of sweep points: search, classification and stability."""

@@ -1,7 +1,7 @@
-"""Answers: the recorded motion of every response, and what is read off it.
+"""Responses of a search, computed from the recorded motion of every point.
 
-One last call records a whole period of every orbit. What is not periodic has its last window, which
-was recorded with all events.
+One last call records a whole period of every orbit. A motion that is not periodic has its last
+recording window, with all events.
 """
 
 import math
@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gapsweep.integrate.motions import VANISHED
+from gapsweep.model.oscillator import Oscillator
 from gapsweep.response import thresholds as limit
 from gapsweep.response.classification import Classification, State
 from gapsweep.response.equilibrium import rates
@@ -35,12 +36,12 @@ Counts = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 Numbers = NDArray[np.intp]
 
-# So little of the whole motion a contact may move. From 1e-6 on, chaos of a part was seen to be
-# taken for a period; down to 1e-5 all was right.
+# Smallest motion of a contact relative to the whole motion. At 1e-6, chaos of a part of a system
+# was classified as periodic; down to 1e-5 all classes were right.
 _FAINT = 1e-5
-_LINEAR = 1e-3  # of a spring's stiffness, below which what a cubic one adds is nothing to be missed
+_LINEAR = 1e-3  # of a spring's stiffness: a cubic spring that adds less is negligible
 
-# Why points of some states are unresolved, then why others are.
+# Messages of points that are unresolved because of their state, then other messages.
 _REASONS = {
     State.NO_RETURN: (
         "the motion does not return to its section, the maxima of the first coordinate: it creeps, "
@@ -72,7 +73,7 @@ _REASONS = {
 }
 _UNDAMPED = (
     "a motion without damping does not settle, and this motion does not repeat within "
-    "max_period_multiple = {largest} periods; with omega_n = 0 set c, not zeta"
+    "max_period_multiple = {largest} periods; write {damping}"
 )
 _UNMEASURED = (
     "no stable orbit of up to max_period_multiple = {largest} periods was found, and no Lyapunov "
@@ -100,7 +101,7 @@ _UNCERTAIN = "the sign of the Lyapunov exponent, {exponent}, is not certain; all
 _TIME = "time (max_decay_times, max_periods, t_max)"
 
 
-# By state: those without a class of their name are unresolved.
+# Class by state; a state without a class of the same name is unresolved.
 _CLASSES = np.array(
     [ResponseClass.__members__.get(state.name, ResponseClass.UNRESOLVED) for state in State]
 )
@@ -110,7 +111,7 @@ _CLASSES[State.FAILED] = ResponseClass.UNRESOLVED
 def answers(
     windows: RecordedWindows, shooting: NewtonShooting, found: Classification, steady: Steady
 ) -> Responses:
-    """Responses of all points of a search."""
+    """Return the responses of all points of a search."""
     ensemble, t_settled = windows.ensemble, windows.t
     n = len(t_settled)
     states = _record(np.flatnonzero(found.has_orbit), windows, shooting)
@@ -147,21 +148,22 @@ def answers(
 
 
 def _failures(failures: Numbers, windows: RecordedWindows) -> tuple[list[Status], dict[int, str]]:
-    """Status of the points that failed, and what to say of it by point."""
+    """Return the status of the points that failed, and a message for each, by point."""
     if not failures.size:
         return [], {}
     ensemble = windows.ensemble
     y = windows.y[:, failures]
     gaps = ensemble.gaps(ensemble.turning(failures, y))
     low, high = ensemble.valid_range[:, :, failures]
-    has_left = np.asarray(((gaps < low) | (gaps > high)).any(axis=0))  # not so what is no number
+    has_left = np.asarray(((gaps < low) | (gaps > high)).any(axis=0))  # False for NaN
     statuses, messages = [], {}
     for k, point in enumerate(failures.tolist()):
         reached = Status(windows.status[point])
         statuses.append(Status.OUT_OF_FIT_RANGE if has_left[k] else reached)
         names = ensemble.system(point).coordinates
         places = ", ".join(f"{name} = {q:.3g} m" for name, q in zip(names, y[:, k], strict=False))
-        messages[point] = f"{reached.label} before t = {windows.t[point]:.6g} s at {places}"
+        why = ": the contact force there is no number" * (reached is Status.MODEL_INVALID)
+        messages[point] = f"{reached.label} before t = {windows.t[point]:.6g} s at {places}{why}"
     return statuses, messages
 
 
@@ -188,12 +190,16 @@ def _why_unresolved(
         reason = _UNCERTAIN
     else:
         reason = _SHRINKS if exponent < 0.0 else _STAYS
-    number = f"{exponent:.3g} ± {error:.1g} 1/s"
+    number, system = f"{exponent:.3g} ± {error:.1g} 1/s", windows.ensemble.system(point)
+    remedy = f"damping = 0.1 * np.eye({system.n})"
+    if isinstance(system, Oscillator):
+        remedy = "zeta = 0.02" if system.omega_n else "c = 0.1"
     precision = {
         "modulus": abs(shooting.multipliers[point, 0]),
         "noise": float(windows.noise(max(int(shooting.n[point]), 1))[point]),
         "atol": 0.01 * windows.ensemble.atol[point],
         "rtol": CONFIRMING_RTOL,
+        "damping": remedy,
     }
     return reason.format(largest=largest, n=n, exponent=number, time=_TIME, **precision)
 
@@ -205,9 +211,9 @@ def _precision(
     found: Classification,
     read: dict[str, Array | Counts],
 ) -> dict[str, Array | Counts]:
-    """Columns of how precise responses are; those that swing by little more are unresolved.
+    """Columns of noise and tolerance; responses with an amplitude near the noise are unresolved.
 
-    What nothing loads may come to rest under its forcing's clock: it has no amplitude.
+    A system without loads is exempt: it may come to rest, with zero amplitude.
     """
     ensemble, stopped = windows.ensemble, found.has_stopped[points]
     offset, swing = found.offset[points], np.asarray(read["amplitude"], float)
@@ -230,7 +236,7 @@ def _precision(
 def _stability(
     points: Numbers, windows: RecordedWindows, shooting: NewtonShooting, found: Classification
 ) -> dict[str, Array | Counts]:
-    """Columns that say what the responses of some points are, and how sure that is."""
+    """Columns of class, period, multipliers and Lyapunov exponents of some points."""
     state, is_orbit = found.state[points], found.is_periodic[points]
     n, omega = shooting.n[points], shooting.omega[points]
     lyapunov, error = found.lyapunov[points], found.lyapunov_error[points]
@@ -239,12 +245,13 @@ def _stability(
     modulus[is_orbit] = np.hypot(largest.real, largest.imag)
     follows = is_orbit & np.isnan(lyapunov)
     shrinks = follows & (modulus > VANISHED)
-    # What swings until it has shrunk to nothing shrank on average as areas do; what creeps did not.
+    # An oscillating tangent that has shrunk to zero shrank at the mean rate of areas, an overdamped
+    # one did not.
     rate = windows.ensemble.decay_rate[points]
     swings = follows & ~shrinks & (windows.ensemble.settling_rate[points] == rate)
     lyapunov[swings] = -rate[swings]
     error[swings | shrinks] = 0.0
-    # numpy's own logarithm is another one on another processor.
+    # numpy's logarithm differs between processors.
     logarithms = np.fromiter(map(math.log, modulus[shrinks].tolist()), float)
     lyapunov[shrinks] = logarithms * omega[shrinks] / n[shrinks]
     return {
@@ -266,9 +273,9 @@ def _multipliers(
 
 
 def _record(orbits: Numbers, windows: RecordedWindows, shooting: NewtonShooting) -> RaggedArrays:
-    """States (q, v, z) of orbits after each forcing period of a whole period, one after the other.
+    """Record a whole period of the orbits; return states (q, v, z) after each forcing period.
 
-    Their extrema and contacts join those of the last windows of other motions.
+    Extrema and contact shares are stored in `windows`, as for other motions.
     """
     ensemble, states = windows.ensemble, RaggedArrays(len(shooting.n))
     if orbits.size:
@@ -283,7 +290,7 @@ def _record(orbits: Numbers, windows: RecordedWindows, shooting: NewtonShooting)
 
 
 def _rest(points: Numbers, windows: RecordedWindows, states: RaggedArrays) -> None:
-    """What has come to rest stays there: no extrema, one state. So it is with what was given up."""
+    """Record motions at rest, and those without return to the section: one state, no extrema."""
     if not points.size:
         return
     rows, y = windows.rows(points), windows.y[:, points]
@@ -302,7 +309,7 @@ def _section(
     states: RaggedArrays,
     steady: Steady,
 ) -> tuple[Array, Counts]:
-    """States of some points: of orbits as recorded, of other motions the last of their windows."""
+    """Section of some points: of orbits as recorded, of other motions the end of their windows."""
     others = points[~(found.has_orbit | found.has_stopped)[points]]
     if others.size:
         n_states, _, width = windows.section.shape
@@ -318,13 +325,13 @@ def _section(
 def _read_off(
     points: Numbers, windows: RecordedWindows, found: Classification, steady: Steady
 ) -> tuple[dict[str, Array | Counts], dict[str, tuple[Array | Counts, Counts]]]:
-    """Columns and lists that are read off the recorded extrema of some points."""
+    """Columns and lists that follow from the recorded extrema of some points."""
     ensemble, is_orbit = windows.ensemble, found.has_orbit[points]
     n_q, place = ensemble.n_coordinates, ensemble.turning(points, windows.y[:, points])
     x, counts = windows.extrema.of(windows.rows(points))
     first = np.cumsum(counts) - counts
     kinds = _kinds(x, counts, np.repeat(is_orbit, windows.n_turning))
-    # What has no turning point in its window still has a place.
+    # A quantity without an extremum in the window has its present value.
     largest: Array = place.T.flatten()
     smallest = largest.copy()
     seen = np.flatnonzero(counts)
@@ -372,19 +379,19 @@ def _read_off(
 def _hidden_contacts(
     points: Numbers, windows: RecordedWindows, gap_max: Array, gap_min: Array
 ) -> Mask:
-    """Where a contact that is felt moves too little to be told from errors of the rest."""
+    """Points with a contact near its wall that moves less than errors of the other coordinates."""
     ensemble = windows.ensemble
     whole = ensemble.gap_units(points) * windows.reach[points]
     faint = 0.5 * (gap_max - gap_min) < _FAINT * whole
     margin = ensemble.solver.rtol * whole
-    # A smooth law changes its stiffness about the same places: faint there is hidden, too.
+    # A smooth law changes its stiffness near the same walls: faint motion there is hidden, too.
     walls = ensemble.felt_walls[:, :, points]
     near = ((gap_min - margin <= walls) & (walls <= gap_max + margin)).any(axis=0)
     return np.asarray((faint & near).any(axis=0))
 
 
 def _hidden_springs(points: Numbers, windows: RecordedWindows, half: Array) -> Mask:
-    """Where a cubic spring of a system does, and yet adds to what is linear.
+    """Points with a relevant cubic spring that moves less than errors of the other coordinates.
 
     Parameters
     ----------
@@ -400,7 +407,7 @@ def _hidden_springs(points: Numbers, windows: RecordedWindows, half: Array) -> M
         for spring in system.cubic:
             along = spring.along
             moves = np.abs(along) @ half[k]  # at most
-            # What holds it: stiffness, and inertia where contacts or other coordinates do.
+            # Linear stiffness against it; inertia where contacts or other coordinates hold it.
             inertia = along @ system.mass @ along * (2.0 * math.pi * ensemble.omega[points[k]]) ** 2
             stiffness = (abs(along @ system.stiffness @ along) + inertia) / (along @ along) ** 2
             is_faint = moves < whole[k] * np.linalg.norm(along * unit[k])
@@ -411,11 +418,11 @@ def _hidden_springs(points: Numbers, windows: RecordedWindows, half: Array) -> M
 def _whole_period(
     windows: RecordedWindows, orbits: Numbers, y: Array, call: Call
 ) -> tuple[Array, Counts]:
-    """Extrema [m] of orbits, and how many are each row's.
+    """Extrema [m] of orbits over a whole period, and the number of each row.
 
-    The end of an orbit does not meet its start to the last bit. A turn just there would be missed,
-    or counted at both: then the velocities have opposite signs, and the acceleration says which it
-    is.
+    The end of an orbit differs from its start in the last bits. An extremum there could be missed,
+    or counted twice: then the velocities have opposite signs, and the acceleration decides which of
+    both happened.
     """
     ensemble, n_q = windows.ensemble, windows.ensemble.n_coordinates
     x, counts = windows.extrema_of(call)
@@ -442,8 +449,8 @@ def _whole_period(
 def _kinds(x: Array, counts: Counts, closed: Mask) -> Counts:
     """`ExtremumKind` of zero-velocity displacements, motion by motion in the order of time.
 
-    What is passed on the way from one neighbour to the other is an inflection. `closed`: the first
-    follows the last.
+    A point between the displacements of its neighbours is an inflection. `closed`: motions whose
+    first point follows the last one.
     """
     before, after = np.concatenate([x[-1:], x[:-1]]), np.concatenate([x[1:], x[:1]])
     some = np.flatnonzero(counts)

@@ -1,9 +1,9 @@
-"""Which responses from different starts are the same attractor.
+"""Grouping of responses from different initial conditions into attractors.
 
-A response belongs to the first attractor of its scene whose first response it repeats. So in each
-round all that are left are compared, as arrays, with the first of them in their scene: one scene of
-a million starts takes as many rounds as it has attractors, and a million scenes of one start take
-one.
+A response belongs to the first attractor of its case whose first response it repeats. In each
+round all responses that are left are compared, as arrays, with the first of them in their case: a
+case of a million initial conditions takes as many rounds as it has attractors, and a million
+cases of one initial condition take one round.
 """
 
 from collections.abc import Callable, Iterator
@@ -26,21 +26,21 @@ from gapsweep.response.thresholds import DEVIATIONS
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 Numbers = NDArray[np.intp]
-# Which pairs of responses, given by their numbers, are the same attractor.
+# Function of pairs of responses, given by their numbers: whether they are on the same attractor.
 Same = Callable[[Numbers, Numbers], Mask]
 
 NONE = -1
 # Two periodic orbits closer than this share of their reach are one, polished or not.
 _SAME_ORBIT = 1e-3
-# Places of rest are known better.
+# Equilibria are known better.
 _SAME_REST = 1e-6
 # Two orbits blurred by solver errors are known to this share only.
 _SAME_NOISY = 0.1
-# Two chaotic samples are of one attractor if they overlap as well as `CLOUD_CLOSE` says, or if no
-# more of their points than this have their nearest neighbour in their own sample. Of 32 points of
-# one distribution half have; three quarters or more have in one case of a thousand.
+# Two chaotic samples are of one attractor if they overlap within `CLOUD_CLOSE`, or if at most this
+# share of their points has its nearest neighbour in the same sample. For 32 points of one
+# distribution the share is one half, and three quarters or more in one case of a thousand.
 _MIXED = 0.75
-# A coordinate that moves by less than this share of the others is as good as still.
+# A coordinate that moves by less than this share of the others counts as still.
 _ROUNDING = 1e-3
 _DIGITS = 9  # of displacements [m], so that the last bits of twins do not decide their order
 _BLOCK = 1 << 20  # numbers that are compared at a time
@@ -48,23 +48,23 @@ _BLOCK = 1 << 20  # numbers that are compared at a time
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Attractors:
-    """Attractors of many scenes as columns: scene after scene, in each by their peaks.
+    """Attractors of many cases as columns, sorted by case, then by peak.
 
     Attributes
     ----------
     of_response : ndarray of int, shape (n_responses,)
-        Row, in the columns below, of the attractor that each response is on, `NONE` if on none.
+        Row, in the columns below, of the attractor of each response, `NONE` without an attractor.
     scene, number : ndarray of int, shape (n,)
-        Number of its scene, and its own within that.
+        Number of the attractor's case, and of the attractor within the case.
     first : ndarray of int, shape (n,)
-        Number of the first response that ends on it.
+        Number of the first response on the attractor.
     leaders : Responses, length n
-        Those first responses.
+        The first response on each attractor.
     n_ending, n_starts : ndarray of int, shape (n,)
-        How many of the scene's counted starts end on it, and how many were counted.
+        Number of the case's counted initial conditions that lead to it, and of all counted ones.
     mirror_of : ndarray of int, shape (n,)
-        Number of the attractor that is its mirror image (its own if it is symmetric), `NONE` if
-        there is none among those found, or if the gap is not symmetric.
+        Number of the attractor that is its mirror image (the same if it is symmetric), `NONE` if
+        none was found, or if the gap is not symmetric.
     """
 
     of_response: Numbers
@@ -78,36 +78,36 @@ class Attractors:
 
     @property
     def numbers(self) -> Numbers:
-        """Number of the attractor of every response within its scene, `NONE` if it has none."""
+        """Number of the attractor of every response within its case, `NONE` if it has none."""
         return np.append(self.number, NONE)[self.of_response]
 
     @property
     def basin_share(self) -> Array:
-        """Share of the scene's starts that end on each [-]."""
-        # Undefined, not infinite, where no start counts.
+        """Share of the case's counted initial conditions that lead to each attractor [-]."""
+        # NaN, not infinite, without counted initial conditions.
         n_starts = np.where(self.n_starts > 0, self.n_starts, np.nan)
         return np.asarray(self.n_ending / n_starts)
 
     @property
     def basin_share_error(self) -> Array:
-        """Standard error of the share [-], of a binomial sample."""
+        """Standard error of `basin_share` [-], of a binomial sample."""
         share, n_starts = self.basin_share, np.maximum(self.n_starts, 1)
         return np.sqrt(share * (1.0 - share) / n_starts)
 
 
 class Grouping:
-    """Attractors of many scenes whose responses come in parts.
+    """Groups the responses of many cases, which are added in parts, into attractors.
 
-    A scene of a million starts need not be in memory at once: of what has come before, the first
-    response on each attractor is kept. Parts change nothing: the result is that of all at once.
+    A case of a million initial conditions need not be in memory at once: of earlier parts only the
+    first response on each attractor is kept. The result does not depend on the parts.
 
-    To be given as many scenes at a time as have their responses at hand: a scene costs a
-    microsecond or two then, and half a millisecond in a part of its own.
+    Each part should have as many cases as possible: a case then costs one or two microseconds,
+    and half a millisecond in a separate part.
 
     Parameters
     ----------
     unit : ndarray, shape (n_states, n_scenes)
-        What one metre of the section is in each component of a state.
+        Value of each component of a state that corresponds to one metre of the section.
     """
 
     def __init__(self, unit: Array) -> None:
@@ -120,16 +120,16 @@ class Grouping:
     def add(self, responses: Responses, scene: ArrayLike, counted: ArrayLike | None = None) -> None:
         """Group further responses.
 
-        Unresolved and failed ones belong to no attractor; they count among the starts.
+        Unresolved and failed responses belong to no attractor, but count for basin shares.
 
         Parameters
         ----------
         responses : Responses
-            Of all scenes, in any order.
+            Responses of all cases, in any order.
         scene : array_like of int, shape (n_responses,)
-            Number of each response's scene, from 0 on.
+            Number of each response's case, from 0 on.
         counted : array_like of bool, shape (n_responses,), optional
-            Which starts are a sample for basin shares; all if None. A sweep's are not.
+            Whether an initial condition counts for basin shares; all if None. A sweep's do not.
         """
         n, scene = len(self._scene), np.asarray(scene, np.intp)
         sample = np.ones(len(scene), bool) if counted is None else np.asarray(counted, bool)
@@ -150,13 +150,13 @@ class Grouping:
         self._n_starts += np.bincount(scene[sample], minlength=len(self._n_starts))
 
     def attractors(self, symmetric: ArrayLike) -> Attractors:
-        """What was found; a scene's attractors in the order of peaks, troughs, period multiples.
+        """Return the attractors; within a case by peaks, troughs and period multiples.
 
         Parameters
         ----------
         symmetric : bool or array_like of bool, shape (n_scenes,)
-            Whether the gap is symmetric, so that mirror images of attractors are attractors. Of
-            systems they are not looked for.
+            Whether the gap is symmetric, so that mirror images of attractors are attractors. Mirror
+            images are not searched for systems.
         """
         leaders = Responses.of(()) if self._leaders is None else self._leaders
         order = _order(leaders, self._scene)
@@ -187,7 +187,7 @@ def attractors_of_scenes(
     symmetric: ArrayLike,
     counted: ArrayLike | None = None,
 ) -> Attractors:
-    """Group the responses of different starts in each of many scenes, all at once; a `Grouping`."""
+    """Group the responses of many cases into attractors, all at once; see `Grouping`."""
     grouping = Grouping(unit)
     grouping.add(responses, scene, counted)
     return grouping.attractors(symmetric)
@@ -205,7 +205,7 @@ def _firsts(responses: Responses, scene: Numbers, unit: Array) -> Numbers:
     points = scaled(states.reshape(-1, n_states), unit[:, np.repeat(scene, n_points)])
     first = np.full(len(scene), NONE, np.intp)
     reach = _reach(responses, unit[:, scene])
-    # Where nothing brings a motion back every place is one of rest, and none is an attractor.
+    # Without a restoring force every position is an equilibrium, and none is an attractor.
     is_free = (kind == ResponseClass.EQUILIBRIUM) & (responses.columns["lyapunov"] == 0.0)
     for closed in (ResponseClass.PERIODIC, ResponseClass.EQUILIBRIUM):
         is_orbit = (kind == closed) & (n_points > 0) & ~is_free
@@ -220,10 +220,10 @@ def _firsts(responses: Responses, scene: Numbers, unit: Array) -> Numbers:
 
 
 def _reach(responses: Responses, unit: Array) -> Array:
-    """Largest moduli [m], as section points', of what each component belongs to.
+    """Scale [m] of each component of a section point, to compare orbits; shape as `unit`.
 
-    A coordinate and its velocity have the coordinate's, first-order states that of all: what is
-    large in one coordinate hides no difference in another, but for rounding.
+    A coordinate and its velocity have the coordinate's largest modulus, first-order states that of
+    all coordinates: a large coordinate hides no difference in another one, except rounding.
     """
     x_max, x_min = (np.atleast_2d(responses.columns[name].T) for name in ("x_max", "x_min"))
     x = np.maximum(np.abs(x_max), np.abs(x_min))
@@ -233,7 +233,7 @@ def _reach(responses: Responses, unit: Array) -> Array:
 
 
 def _led(rows: Numbers, scene: Numbers, same: Same) -> Numbers:
-    """For each response the first one of its scene that leads a group which it belongs to."""
+    """Return, for each response, the first response of its case on the same attractor."""
     order = np.argsort(scene[rows], kind="stable")
     left, led = rows[order], np.empty(len(rows), np.intp)
     places = order
@@ -250,7 +250,7 @@ def _led(rows: Numbers, scene: Numbers, same: Same) -> Numbers:
 
 
 def _same_orbits(responses: Responses, reach: Array, points: Array, begin: Numbers, n: int) -> Same:
-    """Comparison of periodic orbits of n points, or of places of rest."""
+    """Return the comparison of periodic orbits of n points, or of equilibria."""
     columns = responses.columns
     is_rest = columns["response_class"] == ResponseClass.EQUILIBRIUM
     error = columns["lyapunov_error"]
@@ -262,7 +262,7 @@ def _same_orbits(responses: Responses, reach: Array, points: Array, begin: Numbe
         allowed = np.maximum(share * reach[:, a], DEVIATIONS * np.maximum(noise[a], noise[b]))
         found = np.zeros(len(a), bool)
         for shift in range(n):
-            # Mostly the first point alone decides.
+            # In most cases the first point decides.
             left = np.flatnonzero(~found)
             for k in range(n):
                 i, j = begin[a[left]] + (k - shift) % n, begin[b[left]] + k
@@ -277,7 +277,7 @@ def _same_orbits(responses: Responses, reach: Array, points: Array, begin: Numbe
 
 
 def _same_clouds(points: Array, begin: Numbers, n_points: Numbers) -> Same:
-    """Comparison of samples of chaotic motions."""
+    """Return the comparison of samples of chaotic or quasiperiodic motions."""
 
     def same(a: Numbers, b: Numbers) -> Mask:
         found = np.empty(len(a), bool)
@@ -297,7 +297,7 @@ def _same_clouds(points: Array, begin: Numbers, n_points: Numbers) -> Same:
 
 
 def _blocks(rows: Numbers, size: int) -> Iterator[Numbers]:
-    """Rows in parts, so that so many numbers for each are not too many at a time."""
+    """Split rows into parts that need at most `_BLOCK` numbers, with `size` numbers a row."""
     step = max(1, _BLOCK // size)
     return (rows[k : k + step] for k in range(0, len(rows), step))
 
@@ -306,12 +306,12 @@ def _blocks(rows: Numbers, size: int) -> Iterator[Numbers]:
 
 
 def _order(leaders: Responses, scene: Numbers) -> Numbers:
-    """First responses in the order of scenes and peaks."""
-    # Rounding as Python does it takes its time, and one attractor needs no order.
+    """Return the order of first responses by case, peak, trough and period multiple."""
+    # Rounding in Python is slow, and a single attractor needs no order.
     several = np.flatnonzero(np.bincount(scene)[scene] > 1)
     keys = np.zeros((3, len(leaders)))
     for key, name in zip(keys, ("x_max", "x_min", "period_multiple"), strict=True):
-        # Of a system its first coordinate's.
+        # For a system, of its first coordinate.
         values = np.atleast_2d(leaders.columns[name].T)[0, several].tolist()
         key[several] = [round(value, _DIGITS) for value in values]
     x_max, x_min, n = keys
@@ -319,7 +319,7 @@ def _order(leaders: Responses, scene: Numbers) -> Numbers:
 
 
 def _mirrors(rows: Numbers, found: Responses, scene: Numbers, number: Numbers) -> Numbers:
-    """Numbers of the mirror images of some attractors: same kind, extrema of opposite signs.
+    """Return the numbers of the mirror images of attractors: same class, extrema negated.
 
     Parameters
     ----------
@@ -327,18 +327,18 @@ def _mirrors(rows: Numbers, found: Responses, scene: Numbers, number: Numbers) -
     found : Responses
         The first responses of all attractors.
     scene, number : ndarray of int
-        As of `Attractors`.
+        As in `Attractors`.
     """
     mirror = np.full(len(rows), NONE, np.intp)
     items, lengths = found.lists["extrema"]
-    # Of chaotic motions, which have the most, they are not compared.
+    # Extrema of chaotic motions, which have the most, are not compared.
     is_orbit = found.columns["response_class"] != ResponseClass.CHAOTIC
     items, lengths = items[np.repeat(is_orbit, lengths)], np.where(is_orbit, lengths, 0)
     begin, of_item = np.cumsum(lengths) - lengths, np.repeat(np.arange(len(found)), lengths)
     items = items[np.lexsort((items, of_item))]
     ends = [np.searchsorted(scene, scene[rows], side) for side in ("left", "right")]
     n_others = ends[1] - ends[0]
-    # As many rows at a time as have a block of pairs, or one.
+    # Rows are compared in parts of at most one block of pairs, or one row.
     parts = np.cumsum(n_others) // _BLOCK
     for part in np.unique(parts).tolist():
         here = np.flatnonzero(parts == part)
@@ -352,7 +352,7 @@ def _mirrors(rows: Numbers, found: Responses, scene: Numbers, number: Numbers) -
 def _are_images(
     a: Numbers, b: Numbers, found: Responses, extrema: Array, begin: Numbers, lengths: Numbers
 ) -> Mask:
-    """Which pairs are mirror images; `extrema` are sorted for each attractor."""
+    """Whether attractors `a` and `b` are mirror images; `extrema` are sorted for each attractor."""
     columns = found.columns
     x_max, x_min, kind = columns["x_max"], columns["x_min"], columns["response_class"]
     is_chaotic = kind[a] == ResponseClass.CHAOTIC

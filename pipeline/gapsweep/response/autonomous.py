@@ -1,7 +1,7 @@
-"""Autonomous motions on a Poincare section: the maxima of the first coordinate.
+"""Autonomous motions on a Poincaré section: the maxima of the first coordinate.
 
-A period is a return to the section here, however long it takes. The map of the section has one
-multiplier less than the motion: the one along the motion, which is one.
+A period is a return to the section here, of any duration. The Poincaré map has one multiplier less
+than the motion: without the multiplier 1 along the motion.
 """
 
 import math
@@ -25,31 +25,32 @@ Counts = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 Numbers = NDArray[np.intp]
 
-# How much longer than expected a motion may take to come round, and how often it is waited for.
+# Factors of the expected time that a motion may take to return at first and in each further try,
+# and number of tries.
 _MARGIN, _LONGER, _TRIES = 1.1, 4.0, 5
-# Maxima of a coordinate that swings by less than this share of the motion say nothing of it.
+# Maxima of a coordinate that moves by less than this share of the motion are rounding errors.
 _FAINT = 1e-10
 _MOST_RETURNS = 2**18  # recorded at a time: some tens of megabytes
-_FIRST = 16  # returns by which their rate is known
-# A state that is so near to the section, as a share of the swing, is on it.
+_FIRST = 16  # returns from which their rate is computed
+# A state this close to the section, as a share of the amplitude, is on it.
 _ON = 1e-10
 _BEYOND = 1e-10  # of the time, by which the last maximum is passed to be recorded
 
 
 class Returned(Call):
-    """What one call of the engine found, up to a return to the section.
+    """Motions of one call of the engine, up to a return to the section.
 
     Parameters
     ----------
     passings : tuple of ndarray, shape (number of returns, n_states), and ndarray of int, shape (n,)
     speed : ndarray, shape (n_states, n)
-        Derivatives of the ends by time, as section points [m/s].
+        Time derivatives of the end states, as section points [m/s].
     swing : ndarray, shape (n,)
-        How far they swing [m].
+        Amplitude of the motions [m].
     normal : int
-        The component of a state that is zero on the section.
+        Component of a state that is zero on the section.
     *given
-        As of a `Call`.
+        As in `Call`.
     """
 
     def __init__(
@@ -70,9 +71,9 @@ class Returned(Call):
 
     @property
     def monodromy(self) -> Array:
-        # What leads off the section is led on along the motion until it is back on it.
+        # Disturbances off the section are projected along the motion back onto it.
         across = self.tangent[:, self._normal, :]
-        with np.errstate(all="ignore"):  # of what failed, or is at rest
+        with np.errstate(all="ignore"):  # for motions that failed, or are at rest
             along = (self._speed / self._speed[self._normal]).T
             return np.asarray(self.tangent - along[:, :, None] * across[:, None, :])
 
@@ -82,17 +83,17 @@ class Returned(Call):
 
 
 class PoincareMap(Ensemble):
-    """Autonomous systems; a period is a return to the Poincare section in all methods."""
+    """Ensemble of autonomous systems; in all methods a period is a return to the section."""
 
-    is_chained = False  # where a return is, its call tells
+    is_chained = False  # only the call itself finds the times of returns
 
     def __init__(self, models: Models, solver: Solver, start: Array) -> None:
         super().__init__(models, solver)
         self._rates = Rates(models)
         self.n_multipliers -= 1
         self.has_families = self.settling_rate == 0.0
-        self._rate = self.omega.copy()  # returns per second, as seen last
-        # Time is counted in returns: as they follow each other, not as the slowest motion would.
+        self._rate = self.omega.copy()  # returns per second in the last call
+        # Time is counted in returns, not in periods of the slowest mode.
         n = np.full(len(models), _FIRST)
         every, kept = np.arange(len(models)), np.zeros(len(models), bool)
         found, (_, counts) = self._returned(every, start, n, kept, is_shot=False)
@@ -141,17 +142,17 @@ class PoincareMap(Ensemble):
         return Returned(passings, speed, swing, normal, found, *given)
 
     def duration(self, n_periods: Counts, elapsed: Array) -> Array:
-        return elapsed  # its returns take what time they take
+        return elapsed  # returns have no fixed duration
 
     def bounded_transient(self, transient: Counts, n_periods: Counts) -> Counts:
-        # Where growth sets in, damping about the equilibrium says nothing.
+        # When a motion grows, damping about the equilibrium does not predict the transient.
         return np.minimum(transient, np.maximum(n_periods, FIRST_WINDOW))
 
     def stays_bounded(self, scenes: Numbers, y: Array) -> Mask:
-        """Which motions do not go farther than ever, and then once more.
+        """Motions that do not exceed their largest displacement so far twice in succession.
 
-        Growth without bound stretches disturbances as chaos does; chaos goes farther than ever by
-        chance, and hardly twice.
+        Unbounded growth amplifies disturbances as chaos does; chaos exceeds its largest
+        displacement by chance, but hardly twice.
         """
         stays, y, left = np.ones(len(scenes), bool), y.copy(), np.arange(len(scenes))
         for n_returns in (PERSISTENCE, 4 * PERSISTENCE):
@@ -168,9 +169,9 @@ class PoincareMap(Ensemble):
     def _returned(
         self, scenes: Numbers, y: Array, n: Counts, kept: Mask, *, is_shot: bool
     ) -> tuple[Motions, tuple[Array, Counts]]:
-        """Motions up to their n-th return; where those to be kept passed the section, all counts.
+        """Return motions up to their n-th return, section states of those `kept`, and all counts.
 
-        Some motions at a time, for every return of them is recorded.
+        Motions are integrated in parts, because all their returns are recorded.
         """
         t_end, states = _MARGIN * n / self._rate[scenes], [np.empty((0, len(y)))] * len(scenes)
         counts, left = np.zeros(len(scenes), np.int64), np.arange(len(scenes))
@@ -191,7 +192,7 @@ class PoincareMap(Ensemble):
                 last = (first + n[some] - 1)[is_back]
                 run.t[is_back], run.state[is_back] = events.t_section[last], events.section[last]
                 run.status[is_back] = Status.OK
-                run.t[run.t == 0.0] = t_end[some][run.t == 0.0]  # of what was not begun in time
+                run.t[run.t == 0.0] = t_end[some][run.t == 0.0]  # not begun in time
                 for name in ("t", "state", "status", "reach", "n_steps"):
                     values = getattr(run, name)
                     whole = np.zeros((len(scenes), *values.shape[1:]), values.dtype)
@@ -213,5 +214,5 @@ class PoincareMap(Ensemble):
         return replace(run, **columns), (np.concatenate(states), counts)
 
     def _speed(self, scenes: Numbers, y: Array) -> Array:
-        """Derivatives of states by time, as section points [m/s]."""
+        """Time derivatives of states, as section points [m/s]."""
         return np.asarray(self._rates(scenes, y) / self.unit[:, scenes])

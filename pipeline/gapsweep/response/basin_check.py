@@ -1,4 +1,4 @@
-"""Basin check: whether motions approach the orbits that shooting found, and not other ones."""
+"""Basin check: test that motions approach the orbits that shooting found, and not other ones."""
 
 from typing import NamedTuple
 
@@ -17,19 +17,19 @@ Numbers = NDArray[np.intp]
 
 
 class Approach(NamedTuple):
-    """How m motions approach their orbits.
+    """Approach of m motions to their orbits.
 
     Attributes
     ----------
     is_own : ndarray of bool, shape (m,)
-        Whether they are near and came closer over their windows.
+        Whether the motion is near its orbit and came closer over its window.
     has_shrunk : ndarray of bool, shape (m,)
-        Whether they did at least half as much as the orbits' multipliers say.
+        Whether it came closer by at least half as much as the orbit's multiplier predicts.
     is_near : ndarray of bool, shape (m,)
     goal : ndarray, shape (m,)
-        Distance [m] within which they must come.
+        Distance [m] that the motion must reach.
     stretch : ndarray of int, shape (m,)
-        Periods that their multipliers need for that.
+        Periods that it needs for that at the rate of the multiplier.
     """
 
     is_own: Mask
@@ -42,25 +42,25 @@ class Approach(NamedTuple):
 def basin_check(
     windows: RecordedWindows, shooting: NewtonShooting, points: Numbers, slow: Mask
 ) -> Approach:
-    """Compare the windows of motions with orbits; `slow` as from `is_slow`."""
+    """Compare the windows of motions with their orbits; `slow` is the result of `is_slow`."""
     n, last = shooting.n[points], windows.length[points] - 1
     resolution, near = windows.resolution[points], NEAR * windows.reach[points]
     first = norm(windows.section[:, points, last % n] - _orbits(windows, shooting, points))
     modulus = shooting.modulus(points)
     has_shrunk = _last(windows, shooting, points) <= 0.5 * (1.0 + modulus ** (last // n)) * first
     far = distances(windows, shooting, points, slow)
-    # About a slow orbit the solver's noise adds up until as much is lost as comes anew.
+    # Near a slow orbit the solver's noise accumulates until decay balances it.
     noise = resolution / np.sqrt(1.0 - modulus ** (2.0 / n))
     resolution = np.where(slow, np.maximum(resolution, np.minimum(noise, near)), resolution)
     goal = np.maximum(np.minimum(CLOSER * far, near), resolution)
-    # One factor of two more: a state's directions do not shrink as one.
+    # Another factor of two: directions of a state shrink at different rates.
     stretch = repeats(0.5 * goal / np.maximum(far, goal), modulus) * n
     is_own = far <= np.maximum(resolution, np.minimum(near, CLOSER * first))
     return Approach(is_own, has_shrunk, far <= near, goal, stretch)
 
 
 def is_slow(shooting: NewtonShooting, points: Numbers, n_periods: int) -> Mask:
-    """Whether a window of so many periods shrinks disturbances of orbits but little."""
+    """Whether disturbances of orbits shrink only little over a window of `n_periods`."""
     return np.asarray(shooting.modulus(points) ** (n_periods / shooting.n[points]) > SLOW)
 
 
@@ -69,7 +69,7 @@ def distances(
 ) -> Array:
     """Distances [m] of motions, at whole periods of their orbits, from the orbits' first points.
 
-    The last ones; where orbits are slow, the largest in the windows.
+    The distance is that of the last state; for slow orbits, the largest one in the window.
     """
     found = _last(windows, shooting, points)
     for k in np.flatnonzero(slow).tolist():

@@ -1,4 +1,4 @@
-"""States of the points of a search, and what is known of their motions."""
+"""States of the points of a search, and their exponents."""
 
 from enum import IntEnum, auto
 
@@ -7,10 +7,10 @@ from numpy.typing import NDArray
 
 
 class State(IntEnum):
-    """What a point waits for, or its class.
+    """State of a point in the search: the next action for it, or its class.
 
-    First motions to integrate, then decisions in the order in which they follow each other, then
-    classes: those after `EQUILIBRIUM` are unresolved or failed, each for a reason.
+    First integrations, then decisions in the order in which they follow each other, then classes:
+    those after `EQUILIBRIUM` are unresolved or failed, each for a different reason.
     """
 
     RECORD = 0
@@ -41,18 +41,18 @@ class State(IntEnum):
     QUASIPERIODIC = auto()
     EQUILIBRIUM = auto()
     UNSTABLE_REST = auto()
-    NO_RETURN = auto()  # never came back to its Poincare section
+    NO_RETURN = auto()  # never returned to its Poincaré section
     UNRESOLVED = auto()
-    LOCKED = auto()  # repeats itself, after more periods than are looked for
-    GROWING = auto()  # goes farther than it ever was, with no forcing
-    UNCONFIRMED = auto()  # an orbit of the solver, at tighter tolerances unstable or gone
-    NOISY = auto()  # swings by little more than solver errors
-    HIDDEN = auto()  # a contact moves too little to be told from errors of the rest
+    LOCKED = auto()  # repeats after more periods than max_period_multiple
+    GROWING = auto()  # the displacement grew until the end
+    UNCONFIRMED = auto()  # an orbit that at tighter tolerances is unstable or does not exist
+    NOISY = auto()  # the amplitude is little larger than solver errors
+    HIDDEN = auto()  # a contact moves less than solver errors of the other coordinates
     FAILED = auto()
 
 
 class Classification:
-    """States of n points, and numbers that belong to some of them.
+    """States of n points, with Lyapunov exponents and distances from equilibria of some.
 
     Attributes
     ----------
@@ -70,20 +70,20 @@ class Classification:
 
     @property
     def is_periodic(self) -> NDArray[np.bool_]:
-        """Which points have a periodic orbit."""
+        """Whether points have a periodic orbit, shape (n,)."""
         return np.asarray(self.state == int(State.PERIODIC))
 
     @property
     def has_orbit(self) -> NDArray[np.bool_]:
-        """Which points have a periodic orbit, confirmed or not."""
+        """Whether points have a periodic orbit, confirmed or not, shape (n,)."""
         return np.asarray(self.is_periodic | (self.state == int(State.UNCONFIRMED)))
 
     @property
     def is_classified(self) -> NDArray[np.bool_]:
-        """Which points have a class of steady response."""
+        """Whether points have a class of steady response, shape (n,)."""
         return (self.state >= int(State.PERIODIC)) & (self.state <= int(State.EQUILIBRIUM))
 
     @property
     def has_stopped(self) -> NDArray[np.bool_]:
-        """Which points have come to rest, or never come back to their section."""
+        """Whether points have come to rest, or never return to their section, shape (n,)."""
         return (self.state >= int(State.EQUILIBRIUM)) & (self.state <= int(State.NO_RETURN))

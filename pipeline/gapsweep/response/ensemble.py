@@ -1,6 +1,6 @@
-"""Many motions in the engine together, and calls that advance them by whole periods.
+"""Ensembles of motions, and calls of the engine that advance them by whole periods.
 
-No result depends on the others that share a call.
+No result depends on the other motions of a call.
 """
 
 import math
@@ -34,14 +34,14 @@ from gapsweep.status import Status
 Array = NDArray[np.float64]
 _Costs = list[tuple[NDArray[np.intp], Array]]
 
-# Beside the `Status` values of a call: the motion has come to rest, or never comes back.
+# In addition to `Status` values: the motion has come to rest, or never returns to its section.
 AT_REST, ASTRAY = -1, -2
 _STEPS_AT_A_TIME = 10_000.0  # some five milliseconds of a lane
-_UNKNOWN = 1e-100  # steps a second: whatever is asked, it takes one call
+_UNKNOWN = 1e-100  # steps a second: any number of periods then takes one call
 
 
 class Ensemble:
-    """Motions of one kind, with one solver: one call of the engine can take them all.
+    """Motions of one kind with one solver, which one call of the engine can integrate together.
 
     Attributes
     ----------
@@ -53,29 +53,29 @@ class Ensemble:
     omega : ndarray, shape (n,)
         Forcing frequencies [Hz].
     n_multipliers : int
-        Floquet multipliers of an orbit of the section's map.
+        Number of Floquet multipliers of a periodic orbit.
     has_families : ndarray of bool, shape (n,)
         Whether periodic orbits come in families, one for each energy.
     decay_rate, settling_rate : ndarray, shape (n,)
-        As of an `Oscillator` or a `System` [1/s].
+        As in `Oscillator` and `System` [1/s].
     unit : ndarray, shape (n_states, n)
-        As of a `Call`.
+        As in `Call`.
     structure : Structure or OscillatorStructure
     n_coordinates : int
     first_gap : int
-        Row of the first contact's gap in `turning`: 0 where the gap is the one coordinate.
+        Row of the first contact's gap in `turning`: 0 if the gap is the only coordinate.
     swing : ndarray, shape (n,)
-        How far [m] each motion has come from the origin so far, where nothing forces it.
+        Largest displacement [m] of each unforced motion so far.
     valid_range : ndarray, shape (2, n_contacts, n)
-        Lowest and highest gaps at which the laws hold [m].
+        Lowest and highest gaps at which the laws are valid [m].
     walls : ndarray, shape (2, n_contacts, n)
-        Places of the lower and of the upper walls in the contacts' gaps [m].
+        Positions of the lower and the upper walls in the contacts' gaps [m].
     felt_walls : ndarray, shape (2, n_contacts, n)
-        The same, NaN where no gap lies between equal walls.
+        `walls`, but NaN for equal walls with zero gap, where the stiffness does not change.
     is_modulated : ndarray of bool, shape (n_contacts, n)
         Whether the force of a contact changes with time.
     has_own_tangent, is_noisy : bool
-        As of `Forces`.
+        As in `Forces`.
     is_chained : bool
         Whether motions with their tangent may follow each other in a call.
     """
@@ -105,16 +105,16 @@ class Ensemble:
         self._integrate_tangent: Integrate | None = None
         if not self.has_own_tangent:
             self._integrate_tangent = prepared(models.with_laws(located), forces.tangent_solver)
-        # Of every call, by motion: number of the scene, and processor time [s]; then of calls that
-        # are part of motions number of the scene, counts, and periods.
+        # For every call, by motion: number of the case, and CPU time [s]; then, for calls that are
+        # part of motions, number of the case, counts, and periods.
         nobody: NDArray[np.intp] = np.zeros(0, np.intp)
         self._seconds: _Costs = [(nobody, np.empty(0))]
         self._costs: _Costs = [(nobody, np.empty((len(COUNTS) + 1, 0)))]
 
     def tight(self, rtol: float) -> "Ensemble":
-        """The same motions at a tolerance that decides stability, with located contacts.
+        """Return the ensemble with the tolerance that decides stability, and located contacts.
 
-        These themselves if their solver is tight. Costs add up in both.
+        An ensemble whose solver is tight enough is returned itself. Both share their costs.
         """
         if self.solver.rtol <= TANGENT_RTOL:
             return self
@@ -151,40 +151,40 @@ class Ensemble:
         self._pace = _UNKNOWN / omega  # steps that a period took last
 
     def duration(self, n_periods: NDArray[np.int64], elapsed: Array) -> Array:
-        """Times [s] of so many periods; `elapsed`: as the calls took them, added up."""
+        """Return the times [s] of `n_periods`; `elapsed` is the sum of the times of all calls."""
         return np.asarray(n_periods / self.omega)
 
     def bounded_transient(
         self, transient: NDArray[np.int64], n_periods: NDArray[np.int64]
     ) -> NDArray[np.int64]:
-        """Periods of the next transient, after so many periods."""
+        """Return the periods of the next transient, after `n_periods`; unchanged if forced."""
         return transient
 
     def stays_bounded(self, scenes: NDArray[np.intp], y: Array) -> NDArray[np.bool_]:
-        """Which aperiodic motions do not grow for ever: all that are forced."""
+        """Whether aperiodic motions stay bounded: True for all forced motions."""
         return np.ones(len(scenes), bool)
 
     def system(self, scene: int) -> Any:
-        """What moves in a scene."""
+        """Return the model of a case."""
         return self.models.systems[int(self.models.system[scene])]
 
     def laws(self, scene: int) -> Laws:
-        """The laws of its contacts."""
+        """Return the laws of a case's contacts."""
         return self.models.laws[int(self.models.law[scene])]
 
     def at_a_time(
         self, scenes: NDArray[np.intp], n_periods: NDArray[np.int64]
     ) -> NDArray[np.int64]:
-        """How many of these forcing periods one call should take, by what motions took so far.
+        """Return how many of `n_periods` one call should take, from the steps per period so far.
 
-        A lane that is left alone with a long motion costs what all of them do. All calls for one
-        stretch are about as long.
+        A single lane with a long motion costs as much as all lanes. All calls for one motion get
+        about equal numbers of periods.
         """
         n_calls = np.maximum(np.ceil(n_periods * self._pace[scenes] / _STEPS_AT_A_TIME), 1.0)
         return np.ceil(n_periods / n_calls).astype(np.int64)
 
     def turning(self, scenes: NDArray[np.intp], parts: Array) -> Array:
-        """What extrema are recorded of: coordinates, then gaps that are no coordinate.
+        """Return the quantities whose extrema are recorded: coordinates, then gaps of a system.
 
         Parameters
         ----------
@@ -203,12 +203,12 @@ class Ensemble:
         return np.concatenate([q, gaps])
 
     def gap_units(self, scenes: NDArray[np.intp]) -> Array:
-        """What one metre of the section is in the contacts' gaps, shape (n_contacts, m)."""
+        """Gaps [m] that correspond to one metre of the section, shape (n_contacts, m)."""
         unit = self.unit[: self.n_coordinates, scenes]
         return np.asarray(np.sqrt(np.einsum("skj,js->ks", self._directions[scenes] ** 2, unit**2)))
 
     def gaps(self, turning: Array) -> Array:
-        """Rows of the contacts' gaps among those of `turning`."""
+        """Return the rows of the contacts' gaps among those of `turning`."""
         return turning[self.first_gap :]
 
     def call(
@@ -222,23 +222,23 @@ class Ensemble:
         tangent: bool = False,
         follows: NDArray[np.bool_] | None = None,
     ) -> Call:
-        """Integrate scenes over whole forcing periods, from phase zero.
+        """Integrate cases over whole forcing periods, from phase zero.
 
         Parameters
         ----------
         scenes : ndarray of int, shape (n,)
-            Their numbers, none twice but where a motion follows another one of it.
+            Numbers of cases; a number is repeated only for motions that follow each other.
         y : ndarray, shape (n_states, n)
-            States to start from.
+            Initial states.
         n_periods : ndarray of int, shape (n,)
         record_from : ndarray, shape (n,)
-            Time [s] from which events are wanted; infinity: never.
+            Time [s] from which events are recorded; infinity: never.
         section_only : bool
-            Whether of these only the section is wanted.
+            Whether only section points are recorded.
         tangent : bool
-            Whether the tangent equations are integrated along.
+            Whether the tangent equations are integrated too.
         follows : ndarray of bool, shape (n,), optional
-            As of `Problems`; only if `is_chained`.
+            As in `Problems`; only if `is_chained`.
         """
         omega = self.omega[scenes]
         t_end = n_periods / omega
@@ -250,7 +250,7 @@ class Ensemble:
         return Call(found, *given, *tangents)
 
     def _shrinks(self, scenes: NDArray[np.intp]) -> Array:
-        """Rates [1/s] at which volumes of states shrink."""
+        """Return the rates [1/s] at which volumes in state space shrink."""
         return len(self.unit) * self.decay_rate[scenes]
 
     def _run(
@@ -266,9 +266,9 @@ class Ensemble:
         follows: NDArray[np.bool_] | None = None,
         is_motion: bool,
     ) -> tuple[Motions, tuple[Array | None, Array]]:
-        """Integrate scenes for some time: motions, their tangents, and where these lead.
+        """Integrate cases up to `t_end`; return motions, tangents and end states of tangents.
 
-        `is_motion`: whether they settle or are recorded, rather than being shots or repeated.
+        `is_motion`: whether the cost counts as motion (transient, recording), not as shooting.
         """
         problems = Problems(
             which=scenes,
@@ -291,9 +291,9 @@ class Ensemble:
     def _tangents(
         self, problems: Problems, found: Motions, n_periods: NDArray[Any]
     ) -> tuple[Array, Array]:
-        """Tangents along motions by a solver of their own, and where they lead.
+        """Return tangents along motions, integrated by a different solver, and their end states.
 
-        Each from where its motion begins, so that none waits for the one before it.
+        Each tangent starts at the initial state of its motion, so that all run at the same time.
         """
         starts, begun = problems.start, _begun(problems, found)
         if problems.follows is not None:
@@ -326,7 +326,7 @@ class Ensemble:
         begin = time.thread_time() - LOADING.seconds
         found = integrate(problems)
         spent = time.thread_time() - LOADING.seconds - begin
-        # What ran together shares the processor time in proportion to its steps.
+        # Motions of a call share the CPU time in proportion to their steps.
         share = spent / max(int(found.n_steps.sum()), 1)
         seconds = np.asarray(share * found.n_steps, np.float64)
         self._seconds.append((problems.which, seconds))
@@ -339,9 +339,9 @@ class Ensemble:
         return found
 
     def costs(self) -> dict[str, NDArray[Any]]:
-        """What each scene has cost so far, as columns of `Responses`.
+        """Return the cost of each case so far, as columns of `Responses`.
 
-        Counts and simulated time are of its motion; the processor time is of its analysis too.
+        Counts and simulated time are those of the motion; the CPU time includes its analysis.
         """
         n = len(self.omega)
         (seconds,), (*counts, n_periods) = (
@@ -353,10 +353,10 @@ class Ensemble:
 
 
 def _begun(problems: Problems, found: Motions) -> NDArray[np.bool_]:
-    """Which motions were begun: not what follows a failure."""
+    """Whether motions were begun: False for motions that follow a failed one."""
     if problems.follows is None:
         return np.ones(len(problems), bool)
-    # What leaves the bounds in its last step has arrived, too.
+    # A motion that diverges in its last step has arrived, too: the status decides as well.
     is_ok = np.isin(found.status, (Status.OK, Status.OUT_OF_FIT_RANGE))
     is_ok &= arrived(found, problems.t_end) & np.isfinite(found.state).all(axis=1)
     return ~problems.follows | np.roll(is_ok, 1)
@@ -368,6 +368,6 @@ def _joined(parts: _Costs) -> tuple[NDArray[np.intp], Array]:
 
 
 def _places(law: ContactLaw) -> tuple[tuple[float, float], ...]:
-    """Where a law holds, its walls, and those at which the stiffness changes, at once or around."""
+    """Valid range of a law, its walls, and the walls at which the stiffness changes, else NaN."""
     is_felt = law.gap.width > 0.0 or law.K_ratio != 1.0
     return law.valid_range, law.walls, law.walls if is_felt else (math.nan, math.nan)

@@ -1,4 +1,4 @@
-"""Right sides at single states: derivatives by time, and the linear stability of equilibria."""
+"""Right-hand sides at single states: time derivatives, and linear stability of equilibria."""
 
 import math
 from collections.abc import Callable, Iterator
@@ -19,31 +19,31 @@ from gapsweep.response.thresholds import REST
 Array = NDArray[np.float64]
 Numbers = NDArray[np.intp]
 
-# A rest this near to a wall, as a share of the gap and its place, is on it.
+# An equilibrium this close to a wall, as a share of the gap and its position, is on the wall.
 _ON_WALL = 1e-7
 _STILL = 1e-10
 
 
 def linear_stability(ensemble: Ensemble, scene: int, y: Array) -> tuple[float, float]:
-    """Growth of disturbances of an equilibrium, and its distance from a state.
+    """Growth rate of disturbances of an equilibrium, and its distance from a state.
 
     Parameters
     ----------
     ensemble : Ensemble
     scene : int
-        Number of the scene.
+        Number of the case.
     y : ndarray, shape (n_states,)
         The state.
 
     Returns
     -------
     rate : float
-        Largest real part [1/s] of an eigenvalue of the motion about it. A rate beside which the
-        fastest is so great that rounding makes it is zero. On a wall the motion is not the same on
-        either side, and goes from one to the other: NaN, but where it leaves to one of them for
-        good, along an eigenvector, at that rate, or volumes grow on all: at least as fast.
+        Largest real part [1/s] of the eigenvalues of the linearised motion; zero if it is within
+        rounding of the fastest rate. On a wall the linearisations of both sides differ, and the
+        rate is NaN, unless the motion leaves along an eigenvector of one side (its eigenvalue), or
+        volumes grow on all sides (a lower bound).
     offset : float
-        Distance [m] of `y` from the rest, as a section point, by Newton's step.
+        Distance [m] of `y` from the equilibrium, as a section point, by Newton's step.
     """
     found = [_linearised(ensemble, scene, y, modes) for modes in _sides(ensemble, scene, y)]
     unit = ensemble.unit[:, scene]
@@ -51,7 +51,7 @@ def linear_stability(ensemble: Ensemble, scene: int, y: Array) -> tuple[float, f
     growth = [np.linalg.eigvals(a) for _, a in found]
     if len(growth) > 1:
         leaving = [float(rate.real) for each in growth for rate in each if not rate.imag]
-        # Where volumes grow on every side, they do on the way from one to the other.
+        # If volumes grow on every side, they grow along any motion between the sides.
         spreading = min(float(each.real.mean()) for each in growth)
         largest = max([spreading, *leaving])
         return (largest if largest > 0.0 else math.nan), offset
@@ -60,15 +60,15 @@ def linear_stability(ensemble: Ensemble, scene: int, y: Array) -> tuple[float, f
 
 
 def _linearised(ensemble: Ensemble, scene: int, y: Array, modes: Any) -> tuple[Array, Array]:
-    """Derivative of a state by time, and its own by the state."""
+    """Return the right-hand side at a state, and its Jacobian with respect to the state."""
     n, state = len(y), np.concatenate([y, np.eye(len(y)).ravel()])
     found = np.asarray(_right_side(ensemble, scene, tangent=True, modes=modes)(0.0, state))
-    return found[:n], found[n:].reshape(n, n).T  # images stand one after the other
+    return found[:n], found[n:].reshape(n, n).T  # images of unit states, one after the other
 
 
 def _sides(ensemble: Ensemble, scene: int, y: Array) -> Iterator[Any]:
-    """Modes of the contacts at a state, in all ways in which walls that it lies on may be; None: as
-    the state is.
+    """Yield the contact modes on all sides of the walls that a state lies on; None: the modes of
+    the state.
     """
     system, laws, swing = ensemble.system(scene), ensemble.laws(scene), ensemble.swing[scene]
     choices = []
@@ -79,34 +79,34 @@ def _sides(ensemble: Ensemble, scene: int, y: Array) -> Iterator[Any]:
         for wall, mode in ((high, 1), (low, -1)):
             if isinstance(law, Piecewise) and abs(gap - wall) <= near:
                 modes |= {0, mode}
-        # Where no gap lies between the walls, nothing is between their sides.
+        # With zero gap there is no free mode between the walls.
         choices.append(sorted(modes - {0} if low == high and len(modes) > 1 else modes))
     if all(len(modes) == 1 for modes in choices):
         yield None
     elif all(isinstance(law, Piecewise) for law in laws):
         yield from product(*choices)
     else:
-        yield from (None, None)  # beside other laws: this side, and no exponent
+        yield from (None, None)  # with other laws: only this side, and no exponent
 
 
 def rates(ensemble: Ensemble, scene: int, y: Array) -> Array:
-    """Derivative of a state by time, at forcing phase zero."""
+    """Return the time derivative of a state, at forcing phase zero."""
     return np.asarray(_right_side(ensemble, scene, tangent=False)(0.0, y))
 
 
 def _right_side(
     ensemble: Ensemble, scene: int, *, tangent: bool, modes: Any = None
 ) -> Callable[[float, Array], Any]:
-    """The equation of motion, with the laws as they are or, of exact ones, in some modes."""
+    """Return the right-hand side, with the laws as they are or, if exact, in contact `modes`."""
     system, solver = ensemble.system(scene), ensemble.solver
     given = float(ensemble.models.omega[scene]), 0.0, solver.rtol, float(ensemble.atol[scene])
     return scene_of(system)(system, ensemble.laws(scene), *given, tangent=tangent).rhs(modes)
 
 
 class Rates:
-    """Derivatives by time of states of many systems of one size, at forcing phase zero.
+    """Time derivatives of states of many systems of one size, at forcing phase zero.
 
-    All at a time, number by number: what one is does not depend on the others by a bit.
+    Computed for all states together, but elementwise: no result depends on the other states.
 
     Parameters
     ----------
@@ -121,7 +121,7 @@ class Rates:
         )
 
     def __call__(self, scenes: Numbers, y: Array) -> Array:
-        """Derivatives, shape (n_states, m), of the states of scenes of some numbers."""
+        """Return the time derivatives of states `y` of some cases, shape (n_states, m)."""
         of, n = self._system[scenes], self._load.shape[1]
         found, push = np.zeros_like(y), self._load[of].T.copy()
         for j, part in enumerate(y):
@@ -142,13 +142,13 @@ class Rates:
 
 
 def _along(direction: Array, y: Array) -> Array:
-    """Projections of the coordinates of states, shape (m,)."""
+    """Projections of the coordinates of states on directions, shape (m,)."""
     parts = [of * q for of, q in zip(direction, y, strict=False)]
     return np.asarray(sum(parts[1:], start=parts[0]))
 
 
 def _terms(system: Any) -> tuple[Array, ...]:
-    """A system's linear part, its load, and what cubic terms and contacts push along and with.
+    """Linear part of a system, its load, and directions and accelerations of cubics and contacts.
 
     Returns
     -------

@@ -1,4 +1,4 @@
-"""What a contact bears in a steady response: its largest force, and for how much of the time."""
+"""Contact loads of a steady response: largest force, and share of time in contact."""
 
 from collections.abc import Sequence
 from functools import lru_cache
@@ -17,8 +17,8 @@ Array = NDArray[np.float64]
 Counts = NDArray[np.int64]
 Numbers = NDArray[np.intp]
 
-# A start this close to a wall, as a share of its displacement, is on it: not even the time of a
-# graze that deep would show.
+# An initial state this close to a wall, as a share of its displacement, is on the wall: even the
+# contact time of a grazing motion that deep is negligible.
 _ON_WALL = 1e-9
 
 
@@ -26,9 +26,9 @@ _ON_WALL = 1e-9
 
 
 def largest_forces(laws: Sequence[ContactLaw], x_min: Array, x_max: Array) -> Array:
-    """Largest magnitudes [N] that contact forces have between two displacements.
+    """Largest magnitudes [N] of contact forces between two displacements.
 
-    It is found at the ends, or where a force turns between them.
+    The maximum is at an end, or at an extremum of the force between the ends.
 
     Parameters
     ----------
@@ -37,10 +37,10 @@ def largest_forces(laws: Sequence[ContactLaw], x_min: Array, x_max: Array) -> Ar
         Displacements [m].
     """
     rows: dict[tuple[int, int], list[int]] = {}
-    # Searched as far as the motion goes, in powers of two: no point's result may depend on others.
+    # Searched up to the next power of two of each motion: results do not depend on other points.
     _, powers = np.frexp(np.maximum(np.abs(x_min), np.abs(x_max)))
     for row, (law, power) in enumerate(zip(laws, powers.tolist(), strict=True)):
-        # By identity: these live on, and some hash slowly.
+        # By identity: the laws stay alive, and some hash slowly.
         rows.setdefault((id(law), power if law.turns is None else 0), []).append(row)
     found = np.empty(len(laws))
     for (_, power), here in rows.items():
@@ -54,7 +54,7 @@ def largest_forces(laws: Sequence[ContactLaw], x_min: Array, x_max: Array) -> Ar
 
 @lru_cache(maxsize=256)
 def _searched_turns(law: ContactLaw, reach: float) -> tuple[float, ...]:
-    """Displacements [m] within ``±reach`` at which the force of any law turns."""
+    """Displacements [m] of all extrema of a law's force within ``±reach``, found by search."""
     turns, _ = sign_changes(lambda x: _values(law, law.derivative, x), search_points(law, reach))
     return tuple(turns.tolist())
 
@@ -64,7 +64,7 @@ def _force(law: ContactLaw, x: Array) -> Array:
 
 
 def _values(law: ContactLaw, function: Any, x: Any) -> Any:
-    """Values of a law's force or slope; NaN where a user's code raises."""
+    """Values of a law's force or slope at `x`; NaN where a user's code raises."""
     with np.errstate(all="ignore"):
         return _tolerant(function, x) if isinstance(law, UserLaw) else function(x)
 
@@ -90,11 +90,11 @@ def contact_shares(
     ----------
     ensemble : Ensemble
     scenes : ndarray of int, shape (n,)
-        Whose motions they are.
+        Cases of the motions.
     y_0 : ndarray, shape (n_states, n)
-        Where they start.
+        Initial states of the motions.
     call : Call
-        Recorded from the start, with all events.
+        Motions recorded from their beginning, with all events.
     closed : bool
         Whether each motion ends where it starts.
 
@@ -106,7 +106,7 @@ def contact_shares(
     ends = [ensemble.gaps(ensemble.turning(scenes, y)) for y in (y_0, call.y)]
     if call.contact_time is not None:
         shares = np.minimum(call.contact_time.T / call.t_end, 1.0)
-        # What stays on a wall does not press on it.
+        # A motion that stays on a wall does not press on it.
         stays = [(end == walls[0]) | (end == walls[1]) for end in ends]
         return np.where(stays[0] & stays[1] & (call.n_contacts == 0), 0.0, shares)
     events = call.events
@@ -127,7 +127,7 @@ def contact_shares(
 
 
 def _of_one(values: Array, owners: Counts, counts: Counts, which: int) -> tuple[Array, Counts]:
-    """Events of one contact, or gap, of each motion; and how many there are."""
+    """Return the events of contact or gap `which`, motion by motion, and their numbers."""
     is_its = owners == which
     motions = np.repeat(np.arange(len(counts)), counts)
     return values[is_its], np.bincount(motions[is_its], minlength=len(counts))
@@ -143,21 +143,21 @@ def _shares(
 ) -> Array:
     """Shares [-] of their time that motions spend beyond two walls.
 
-    Contacts divide a motion into stretches. Each that lies beyond a wall turns back there: its
-    extremum tells it from the others.
+    Wall crossings divide a motion into parts. A part beyond a wall has an extremum there, which
+    distinguishes it from the parts in the gap.
 
     Parameters
     ----------
     passings : tuple of ndarray, shape (number of contacts,), and ndarray of int, shape (n,)
-        When walls are passed [s], motion by motion, and how many times in each.
+        Times of wall crossings [s], motion by motion, and their number in each.
     turns : tuple of ndarray, shape (number of turns,), twice, and ndarray of int, shape (n,)
-        When the gap turns [s], how wide it is then [m], and how many times it does.
+        Times [s] and values [m] of the gap's extrema, and their number in each motion.
     t_end : ndarray, shape (n,)
     ends : sequence of ndarray, shape (n,), two
-        Gap [m] at the start and at the end.
+        Gap [m] initially and at the end.
     walls : ndarray, shape (2, n)
     closed : bool
-        As of `contact_shares`.
+        As in `contact_shares`.
     """
     t_contacts, n_contacts = passings
     t_turns, turn, n_turns = turns
@@ -177,7 +177,7 @@ def _shares(
 
     motions = np.arange(len(t_end))
     of_contact, of_turn = (np.repeat(motions, n) for n in (n_contacts, n_turns))
-    # Motion by motion on one clock: a unit for each.
+    # All motions on one time axis, with unit length each.
     contact = of_contact + np.minimum(t_contacts / t_end[of_contact], 1.0)
     outside = np.flatnonzero(beyond(turn, of_turn))
     of_turn = of_turn[outside]
@@ -185,7 +185,7 @@ def _shares(
     is_beyond = np.zeros(len(begin), bool)
     is_beyond[np.searchsorted(contact, turned) + of_turn] = True
     slack = _ON_WALL * np.abs(ends[0])
-    with np.errstate(invalid="ignore"):  # of motions that failed
+    with np.errstate(invalid="ignore"):  # for motions that failed
         is_beyond[first] |= beyond(ends[0], motions, slack)
         is_beyond[last] |= beyond(ends[1], motions, slack)
     if closed:

@@ -25,7 +25,7 @@ Numbers = NDArray[np.intp]
 
 _PARTS, _N_PARTS = 6, 60  # of a batch at first, and of all
 _AT_ONCE = 512  # blocks of one motion in a call
-_MOST_NUMBERS = 1 << 16  # of tangents in one call: with what else belongs to them, ten megabytes
+_MOST_NUMBERS = 1 << 16  # of tangents in one call: ten megabytes with all other arrays
 
 
 class LyapunovExponents:
@@ -34,7 +34,7 @@ class LyapunovExponents:
     Attributes
     ----------
     y : ndarray, shape (n_states, n_points)
-        Where the motions are.
+        Present states of the motions.
     n_periods : ndarray of int, shape (n_points,)
         Forcing periods in a motion's blocks; 0 if no measurement was started.
     n_blocks : ndarray of int, shape (n_points,)
@@ -50,7 +50,7 @@ class LyapunovExponents:
         self.n_periods, self.n_blocks, self._goal = np.zeros((3, n_points), np.int64)
         self._in_part, self._first = np.ones((2, n_points), np.int64)  # blocks, now and at first
         self._direction = np.empty((n_points, n_states))
-        # Of the block in front, then of every part: logarithm of the growth, and duration [s].
+        # Logarithm of the growth and duration [s] of the aligning block, then of every part.
         self._growth, self._time = np.zeros((2, n_points, self.n_least))
 
     def start(
@@ -67,9 +67,9 @@ class LyapunovExponents:
         omega : ndarray, shape (m,)
             Forcing frequency [Hz].
         longest : ndarray, shape (m,)
-            Forcing periods that the motion had to find a period: all blocks have no more, about.
+            Forcing periods of the search for a period: about the most that all blocks last.
         """
-        # No coordinate may be left out: another one's growth may never reach it.
+        # Every coordinate has a component: growth of one may never reach another one.
         start = np.linspace(1.0, 0.0, len(y))
         self.y[:, points], self._direction[points], self.n_blocks[points] = y, start, 0
         self._growth[points], self._time[points] = 0.0, 0.0
@@ -80,7 +80,7 @@ class LyapunovExponents:
         self._goal[points] = 1 + _N_PARTS * self._in_part[points]
 
     def extend(self, points: Numbers, y: Array) -> None:
-        """Go on for as long as before, after a block that aligns the vector again."""
+        """Double measurements: as many blocks again, after one that realigns the tangent vector."""
         half = _N_PARTS // 2
         for each in (self._growth, self._time):
             each[points, 1 + half :] = each[points, 1::2] + each[points, 2::2]
@@ -90,20 +90,20 @@ class LyapunovExponents:
         self._goal[points] = 1 + half * self._in_part[points]
 
     def n_all_periods(self, points: Numbers) -> Counts:
-        """Periods that measurements last; one if none was started."""
+        """Return the periods that measurements last; 1 if none was started."""
         n_blocks = 1 + _N_PARTS * self._in_part[points]
         return np.asarray(np.maximum(n_blocks * self.n_periods[points], 1))
 
     def is_long(self, points: Numbers) -> Mask:
-        """Which measurements are no longer doubled for a decision."""
+        """Whether measurements are so long that they are not doubled for a decision."""
         grew = self._in_part[points] >= limit.LONGEST_EXPONENT * self._first[points]
         return np.asarray(grew & (self.n_all_periods(points) >= limit.EXPONENT_PERIODS))
 
     def advance(self, ensemble: Ensemble, points: Numbers) -> tuple[Numbers, Counts]:
-        """Go on with some of the points; who is then over, and as what, as in `step`."""
+        """Integrate the next blocks of some points; return points that ended, and their status."""
         n = 1
         if ensemble.is_chained:
-            # Where a chain is cut may not depend on its company.
+            # The length of a chain of blocks may not depend on other points.
             left = np.minimum(self._goal - self.n_blocks, _AT_ONCE)[points]
             n, points = int(left[0]), points[left == left[0]]
             points = points[: max(1, _MOST_NUMBERS // (n * len(self.y) ** 2))]
@@ -117,19 +117,19 @@ class LyapunovExponents:
         return points[is_over], status[is_over]
 
     def step(self, points: Numbers, n: int, call: Call) -> tuple[Mask, Counts]:
-        """The next blocks from what a call found.
+        """Add the growth of the next blocks, from the motions of a call.
 
         Parameters
         ----------
         points : ndarray of int, shape (m,)
-            Whose motions the call holds, in this order.
+            Points of the motions of the call, in this order.
         n : int
-            How many blocks of each, one after the other.
+            Number of blocks of each, one after the other.
 
         Returns
         -------
         is_over : ndarray of bool, shape (m,)
-            Who has all blocks, or failed.
+            Whether a point has all blocks, or failed.
         status : ndarray of int, shape (m,)
             `Status` values; a block that failed does not count.
         """
@@ -139,7 +139,7 @@ class LyapunovExponents:
         ends = np.arange(m) * n + np.minimum(counts, n - 1)
         status, self.y[:, points] = call.status[ends], call.y[:, ends]
         counted = np.arange(n) < counts[:, None]
-        with np.errstate(all="ignore"):  # of tangents that overflowed
+        with np.errstate(all="ignore"):  # for tangents that overflowed
             lengths, self._direction[points] = _stretched(
                 call.monodromy.reshape(m, n, *call.monodromy.shape[1:]),
                 self._direction[points],
@@ -147,7 +147,7 @@ class LyapunovExponents:
             )
             lengths[~call.is_sound.reshape(m, n)] = np.nan
         row, block = np.nonzero(counted)
-        # numpy's own logarithm is another one on another processor.
+        # numpy's logarithm differs between processors.
         logs = [math.log(each) if each else -math.inf for each in lengths[row, block].tolist()]
         now = points[row]
         part = (self.n_blocks[now] + block - 1) // self._in_part[now] + 1  # the block in front: 0
@@ -174,27 +174,27 @@ class LyapunovExponents:
         return exponent, error
 
     def omega(self, points: Numbers) -> Array:
-        """Section points per second [Hz] while growths that have all blocks lasted."""
+        """Return the mean rate of section points [Hz] over measurements that have all blocks."""
         return np.asarray(self.n_all_periods(points) / self._time[points].sum(axis=1))
 
     def linear_growth(self, points: Numbers, omega: Array) -> Array:
-        """Exponents [1/s] of what grows in proportion to time, as neighbours on a torus part.
+        """Apparent exponents [1/s] of linear growth, with which neighbours on a torus separate.
 
         Parameters
         ----------
         points : ndarray of int, shape (m,)
-            That have all blocks.
+            Points that have all blocks.
         omega : ndarray, shape (m,)
             Forcing frequency [Hz].
         """
         n_periods = self.n_all_periods(points)
-        # numpy's own logarithm is another one on another processor.
+        # numpy's logarithm differs between processors.
         return np.fromiter(map(math.log, n_periods.tolist()), float) * omega / n_periods
 
 
 def _batch_means(growth: Array, time: Array) -> tuple[Array, Array]:
     """Mean rates of growth and their standard errors, of batches along the second axis."""
-    with np.errstate(invalid="ignore"):  # of vectors that shrank to nothing, or overflowed
+    with np.errstate(invalid="ignore"):  # for vectors that shrank to zero, or overflowed
         # Returns take longer or shorter: a mean of rates would count the short ones too much.
         exponent = growth.sum(axis=1) / time.sum(axis=1)
         share = time / time.mean(axis=1)[:, None]
@@ -204,14 +204,14 @@ def _batch_means(growth: Array, time: Array) -> tuple[Array, Array]:
 
 
 def _stretched(tangents: Array, directions: Array, counted: Mask) -> tuple[Array, Array]:
-    """How much each of so many tangents stretches what the one before it left of a direction.
+    """Apply n tangents in succession to a direction; return growth factors and last directions.
 
     Parameters
     ----------
     tangents : ndarray, shape (m, n, n_states, n_states)
     directions : ndarray, shape (m, n_states)
     counted : ndarray of bool, shape (m, n)
-        Others leave the direction; their lengths are not read.
+        Tangents that are applied; others leave the direction, with length NaN.
 
     Returns
     -------

@@ -1,4 +1,4 @@
-"""Quasiperiodic motions: weighted Birkhoff averages tell a torus from chaos and slow settling."""
+"""Test for quasiperiodic motions: weighted Birkhoff averages separate tori from chaos."""
 
 from typing import NamedTuple
 
@@ -19,16 +19,16 @@ MOST_POINTS = 1 << 20  # of sections kept at a time: with eight states, some ten
 
 
 class TorusTest(NamedTuple):
-    """What a test found of m motions.
+    """Result of the torus test of m motions.
 
     Attributes
     ----------
     is_torus : ndarray of bool, shape (m,)
-        Whether they run round a torus.
+        Whether the motion is on a torus.
     is_locked : ndarray of bool, shape (m,)
-        Whether they repeat themselves after however many periods.
+        Whether the motion repeats after any number of periods.
     y : ndarray, shape (n_states, m)
-        States at its end.
+        States at the end of the test.
     n_periods : ndarray of int, shape (m,)
         Periods that the test took.
     """
@@ -42,20 +42,20 @@ class TorusTest(NamedTuple):
 def torus_test(
     motions: RecordedWindows, points: Numbers, windows: dict[int, float], longest: Array
 ) -> TorusTest:
-    """Integrate motions until they are seen to run round a torus.
+    """Integrate motions until they are recognised as quasiperiodic, that is on a torus.
 
-    A torus shows in two windows in turn: chaos may look like one by chance, hardly twice.
+    A torus must be found in two successive windows: chaos may resemble it once by chance.
 
     Parameters
     ----------
     motions : RecordedWindows
         Not changed.
     points : ndarray of int, shape (m,)
-        Which of them.
+        Numbers of the motions to test.
     windows : dict of int to float
-        Periods of windows, which begin where the motions are, and how much means differ.
+        Periods of windows, which begin at the present states, and allowed difference of means.
     longest : ndarray, shape (m,)
-        Periods for which each may be integrated.
+        Largest number of periods to integrate.
     """
     is_torus, is_locked, seemed = np.zeros((3, len(points)), bool)
     y, n_periods = motions.y[:, points], np.zeros(len(points), np.int64)
@@ -80,18 +80,18 @@ def torus_test(
 def persists(
     motions: RecordedWindows, points: Numbers, repeat: Mask, longest: Array, largest: int
 ) -> Mask:
-    """Which motions that repeat themselves, as `repeat` says, still do `PERSISTENCE` periods on.
+    """Whether motions that repeat themselves (`repeat`) still do so `PERSISTENCE` periods later.
 
-    A torus that comes near itself within the solver's noise creeps on, and is far away by then. Two
-    states leave room for none. A motion that may not be integrated for so long does not persist.
+    A torus that returns within the solver's noise drifts on, and is far away by then. There are no
+    tori with two states. A motion that may not be integrated for so long does not persist.
 
     Parameters
     ----------
     motions, points, longest
-        As of `torus_test`.
+        As in `torus_test`.
     repeat : ndarray of bool, shape (m,)
     largest : int
-        Largest multiple of a period that counts as one.
+        Largest period multiple of the search.
     """
     if len(motions.y) == 2:
         return repeat
@@ -109,10 +109,10 @@ def persists(
 
 
 def _has_repeated(section: Array, same: float) -> bool:
-    """Whether the last points of a section are those before: chaos may end while it is watched.
+    """Whether the end of a section repeats earlier points: transient chaos may have ended.
 
-    Means are the same from then on, as they are over any orbit of more periods than are looked for.
-    A torus may come as near to itself once, and is as many times as far away so many times later.
+    Means are then constant, as over an orbit of more periods than are searched. A torus may come as
+    near to itself once, but its distance grows with each further repeat.
     """
     longest = section.shape[1] // (2 * _REPEATS)
     apart = norm(section[:, -longest - 1 : -1] - section[:, -1:])
@@ -127,31 +127,32 @@ def _has_repeated(section: Array, same: float) -> bool:
 def is_quasiperiodic(section: Array, allowed: float, noise: float) -> bool:
     """Whether a section without a period lies on a closed curve, or on a torus.
 
-    There, means over time whose ends are faded out converge faster than any power of it, so that
-    two halves have the same; over chaos they scatter as a sample does, and what creeps or shrinks
-    has different ones. Das et al., Nonlinearity 30 (2017) 4111, doi 10.1088/1361-6544/aa84c2.
+    Means over a torus, with weights that vanish at both ends, converge faster than any power of the
+    time, so that those of both halves agree; over chaos they scatter as sample means do, and those
+    of a drifting or decaying motion differ. Das et al., Nonlinearity 30 (2017) 4111, doi
+    10.1088/1361-6544/aa84c2.
 
     Parameters
     ----------
     section : ndarray, shape (n_states, n_periods)
         Section points [m], some hundreds or more.
     allowed : float
-        How much the two means may differ, as a share of the scatter.
+        Largest difference of the two means, as a share of the scatter.
     noise : float
-        Scatter [m] that the solver's tolerances admit: of a component with less nothing is known.
+        Scatter [m] due to the solver's tolerances; components with less are not used.
     """
     half = section.shape[1] // 2
     t = (np.arange(half) + 0.5) / half
     weights = np.exp(-1.0 / (t * (1.0 - t)))
     centred = section - section.mean(axis=1, keepdims=True)
-    # Means tell what drifts, those of squares what shrinks.
+    # Means show a drift, means of squares a decay.
     seen = np.concatenate([centred, np.square(centred)])
     means = [each @ weights / weights.sum() for each in (seen[:, :half], seen[:, -half:])]
     spread = seen.std(axis=1)
-    # What hardly moves beside the others is rounding, or noise of a smooth solver: a coordinate of
-    # its own that repeats, or the squares of one that has two values in turn.
+    # A component that hardly moves relative to the others is rounding, or noise of a smooth solver:
+    # an uncoupled coordinate that repeats, or squares of one that alternates between two values.
     scatter, of_squares = spread.reshape(2, -1)
     moves = scatter > max(_STILL * scatter.max(), noise)
-    told = np.concatenate([moves, moves & (of_squares > _STILL * scatter.max() ** 2)])
+    used = np.concatenate([moves, moves & (of_squares > _STILL * scatter.max() ** 2)])
     is_same = np.abs(means[0] - means[1]) <= allowed * spread
-    return bool(told.any() and is_same[told].all())
+    return bool(used.any() and is_same[used].all())

@@ -1,4 +1,4 @@
-"""Lists of different lengths as flat arrays: one row's items after the other's."""
+"""Lists of different lengths as flat arrays: the items of all rows, row after row."""
 
 from typing import Any
 
@@ -9,7 +9,7 @@ Counts = NDArray[np.int64]
 
 
 def spans(first: NDArray[np.integer], counts: NDArray[np.integer]) -> Counts:
-    """Positions ``first, first + 1, ...`` of as many items as each row has, row after row.
+    """Positions ``first, ..., first + counts - 1`` of the items of each row, row after row.
 
     Parameters
     ----------
@@ -24,12 +24,12 @@ def spans(first: NDArray[np.integer], counts: NDArray[np.integer]) -> Counts:
 
 
 class RaggedArrays:
-    """A list of numbers for each of n rows, as it was put last.
+    """A list of numbers for each of n rows; a later list of a row replaces the earlier one.
 
     Attributes
     ----------
     counts : ndarray of int, shape (n,)
-        How long each is; -1 where none was put.
+        Length of each list; -1 for rows without a list.
     """
 
     def __init__(self, n: int) -> None:
@@ -38,12 +38,12 @@ class RaggedArrays:
         self._size = 0
 
     def put(self, rows: NDArray[np.intp], items: NDArray[Any], counts: NDArray[np.integer]) -> None:
-        """Put lists of some rows; `items` are those of the first row, of the second, and so on."""
+        """Store the lists of some rows; `items` are those of all rows, row after row."""
         self._first[rows], self.counts[rows] = self._size + np.cumsum(counts) - counts, counts
         self._pieces.append(items)
         self._size += len(items)
 
     def of(self, rows: NDArray[np.intp]) -> tuple[NDArray[Any], Counts]:
-        """Lists of some rows, each of which has one: all items, and how many are each row's."""
+        """Return the lists of some rows: all items, row after row, and the number of each row."""
         counts = self.counts[rows]
         return np.concatenate(self._pieces)[spans(self._first[rows], counts)], counts

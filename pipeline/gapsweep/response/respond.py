@@ -1,4 +1,4 @@
-"""The steady response of one sweep point: what it is, how stable, and how sure that is."""
+"""The function `respond`: steady responses of one or many points."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from gapsweep.errors import ModelError
 from gapsweep.integrate.problem import DEFAULT_ENGINE, TIME_LIMIT, Models, Numbers, Solver, within
 from gapsweep.integrate.simulate import AnyLaw, AnyModel, Several, cases, inputs_of
 from gapsweep.model.doubts import doubts, warn_of
+from gapsweep.model.oscillator import called_as
 from gapsweep.response.autonomous import PoincareMap
 from gapsweep.response.ensemble import Ensemble
 from gapsweep.response.result import Response, Responses, Steady
@@ -24,6 +25,7 @@ Array = NDArray[np.float64]
 _STEADY = Steady()  # checked once
 
 
+@called_as("gs.respond(oscillator, law, omega=9.0), in Hz")
 def respond(
     oscillator: Several[AnyModel],
     law: Several[AnyLaw],
@@ -93,19 +95,19 @@ def respond(
 
 
 def check_steady(steady: Steady) -> None:
-    """Refuse what is no settings of when a response is steady with a `ModelError`."""
+    """Raise a `ModelError` if `steady` is no `Steady`."""
     if not isinstance(steady, Steady):
         raise ModelError(f"steady = {steady!r}: must be a gapsweep.Steady")
 
 
 def respond_all(scenes: Sequence[Scene], starts: ArrayLike, steady: Steady) -> Responses:
-    """Steady responses of many points, those of a kind advanced together; in their order.
+    """Return the steady responses of many points, in their order.
 
-    No point sees the others: each response is the same to the last bit in any company.
+    Points of a kind are integrated together; no response depends on the other points.
 
     Parameters
     ----------
-    scenes : sequence of Scene, length n
+    scenes : sequence of `Scene`, length n
         All oscillators, or systems of one size.
     starts : array_like, shape (n, n_states) or (n_states,)
         Initial displacements [m], velocities [m/s] and first-order states.
@@ -127,7 +129,7 @@ def respond_all(scenes: Sequence[Scene], starts: ArrayLike, steady: Steady) -> R
 
 
 def respond_models(models: Models, solver: Solver, starts: Array, steady: Steady) -> Responses:
-    """Steady responses of parameter sets of any kinds, each from one initial state.
+    """Return the steady responses of models of any kinds, each from one initial state.
 
     Parameters
     ----------
@@ -148,6 +150,6 @@ def respond_models(models: Models, solver: Solver, starts: Array, steady: Steady
 
 
 def _in_order(parts: Sequence[Responses], groups: Sequence[Sequence[int] | Numbers]) -> Responses:
-    """The rows of all parts, of which `groups` says which rows of the whole they are."""
+    """Join the rows of all parts; `groups` are their row numbers in the result."""
     whole = Responses.concatenated(parts)
     return whole if len(parts) < 2 else whole.take(np.argsort(np.concatenate(groups)))

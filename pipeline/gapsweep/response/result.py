@@ -1,4 +1,4 @@
-"""What is asked of a sweep point, and what is answered: plain values, no computation."""
+"""Convergence criteria and steady responses as plain values, without computation."""
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gapsweep.errors import ModelError
-from gapsweep.model.oscillator import checked, whole
+from gapsweep.model.oscillator import called_as, checked, whole
 from gapsweep.model.structure import AnyStructure, OscillatorStructure, structure_of
 from gapsweep.response.ragged import spans
 from gapsweep.status import Status
@@ -52,7 +52,7 @@ class ResponseClass(IntEnum):
 
 
 class ExtremumKind(IntEnum):
-    """What a zero-velocity point is; the order is part of the schema."""
+    """Kind of a zero-velocity point; the numbers are part of the schema."""
 
     MINIMUM = -1
     INFLECTION = 0
@@ -128,7 +128,7 @@ _OSCILLATOR = OscillatorStructure()
 
 @cache
 def columns_of(structure: AnyStructure) -> Mapping[str, tuple[str, tuple[int, ...]]]:
-    """Columns of responses: NumPy type code, and the shape of one point's value.
+    """Columns of responses by name: NumPy type code, and the shape of one point's value.
 
     Values of a single coordinate, or of a single contact, are plain numbers.
     """
@@ -158,13 +158,13 @@ def exists(name: str, structure: AnyStructure) -> bool:
 
 
 def part_sizes(structure: AnyStructure) -> dict[str, int]:
-    """Dimensions within a point: those of several coordinates, contacts or first-order states."""
+    """Dimensions within a point (coordinate, contact, lag) that are longer than 1, with lengths."""
     sizes = {COORDINATE: structure.n, CONTACT: len(structure.contacts), LAG: structure.m}
     return {name: size for name, size in sizes.items() if size > 1}
 
 
 def sizes_of(structure: AnyStructure, steady: "Steady") -> dict[str, int]:
-    """Lengths of all dimensions within a point: of padded lists, and those of `part_sizes`."""
+    """Lengths of all dimensions within a point: those of padded lists and of `part_sizes`."""
     return {
         EXTREMUM: steady.max_extrema,
         SECTION_POINT: steady.max_period_multiple,
@@ -173,6 +173,7 @@ def sizes_of(structure: AnyStructure, steady: "Steady") -> dict[str, int]:
     }
 
 
+@called_as("gs.Steady(n_periods=64)")
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Steady:
     """Convergence criteria of a steady response, and its recording window.
@@ -394,7 +395,7 @@ class Response:
 
     @property
     def _n_touching(self) -> int:
-        """Motions that touch a wall."""
+        """Number of motions that touch a wall, transients included."""
         return int(np.count_nonzero(self.n_contacts))
 
     def to_dataframe(self) -> Any:
@@ -406,28 +407,28 @@ class Response:
         return to_dataframe(self.to_dataset())
 
     def _repr_html_(self) -> str | None:
-        return as_html(self.to_dataset()) if self.inputs else None  # then its repr is shown
+        return as_html(self.to_dataset()) if self.inputs else None  # notebooks then show the repr
 
     def __repr__(self) -> str:
         kinds, counts = np.unique(np.asarray(self.response_class, object), return_counts=True)
-        said = [kind.name.lower() for kind in kinds]
+        words = [kind.name.lower() for kind in kinds]
         if shape := np.shape(self.status):
-            listed = [f"{n} {kind}" for n, kind in zip(counts, said, strict=True)]
+            listed = [f"{n} {kind}" for n, kind in zip(counts, words, strict=True)]
             listed.append(f"{self._n_touching} touched a wall")
             return f"<gapsweep.Response of shape {shape}: {', '.join(listed)}>"
         if self.period_multiple:
-            said.append(f"period multiple {self.period_multiple}")
-        said.append(self.status.label)
+            words.append(f"period multiple {self.period_multiple}")
+        words.append(self.status.label)
         if self.status == Status.OK and not np.any(self.n_contacts):
-            said.append("no contact")
+            words.append("no contact")
         for name in ("x_min", "x_max"):
             values = np.atleast_1d(getattr(self, name)).tolist()
-            said.append(f"{name} {' '.join(f'{value:.6g}' for value in values)}")
-        return f"<gapsweep.Response: {', '.join(said)}>"
+            words.append(f"{name} {' '.join(f'{value:.6g}' for value in values)}")
+        return f"<gapsweep.Response: {', '.join(words)}>"
 
 
 def _joined(name: str, rows: Iterable[Any]) -> tuple[NDArray[Any], NDArray[np.int64]]:
-    """All items of the lists of one name, row after row, and how many each row has."""
+    """Join the lists of one name: all items, row after row, and the number of each row."""
     parts = [np.asarray(row, LISTS[name]) for row in rows]
     return np.concatenate([np.empty(0, LISTS[name]), *parts]), np.array(
         [*map(len, parts)], np.int64
@@ -437,14 +438,14 @@ def _joined(name: str, rows: Iterable[Any]) -> tuple[NDArray[Any], NDArray[np.in
 def _padded(
     items: NDArray[Any], counts: NDArray[np.integer], size: int, missing: float
 ) -> NDArray[Any]:
-    """Lists of different lengths as rows of an array, after the axes of `counts`, padded."""
+    """Return lists of different lengths as rows of an array, padded, after the axes of `counts`."""
     rows = np.full((*counts.shape, size, *items.shape[1:]), missing, items.dtype)
     rows[np.arange(size) < counts[..., None]] = items
     return rows
 
 
 def missing(n: int, structure: AnyStructure) -> dict[str, NDArray[Any]]:
-    """Columns of n points without a response."""
+    """Return the columns of n points without a response."""
     columns: dict[str, NDArray[Any]] = {
         name: np.full((n, *shape), np.nan if dtype == "f8" else 0, dtype)
         for name, (dtype, shape) in columns_of(structure).items()
@@ -460,12 +461,12 @@ class Responses:
     Attributes
     ----------
     columns : dict of str to ndarray, shape (n,)
-        Those of `COLUMNS`, named as in a `Response`; enumerations as their numbers. Of systems
-        some have a second axis.
+        Columns of `COLUMNS`, named as in a `Response`; enumerations as their numbers. Some columns
+        of systems have a second axis.
     lists : dict of str to (ndarray, ndarray of int, shape (n,))
-        Those of `LISTS`: the items of all rows, row after row, and how many are each row's.
+        Lists of `LISTS`: the items of all rows, row after row, and the number of each row.
     messages : dict of int to str
-        Messages by row, where there is one.
+        Messages by row, for rows that have one.
     """
 
     columns: dict[str, NDArray[Any]]
@@ -479,7 +480,7 @@ class Responses:
     def of(
         cls, responses: Sequence[Response], structure: AnyStructure = _OSCILLATOR
     ) -> "Responses":
-        """Columns of single responses of what has this structure."""
+        """Return single responses, of models of one structure, as columns."""
         columns = missing(len(responses), structure)
         for name, column in columns.items():
             for row, response in enumerate(responses):
@@ -493,7 +494,7 @@ class Responses:
 
     @classmethod
     def concatenated(cls, parts: "Sequence[Responses]") -> "Responses":
-        """The rows of all parts, part after part."""
+        """Return the rows of all parts, part after part."""
         parts = parts or [cls.of(())]
         if len(parts) == 1:
             return parts[0]
@@ -518,7 +519,7 @@ class Responses:
         )
 
     def take(self, numbers: ArrayLike) -> "Responses":
-        """The rows of these numbers, in this order."""
+        """Return the rows of these numbers, in this order."""
         rows = np.asarray(numbers, np.intp)
         lists = {}
         for name, (items, counts) in self.lists.items():
@@ -534,26 +535,26 @@ class Responses:
 
     @property
     def ends(self) -> NDArray[np.float64]:
-        """States that another motion can start from, NaN where there is none; (n, n_states)."""
+        """Last section points, where a sweep's next points start; else NaN; shape (n, n_states)."""
         names = [name for name in ("x_end", "v_end", "z_end") if name in self.columns]
         return np.column_stack([self.columns[name] for name in names])
 
     @property
     def has_end(self) -> NDArray[np.bool_]:
-        """Which of these states are numbers, shape (n,)."""
+        """Whether the states `ends` are finite, shape (n,)."""
         return np.asarray(np.isfinite(self.ends).all(axis=1))
 
     def arrays(
         self, sizes: Mapping[str, int], directions: NDArray[np.float64]
     ) -> dict[str, NDArray[Any]]:
-        """Values of the dataset's variables, shape (n, ...); lists are padded where they end.
+        """Return the values of the dataset's variables, shape (n, ...), with padded lists.
 
         Parameters
         ----------
         sizes : mapping of str to int
             Lengths of the dimensions within a point; 0 leaves out the extrema.
         directions : ndarray, shape (n, n_contacts, n_coordinates)
-            Of each response, for relative displacements ``b · q`` and velocities.
+            Contact directions of each response, for relative displacements ``b · q``.
         """
         n, (_, n_contacts, n_q), n_states = len(self), directions.shape, self.ends.shape[1]
         found = {
@@ -584,11 +585,11 @@ class Responses:
         }
 
     def row(self, k: int) -> Response:
-        """One response as plain values."""
+        """Return one response as plain values."""
         return self.take([k]).rows()[0]
 
     def rows(self, **inputs: Any) -> list[Response]:
-        """All responses as plain values, with the `inputs` of the call."""
+        """Return all responses as plain values, with the `inputs` of the call."""
         values: dict[str, list[Any]] = {
             name: list(column) if column.ndim > 1 else column.tolist()
             for name, column in self.columns.items()
@@ -603,8 +604,8 @@ class Responses:
         return [Response(**dict(zip(names, row, strict=True)), inputs=inputs) for row in rows]
 
     def shaped(self, shape: tuple[int, ...], **inputs: Any) -> Response:
-        """All responses as one, whose attributes are arrays, with the `inputs` of the call."""
-        # Whole numbers as numpy has them: the short ones of a column overflow in arithmetic.
+        """Return all responses as one with arrays as attributes, with the `inputs` of the call."""
+        # Whole numbers as int64: short integers of a column would overflow in arithmetic.
         values: dict[str, Any] = {
             name: column.astype(np.int64) if column.dtype.kind == "i" else column
             for name, column in self.columns.items()
@@ -625,7 +626,7 @@ class Responses:
         )
 
     def _split(self, name: str) -> list[list[Any]]:
-        """The lists of one name, row by row."""
+        """Return the lists of one name, row by row."""
         items, counts = self.lists[name]
         ends = np.cumsum(counts)
         firsts, all_items = (ends - counts).tolist(), items.tolist()

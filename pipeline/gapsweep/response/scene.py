@@ -1,13 +1,13 @@
-"""One motion as its parameter set and solver, and which solver its tangent needs."""
+"""Parameter set and solver of one motion, and the solver that its tangent needs."""
 
 from dataclasses import dataclass, replace
 
 from gapsweep.integrate.problem import Laws, Model, Solver
 from gapsweep.model.contact import ContactLaw, Piecewise
 
-# A tangent is as good as its motion where all kinks are located; else it takes this tolerance. At
-# looser ones a stable orbit or chaos may be the solver's: exponents are computed at this tolerance,
-# too, and orbits are confirmed at the second one.
+# A tangent is as accurate as its motion if all kinks are located; else it needs this tolerance. At
+# looser ones a stable orbit or chaos may be due to solver errors: exponents are computed at this
+# tolerance, too, and orbits are confirmed at the second one.
 TANGENT_RTOL, CONFIRMING_RTOL = 1e-7, 1e-9
 _LOOSE = 1e-5  # at looser tolerances an error estimate does not see the edge of a sharp layer
 
@@ -23,18 +23,18 @@ class Scene:
 
     @property
     def laws(self) -> Laws:
-        """The law of every contact."""
+        """Contact laws, one per contact."""
         return self.law if isinstance(self.law, tuple) else (self.law,)
 
 
 @dataclass(frozen=True, slots=True)
 class Forces:
-    """Contact laws and the solver that passes them.
+    """Contact laws and a solver: whether the solver resolves their kinks, and the tangent's solver.
 
     Attributes
     ----------
     laws : tuple of ContactLaw
-        Of every contact.
+        The law of every contact.
     solver : Solver
     """
 
@@ -43,8 +43,9 @@ class Forces:
 
     @property
     def is_located(self) -> bool:
-        """Whether all contacts are."""
-        return all(isinstance(law, Piecewise) and law.located for law in self.laws)
+        """Whether all contacts are located, and no step passes a kink before it is cut there."""
+        is_by_mode = self.solver.contact_force == "by_mode"
+        return is_by_mode and all(isinstance(law, Piecewise) and law.located for law in self.laws)
 
     @property
     def has_kinks(self) -> bool:
@@ -53,8 +54,8 @@ class Forces:
 
     @property
     def is_noisy(self) -> bool:
-        """Whether steps may be thrown off by more than their error estimates, as by a kink or, at
-        loose tolerances, by the sharp edge of a layer.
+        """Whether errors of steps may exceed their estimates: at kinks that are not located or, at
+        loose tolerances, at the sharp edge of a layer.
         """
         return self.has_kinks or (self.solver.rtol > _LOOSE and not self.is_located)
 
@@ -66,19 +67,21 @@ class Forces:
 
     @property
     def tangent_solver(self) -> Solver:
-        """What the tangent along the motion is integrated with.
+        """Solver of the tangent along the motion.
 
-        A step's error estimate does not see a kink that no event locates, nor the jump that the
-        tangent makes there: at loose tolerances its growth would be the solver's own invention.
+        A step's error estimate does not see a kink that no event locates, nor the tangent's jump
+        there: at loose tolerances the growth of the tangent would be a solver error.
         """
         solver = self.solver
         if self.is_located or (solver.rtol <= TANGENT_RTOL and not self.has_kinks):
             return solver
         rtol = min(solver.rtol, TANGENT_RTOL)
-        return replace(solver.with_rtol(rtol), controller="native", restart=False)
+        return replace(
+            solver.with_rtol(rtol), controller="native", restart=False, contact_force="by_mode"
+        )
 
 
 def located(laws: Laws) -> Laws:
-    """The same forces with their kinks located, if all contacts can be; else as they are."""
+    """Return the laws with all contacts located, if all are exact; else the laws as they are."""
     exact = [replace(law, located=True) for law in laws if isinstance(law, Piecewise)]
     return tuple(exact) if len(exact) == len(laws) else laws

@@ -10,8 +10,8 @@ and, where no orbit is found in time, on to
 
 Every point is in one `State`. A state has a function: it takes all points in that state (or in one
 of the few states that share it), moves or measures their motions, and returns the next state of
-each. No point sees another one's row. Forced and autonomous motions differ by their section alone:
-an `Ensemble` maps over forcing periods, a `PoincareMap` over returns, here called periods, too.
+each. No point depends on another one's row. Forced and autonomous motions differ only in their
+section: an `Ensemble` maps over forcing periods, a `PoincareMap` over returns, also called periods.
 Thresholds and their reasons: `gapsweep.response.thresholds`.
 """
 
@@ -51,8 +51,8 @@ Mask = NDArray[np.bool_]
 Numbers = NDArray[np.intp]
 States = NDArray[np.int64]
 
-# What a state's function may return, besides the state itself. States of the first part call the
-# engine, for all points that wait for one function together; the others decide.
+# Function of each state, and the states that it may return in addition to the state itself. The
+# first ones call the engine, for all points that wait for one function together; others decide.
 TRANSITIONS: dict[State, tuple[str, tuple[State, ...]]] = {
     State.RECORD: ("integrate", (State.PERIOD_TEST, State.STOPPED)),
     State.APPROACH: ("integrate", (State.APPROACHED, State.STOPPED)),
@@ -96,14 +96,14 @@ _FUNCTIONS = [
 ]
 _AFTER_MOTION = np.array([State.PERIOD_TEST, State.APPROACHED, State.TIME_OVER])
 _WINDOWS, _LAST_SHOT = map(_FUNCTIONS.index, ("integrate", "measure_orbit"))
-# Which of them each state has; a class has none.
+# Number of each state's function; a class has none.
 _FUNCTION = np.array(
     [_FUNCTIONS.index(TRANSITIONS[s][0]) if s in TRANSITIONS else len(_FUNCTIONS) for s in State]
 )
 
 
 class Search:
-    """Steady responses of an ensemble.
+    """Search for the steady responses of an ensemble.
 
     Parameters
     ----------
@@ -118,7 +118,7 @@ class Search:
         self._ensemble, self._steady = ensemble, steady
         self._windows = RecordedWindows(ensemble, start)
         self._shooting = NewtonShooting(n_states, n, ensemble.n_multipliers)
-        # What computes exponents and confirms orbits: the same where the solver is tight.
+        # Ensembles that compute exponents and confirm orbits: the same if the solver is tight.
         self._exact, self._tight = map(ensemble.tight, (TANGENT_RTOL, CONFIRMING_RTOL))
         self._confirmed = NewtonShooting(n_states, n, ensemble.n_multipliers)
         self._exponents = LyapunovExponents(n_states, n)
@@ -129,7 +129,7 @@ class Search:
         self._transient, self._recording = np.zeros((2, n), np.int64)
         self._is_settled, self._goal = np.zeros(n, bool), np.zeros(n)  # goal [m]: of an approach
         self._size = np.full(n, min(limit.FIRST_WINDOW, steady.n_periods))  # of the next window
-        # A motion that its solver scatters is near an orbit by chance: it is tested more often.
+        # A motion with scattered section points is near an orbit by chance: it is tested often.
         self._part = -(-steady.n_periods // (limit.WINDOW_PARTS if ensemble.is_noisy else 1))
         self._has_extension = np.zeros(n, bool)  # beyond the time limit
         self._verdict = np.full(n, int(State.EXPONENT_TEST))  # if the last window shows no orbit
@@ -137,7 +137,7 @@ class Search:
         self.state[:] = self._schedule(np.arange(n))
 
     def responses(self) -> Responses:
-        """Advance all points until each has its class."""
+        """Advance all points until each has its class; return their responses."""
         while True:
             function = _FUNCTION[self.state]
             k = int(function.min())
@@ -147,7 +147,7 @@ class Search:
                 break
             if k == len(_FUNCTIONS):
                 break
-            if k == _WINDOWS:  # most points wait for these or for shots: what more wait for
+            if k == _WINDOWS:  # most points wait for windows or shots: call what more of them need
                 shots = function[(function > k) & (function <= _LAST_SHOT)]
                 k = int(shots.min()) if len(shots) > np.count_nonzero(function == k) else k
             points = (function == k).nonzero()[0]
@@ -157,7 +157,7 @@ class Search:
     # --- transient and recording window -----------------------------------------------------------
 
     def _schedule(self, points: Numbers) -> States:
-        """A transient, then a window: a full one from the second of a settled motion on."""
+        """Schedule a transient and a window, a full one from the second of a settled motion on."""
         windows, was_settled = self._windows, self._is_settled[points]
         n_left = self._last[points] - windows.n_periods[points]
         transient = np.minimum(self._pause[points], n_left)
@@ -175,10 +175,10 @@ class Search:
         return np.where(is_last, State.LAST_TRANSIENT, State.RECORD)
 
     def _integrate(self, points: Numbers) -> States:
-        """Transients and the windows after them in one call: no lane waits in between."""
+        """Integrate transients and the windows after them in one call, so that no lane waits."""
         state, windows = self.state[points], self._windows
         transient, recording = self._transient[points], self._recording[points]
-        # A long stretch goes on in the next call: the others need not wait for it.
+        # A long motion continues in the next call, so that others need not wait for it.
         n = self._ensemble.at_a_time(points, transient + recording)
         passed = np.minimum(transient, n)
         recorded = n - passed
@@ -192,7 +192,7 @@ class Search:
         return np.where(is_ok, np.where(is_over, after, state), State.STOPPED)
 
     def _test_period(self, points: Numbers) -> States:
-        """Shoot where the window contracts to a repeat."""
+        """Start shooting for points whose window contracts to a periodic orbit."""
         windows = self._windows
         reach, resolution = windows.reach[points], windows.resolution[points]
         n = converging_multiples(
@@ -205,7 +205,7 @@ class Search:
         )
         repeats = n > 0
         shot, n = points[repeats], n[repeats]
-        # Below the solver's own noise Newton makes no orbit close better.
+        # Newton's method cannot close an orbit better than the solver's noise.
         goal = np.maximum(limit.NEWTON_GOAL * reach, 0.1 * resolution)[repeats]
         noise = windows.noise()[shot] * np.sqrt(n)
         furthest = limit.NEWTON_RANGE * reach[repeats]
@@ -226,7 +226,7 @@ class Search:
         return np.where(goes_on, State.RECORD, after)
 
     def _schedule_window(self, points: Numbers) -> States:
-        """Another window, twice as long as the one before, if there is time."""
+        """Schedule another window, twice as long as the one before, if there is time."""
         has_time = self._windows.n_periods[points] < self._last[points]
         again, after = points[has_time], np.full(len(points), State.TIME_OVER)
         self._size[again] = np.minimum(2 * self._size[again], self._steady.n_periods)
@@ -236,27 +236,27 @@ class Search:
     # --- periodic orbits --------------------------------------------------------------------------
 
     def _shoot(self, points: Numbers) -> States:
-        """One Newton step on the map over the orbit's periods."""
+        """Do one Newton step on the map over the orbit's periods."""
         is_found, is_lost = self._step(points, self._ensemble, self._shooting)
         return np.where(is_found, State.ORBIT_FOUND, np.where(is_lost, State.NO_ORBIT, State.SHOOT))
 
     def _step(
         self, points: Numbers, ensemble: Ensemble, shooting: NewtonShooting
     ) -> tuple[Mask, Mask]:
-        """Whose orbit is found, and who went too far or failed; as of `NewtonShooting.step`."""
+        """Do one Newton step; return which points found their orbit, and which are lost."""
         y, n = shooting.y[:, points], shooting.n[points]
         call = ensemble.call(points, y, n, np.zeros(len(n)), tangent=True)
         return shooting.step(points, call)
 
     def _reduce_period(self, points: Numbers) -> States:
-        """Shoot over a part of the period where the orbit's points repeat after it."""
+        """Shoot over a part of the period if the orbit's points repeat after that part."""
         modulus = np.abs(self._shooting.multipliers[points, 0])
         is_stable = modulus < limit.STABLE
         inside, reach = points[is_stable], self._windows.reach[points[is_stable]]
         # Kinks that are not located scatter a section more than its predicted noise.
         is_noisy = self._ensemble.is_noisy
         scatter = (limit.KINK_SCATTER if is_noisy else 1.0) * self._windows.resolution[inside]
-        # A slow orbit of several periods is not known any better than noise is amplified.
+        # A slow orbit of several periods is only known up to the amplified noise.
         amplified = np.minimum(scatter / (1.0 - modulus[is_stable]), limit.NEAR * reach)
         part = self._shooting.parts(
             inside, np.maximum(np.maximum(scatter, limit.SAME_POINT * reach), amplified)
@@ -268,15 +268,15 @@ class Search:
         return after
 
     def _restore_orbit(self, points: Numbers) -> States:
-        """Back to the longer orbit where no shorter one is stable."""
+        """Restore the longer orbit if no shorter one is stable."""
         return np.where(self._shooting.restore(points), State.BASIN_CHECK, State.NO_REPEAT)
 
     def _check_basin(self, points: Numbers) -> States:
-        """Whether the motion itself approaches the orbit, which may be another attractor's.
+        """Test whether the motion approaches the orbit, which may be another attractor.
 
-        If not, it is integrated for as long as the slowest multiplier needs to bring it near, and
-        must be near then. Where that would exceed the time limit, a motion near its orbit must have
-        come nearer over its window, by at least half as much as the multiplier says.
+        If not, the motion is integrated for as long as the slowest multiplier needs to bring it
+        near, and must be near then. If that would exceed the time limit, a motion near its orbit
+        must have come nearer over its window, by at least half as much as the multiplier predicts.
         """
         windows, full = self._windows, self._steady.n_periods
         slow = is_slow(self._shooting, points, full)
@@ -285,7 +285,7 @@ class Search:
         waits = ~seen.is_own & (seen.stretch <= n_left)
         away, n, self._goal[points] = points[waits], self._shooting.n[points[waits]], seen.goal
         windows.clear(points[waits & slow])
-        # Whole periods of the orbit: its start is what the motion must be near to in the end.
+        # Whole periods of the orbit: in the end the motion must be near the orbit's start.
         self._transient[away] = seen.stretch[waits]
         self._recording[away] = np.where(slow[waits], np.maximum(full // n, 1) * n, 0)
         stays = ~seen.is_own & ~waits
@@ -294,13 +294,13 @@ class Search:
         return np.where(is_own, accepted, np.where(waits, State.APPROACH, State.NO_REPEAT))
 
     def _check_approach(self, points: Numbers) -> States:
-        """Whether the motion has come near its orbit; else it goes on with its window."""
+        """Test whether the motion has come near its orbit; if not, continue its window."""
         windows = self._windows
         slow = is_slow(self._shooting, points, self._steady.n_periods)
         is_near = distances(windows, self._shooting, points, slow) <= self._goal[points]
         accepted = self._accept(points[is_near])
         away = points[~is_near]
-        # A window that is to go on begins again: what was not recorded would be a gap in it.
+        # A window that is continued begins again: the part not recorded would be missing in it.
         windows.clear(away[windows.length[away] < self._size[away]])
         begin = windows.n_periods[away] - windows.length[away]
         self._is_settled[away] |= begin >= self._settling[away]
@@ -309,13 +309,13 @@ class Search:
     def _accept(
         self, points: Numbers, *, is_noisy: Mask | bool = False, y: Array | None = None
     ) -> State:
-        """Forget exponents of the way to orbits, but of noisy ones; confirm these, from states."""
+        """Accept orbits, confirm them from states `y`; clear exponents of those not noisy."""
         forgets = points[np.broadcast_to(~np.asarray(is_noisy), len(points))]
         self._found.lyapunov[forgets] = self._found.lyapunov_error[forgets] = np.nan
         if self._exact is self._ensemble:
             return State.PERIODIC
         reach, n = self._windows.reach[points], self._shooting.n[points]
-        # Without damping Newton's method has no step: the multipliers alone are computed.
+        # Without damping Newton's method has no step: only the multipliers are computed.
         is_undamped = self._ensemble.settling_rate[points] == 0.0
         goal = np.where(is_undamped, np.inf, limit.SAME_POINT * reach)
         noise = self._tight.solver.rtol / self._ensemble.solver.rtol * self._windows.noise()[points]
@@ -325,7 +325,7 @@ class Search:
         return State.CONFIRM
 
     def _confirm(self, points: Numbers) -> States:
-        """One Newton step at tight tolerances: whether the orbit exists, is stable, and prime."""
+        """Do one Newton step at tight tolerances to confirm that a stable, prime orbit exists."""
         confirmed, reach = self._confirmed, self._windows.reach[points]
         is_found, is_lost = self._step(points, self._tight, confirmed)
         stays = is_found & (np.abs(confirmed.multipliers[points, 0]) < self._bound(points))
@@ -344,15 +344,15 @@ class Search:
         return np.where(stays, State.PERIODIC, after)
 
     def _bound(self, points: Numbers, largest: float = limit.STABLE) -> Array:
-        """Moduli of multipliers below which orbits are stable; on the circle without damping."""
+        """Moduli of multipliers below which orbits are stable; just above 1 without damping."""
         on_circle = 1.0 + max(limit.ON_CIRCLE, self._ensemble.solver.rtol)
         return np.where(self._ensemble.settling_rate[points] == 0.0, on_circle, largest)
 
     def _test_repeat(self, points: Numbers) -> States:
-        """Whether a settled motion repeats itself, though shooting could not improve on it.
+        """Test whether a settled motion repeats itself, although shooting found no orbit.
 
-        At loose tolerances the solver's noise is larger than any Newton residual allowed. A motion
-        that repeats less well, or not for long, creeps past where there is no orbit, or on a torus.
+        At loose tolerances the solver's noise exceeds every allowed Newton residual. A motion that
+        repeats less well, or not for long, drifts where there is no orbit, or on a torus.
         """
         windows, largest = self._windows, self._steady.max_period_multiple
         resolution = windows.resolution
@@ -361,11 +361,11 @@ class Search:
         )
         found *= persists(windows, points, found > 0, self._longest[points], largest)
         for point, n in zip(points[found > 0].tolist(), found[found > 0].tolist(), strict=True):
-            # So coarse that it also repeats sooner?
+            # Does it repeat sooner, within this larger tolerance?
             section = windows.window(point)
             n = prime_multiple(section[:, -n:], resolution[point] * math.sqrt(n))
             if not self._ensemble.has_own_tangent:
-                # A kink that is passed unlocated scatters more than that.
+                # A kink that is not located scatters more than that.
                 sooner = likely_multiple(section, limit.CLOSE * windows.reach[point], n)
                 n = sooner if sooner and n % sooner == 0 else n
             self._start_measurement(point, n)
@@ -379,14 +379,14 @@ class Search:
         self._shooting.start(one, y, np.array([n]), anywhere, noise, nowhere)
 
     def _measure_orbit(self, points: Numbers) -> States:
-        """Whether the multipliers of an orbit taken from the motion say that it is stable."""
+        """Test whether an orbit taken from the motion is stable, by its multipliers."""
         shooting, ensemble, windows = self._shooting, self._ensemble, self._windows
         is_found, _ = self._step(points, ensemble, shooting)
         modulus = np.abs(shooting.multipliers[points, 0])
         stays = is_found & (modulus < self._bound(points, 1.0))
         if ensemble.has_own_tangent:
-            # Newton multiplies what the solver strays in a period by 1 / (1 - modulus): about a
-            # slow orbit that is far, and the motion is there if it had the time to settle.
+            # Newton multiplies the solver's error in a period by 1 / (1 - modulus): far for a slow
+            # orbit, and the motion is on it if it had the time to settle.
             is_near = shooting.last_step[points] <= limit.NEAR * windows.reach[points]
             is_near |= ensemble.has_families[points]  # of orbits: Newton has no step
             has_settled = is_slow(shooting, points, self._steady.n_periods) & stays
@@ -402,13 +402,13 @@ class Search:
     # --- aperiodic motions ------------------------------------------------------------------------
 
     def _end_search(self, points: Numbers) -> States:
-        """After the time limit: the exponent, then the last window, then the class.
+        """Measure the exponent after the time limit, then record the last window, then classify.
 
-        In this order, because transient chaos may end while the exponent is measured. The window
-        that a class is based on is the last of the motion.
+        In this order, because transient chaos may end while the exponent is measured. A class is
+        based on the last window of the motion.
         """
         exponents, rate = self._exponents, self._ensemble.settling_rate[points]
-        # A motion that was given no time to settle has no class; without damping no time is enough.
+        # A motion without enough time to settle has no class; without damping no time is enough.
         grows = self._is_settled[points] & (rate > 0.0) & (exponents.n_periods[points] == 0)
         grows &= exponents.n_least <= self._longest[points]
         new = points[grows]
@@ -419,11 +419,11 @@ class Search:
         return np.where(grows, State.LYAPUNOV, after)
 
     def _measure_exponent(self, points: Numbers) -> States:
-        """The next blocks of motion with its tangent; at the end of a measurement its exponent."""
+        """Integrate the next blocks with the tangent; set exponents of finished measurements."""
         exponents, found, after = self._exponents, self._found, self.state[points]
         over, status = exponents.advance(self._exact, points)
         is_ok = status == Status.OK
-        # What failed did so within the next block.
+        # A motion that failed did so within the next block.
         elapsed = (exponents.n_blocks[over] + ~is_ok) * exponents.n_periods[over]
         self._windows.move_to(over, exponents.y[:, over], status, elapsed)
         known = over[is_ok]
@@ -432,7 +432,7 @@ class Search:
         return after
 
     def _record_last(self, points: Numbers) -> States:
-        """A whole window: the response itself, if it shows no orbit."""
+        """Record a whole window with all events: the response, if the window shows no orbit."""
         windows, full = self._windows, np.full(len(points), self._steady.n_periods)
         windows.clear(points)
         windows.integrate(points, np.zeros_like(full), full, section_only=False)
@@ -443,7 +443,7 @@ class Search:
         )
 
     def _is_zero(self, points: Numbers) -> tuple[Mask, Mask]:
-        """Whose exponent is zero after a long measurement; whose may be zero, as on a torus."""
+        """Whether exponents are zero after a long measurement; whether they may be (torus)."""
         exponent, error = self._found.lyapunov[points], self._found.lyapunov_error[points]
         shear = self._exponents.linear_growth(points, self._ensemble.omega[points])
         # Disturbances on a torus shrink and grow in turn, by less than they grow in the long run.
@@ -454,8 +454,8 @@ class Search:
         return is_zero, may_be & (len(self._windows.y) > 2)
 
     def _test_exponent(self, points: Numbers) -> States:
-        """Double the measurement until the exponent is not zero beyond doubt, and as well known as
-        the user wants, or until its time is over.
+        """Double the measurement until the exponent is surely not zero and has the standard error
+        that the user requested, or until the time is over.
         """
         exponents, steady = self._exponents, self._steady
         exponent, error = self._found.lyapunov[points], self._found.lyapunov_error[points]
@@ -465,7 +465,7 @@ class Search:
         is_undecided = (may_be_zero | (np.abs(exponent) <= limit.SURE * error)) & ~is_long
         wanted = steady.lyapunov_error  # a short measurement may miss intermittent chaos
         is_rough = np.full(len(points), wanted is not None) & (~is_long | (error > (wanted or 0.0)))
-        # Another solver's tangent says less of the motion the longer it is.
+        # The longer a tangent of another solver, the less it belongs to the motion.
         goes_on = is_undecided | (is_rough & (n_doubled <= steady.max_periods))
         goes_on &= self._ensemble.has_own_tangent & (n_doubled <= self._longest[points])
         goes_on &= exponents.n_periods[points] > 0  # without damping no measurement was started
@@ -475,9 +475,9 @@ class Search:
         return np.where(goes_on, State.LYAPUNOV, after)
 
     def _test_torus(self, points: Numbers) -> States:
-        """Integrate for so long that motions run round a torus, if they are on one.
+        """Integrate motions long enough to recognise a torus, and test for it.
 
-        Those with windows of one kind, and as many as memory takes; the others wait.
+        Tested are points with windows of one kind, as many as fit in memory; the others wait.
         """
         is_zero, _ = self._is_zero(points)
         kind = np.where(is_zero, 0, np.where(self._exponents.is_long(points), 1, 2))
@@ -485,7 +485,7 @@ class Search:
         tested = np.flatnonzero(kind == kind[0])[: MOST_POINTS // max(windows)]
         some, after = points[tested], self.state[points]
         seen = torus_test(self._windows, some, windows, self._longest[some])
-        at = seen.is_torus | seen.is_locked  # it takes longer to get there than damping says
+        at = seen.is_torus | seen.is_locked  # settling takes longer than damping predicts
         verdict = np.where(seen.is_torus, State.QUASIPERIODIC, State.LOCKED)
         self._verdict[some[at]] = verdict[at]
         status = self._windows.status[some[at]]
@@ -494,7 +494,7 @@ class Search:
         return after
 
     def _test_sign(self, points: Numbers) -> States:
-        """More time for motions that contract; orbits blurred by errors at unlocated kinks."""
+        """Give contracting motions more time, or search an orbit with scattered section points."""
         exponent, error = self._found.lyapunov[points], self._found.lyapunov_error[points]
         is_zero, _ = self._is_zero(points)
         after = np.where(is_zero, State.UNRESOLVED, State.CHAOS_TEST)
@@ -508,9 +508,9 @@ class Search:
         return after
 
     def _extend(self, points: Numbers, exponent: Array) -> Mask:
-        """Give motions time to settle at the rate that the exponent shows, once; which get it.
+        """Extend the search, once, by the time to settle at the exponent's rate; True if extended.
 
-        Damping may have suggested a faster one.
+        Damping may have predicted faster settling.
         """
         n_periods = np.ceil(math.log(limit.REST) / exponent * self._exponents.omega(points))
         may = n_periods <= np.minimum(self._longest[points], limit.MOST_EXTENSION)
@@ -523,12 +523,12 @@ class Search:
         return np.asarray(may)
 
     def _noisy_orbit(self, point: int) -> State:
-        """Whether a contracting motion is a periodic one, scattered by its solver's errors.
+        """Test whether a contracting motion is periodic, but scattered by solver errors.
 
-        A kink passed unlocated throws a step off by more than its error estimate. The tangent is
-        another solver's, so that the exponent tells this from chaos; what scatters more than the
-        solver strays is on its way or has another period. A loose solver must scatter about the
-        orbit on which the tight one has settled.
+        At a kink that is not located the error of a step exceeds its estimate. The tangent has a
+        different solver, so that the exponent distinguishes scatter from chaos; a motion with more
+        scatter than solver errors is a transient or has another period. With a loose solver it must
+        scatter about the orbit on which the tight solver has settled.
         """
         windows, largest = self._windows, self._steady.max_period_multiple
         window, reach = windows.window(point), windows.reach[point]
@@ -550,10 +550,10 @@ class Search:
         return self._accept(one, is_noisy=True, y=call.y)
 
     def _scatter(self, point: int) -> float:
-        """Distance [m] of two points of one phase, by solver errors: root of the mean square.
+        """RMS distance [m] of two section points of one phase that is due to solver errors.
 
-        The solver strays in each period of the window. That adds up in random directions, and
-        shrinks with the exponent, < 0.
+        The solver errors of the periods add up in random directions, and shrink with the exponent,
+        which is < 0.
         """
         y = self._windows.window(point) * self._ensemble.unit[:, [point]]
         n, never = np.ones(y.shape[1], np.int64), np.full(y.shape[1], np.inf)
@@ -563,10 +563,10 @@ class Search:
         return math.sqrt(2.0 / -math.expm1(shrinks / self._ensemble.omega[point])) * strayed
 
     def _test_chaos(self, points: Numbers) -> States:
-        """Whether the exponent is positive, the section irregular, and the motion bounded."""
+        """Test for chaos: positive exponent, section without repetition, and bounded motion."""
         windows, largest = self._windows, self._steady.max_period_multiple
         # Disturbances of an unstable orbit grow, too; near a bifurcation so slowly that the motion
-        # stays near it: but there it repeats itself.
+        # stays near it, but then it repeats itself.
         section, length = windows.section[:, points], windows.length[points]
         is_alike = repeat_nearly(section, length, windows.step_error[points], largest)
         exponent, error = self._found.lyapunov[points], self._found.lyapunov_error[points]
@@ -579,7 +579,7 @@ class Search:
         return np.where(grows, State.GROWING, after)
 
     def _classify_stop(self, points: Numbers) -> States:
-        """Motions that did not reach their end: at rest, without return to the section, failed."""
+        """Classify motions that did not reach their end: at rest, without return, or failed."""
         found, status = self._found, self._windows.status[points]
         after = np.where(status == ASTRAY, State.NO_RETURN, State.FAILED)
         for k in np.flatnonzero(status == AT_REST).tolist():
@@ -592,17 +592,17 @@ class Search:
 
 
 def time_budget(ensemble: Ensemble, steady: Steady) -> tuple[Any, Any, Any, Array]:
-    """How many periods motions are given, each of shape (n,).
+    """Return the time limits of a search in periods, each of shape (n,).
 
     Returns
     -------
     pause, settling, last : ndarray of int
-        Between windows, to settle, and until the last window.
+        Periods between windows, to settle, and until the last window.
     longest : ndarray
-        At a time after that, for an exponent or a torus; infinity where nothing bounds it.
+        Periods of each later measurement of an exponent or a torus; infinity without `t_max`.
     """
     rate, omega = ensemble.settling_rate, ensemble.omega
-    # Without damping nothing settles: what does not repeat at once never will.
+    # Without damping no motion settles: one that does not repeat at once never will.
     with np.errstate(over="ignore"):
         decay_periods = np.divide(omega, rate, out=np.zeros(len(rate)), where=rate > 0.0)
     shares = 1.0 / limit.TRANSIENT_SHARE, 1.0 / steady.settle_tol
@@ -610,7 +610,7 @@ def time_budget(ensemble: Ensemble, steady: Steady) -> tuple[Any, Any, Any, Arra
     pause, settling, longest = np.ceil(
         np.minimum(times * decay_periods, limit.MOST_PERIODS)
     ).astype(np.int64)
-    # A full window more: slow forcing leaves no period between settling and the end.
+    # A full window more: with slow forcing there is no period between settling and the end.
     last = np.maximum(settling, np.minimum(longest, steady.max_periods)) + steady.n_periods
     at_a_time = omega * (math.inf if steady.t_max is None else steady.t_max)
     last = np.floor(np.minimum(last, np.maximum(1.0, at_a_time))).astype(np.int64)

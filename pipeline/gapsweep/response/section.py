@@ -1,7 +1,7 @@
-"""The stroboscopic section: repeats, contraction, and distances of orbits.
+"""Poincaré sections: period multiples, contraction, and distances of orbits.
 
-A section point is a state in metres: each of its components divided by what one metre is in it
-(`gapsweep.response.ensemble.Ensemble.unit`). Components stand along the first axis. Points are the
+A section point is a state in metres: each component divided by its value for one metre
+(`gapsweep.response.ensemble.Ensemble.unit`). Components are along the first axis. Points are the
 same if no component differs.
 """
 
@@ -25,7 +25,7 @@ CLOUD_CLOSE = 0.25
 
 
 def unit_of(omega: ArrayLike) -> Array:
-    """What one metre of the section is in displacement and velocity of an oscillator.
+    """Displacement and velocity of an oscillator that correspond to one metre of the section.
 
     Parameters
     ----------
@@ -41,7 +41,7 @@ def unit_of(omega: ArrayLike) -> Array:
 
 
 def scaled(states: ArrayLike, unit: Array) -> Array:
-    """Section points of states.
+    """Return the section points of states.
 
     Parameters
     ----------
@@ -58,8 +58,8 @@ def scaled(states: ArrayLike, unit: Array) -> Array:
 
 
 def norm(parts: Array) -> Array:
-    """Lengths of vectors whose components stand along the first axis."""
-    # One after the other: numpy's sum of eight and more depends on how many vectors there are.
+    """Euclidean norms of vectors with components along the first axis."""
+    # One after the other: numpy's sum of eight and more depends on the number of vectors.
     total, *squares = np.square(parts)
     for square in squares:
         total = total + square
@@ -67,7 +67,7 @@ def norm(parts: Array) -> Array:
 
 
 def reach_of(q: Array, unit: Array) -> Array:
-    """Largest moduli [m] of displacements, as section points', shape (n,).
+    """Largest moduli [m] over coordinates, in metres of the section, shape (n,).
 
     Parameters
     ----------
@@ -78,7 +78,7 @@ def reach_of(q: Array, unit: Array) -> Array:
 
 
 def period_multiple(section: Array, tolerance: float, largest: int) -> int:
-    """`period_multiples` of one section, shape (n_states, n_periods)."""
+    """Return the period multiple of one section, shape (n_states, n_periods); 0 if none."""
     length, first = np.array([section.shape[1]]), np.zeros(1, np.intp)
     found = period_multiples(section[:, None], length, first, np.array([tolerance]), largest)
     return int(found[0])
@@ -89,15 +89,15 @@ def period_multiples(
 ) -> Counts:
     """Smallest n for which sections repeat every n forcing periods; 0 if none does.
 
-    All points n, 2n, ... periods apart must be the same: a motion that still creeps along repeats
-    well from one period to the next.
+    All points n, 2n, ... periods apart must be the same: a slowly drifting motion repeats well from
+    one period to the next.
 
     Parameters
     ----------
     sections : ndarray, shape (n_states, n, longest)
         Section points [m], one per forcing period.
     lengths : ndarray of int, shape (n,)
-        How many there are in each row.
+        Number of section points in each row.
     points : ndarray of int, shape (m,)
         Numbers of the rows.
     tolerance : ndarray, shape (m,)
@@ -116,7 +116,7 @@ def period_multiples(
     latest = _latest(sections, lengths, points, largest)
     allowed = tolerance[:, None] * np.sqrt(np.arange(1, largest + 1))
     with np.errstate(invalid="ignore"):
-        may = _are_near(latest[..., 1:], latest[..., :1], allowed)  # mostly this alone decides
+        may = _are_near(latest[..., 1:], latest[..., :1], allowed)  # this decides most cases
     may &= 2 * np.arange(1, largest + 1) <= lengths[points, None]
     for k in np.flatnonzero(may.any(axis=1)).tolist():
         section = sections[:, points[k], : lengths[points[k]]]
@@ -151,9 +151,9 @@ def likely_multiple(
     ]
     spreads = [float(np.sqrt(np.mean(each**2))) for each in distances]
     for n, (distance, spread) in enumerate(zip(distances, spreads, strict=True), start=1):
-        # A disturbance that turns as it decays repeats better after some periods than others, ...
+        # A disturbance that rotates as it decays repeats better after some periods than others, ...
         if distance.max() < closeness and spread <= min(AS_GOOD * min(spreads), scatter):
-            # ... though the points scatter about fewer places.
+            # ... although the points scatter about fewer positions.
             phases = section[:, n_points % n :].reshape(len(section), -1, n)
             places = phases.mean(axis=1)
             scatter = float(np.sqrt(np.mean(norm(phases - places[:, None]) ** 2)))
@@ -164,7 +164,7 @@ def likely_multiple(
 def converging_multiples(
     sections: Array, lengths: Counts, points: Numbers, closeness: Array, same: Array, largest: int
 ) -> Counts:
-    """Smallest n towards whose repeat each section is contracting as well as any; 0 if none is.
+    """Smallest n for which each section contracts to a repeat as well as for any n; 0 if none.
 
     Each of the last four points must be within `closeness` of the one n periods before, and either
     all within `same`, or the later two of them nearer than the farthest of those within `closeness`
@@ -176,7 +176,7 @@ def converging_multiples(
     sections : ndarray, shape (n_states, n, longest)
         Section points [m].
     lengths : ndarray of int, shape (n,)
-        How many there are in each row.
+        Number of section points in each row.
     points : ndarray of int, shape (m,)
         Numbers of the rows.
     closeness : ndarray, shape (m,)
@@ -202,7 +202,7 @@ def converging_multiples(
         return found
     place = np.arange(CONTRACTION_POINTS) + before[:, None] + 1
     steps = norm(latest[:, section, :CONTRACTION_POINTS] - latest[:, section[:, None], place])
-    # What was farther away was on its way here, and may be on its way out again.
+    # Points farther away belong to the approach, and the motion may leave again.
     steps = np.where(steps < closeness[section, None], steps, np.nan)
     farthest = steps[:, :4].max(axis=1)  # NaN beyond `closeness`
     contracts = steps[:, :2].max(axis=1) <= np.fmax.reduce(steps[:, 2:], axis=1)
@@ -224,18 +224,18 @@ def _latest(sections: Array, lengths: Counts, points: Numbers, n: int) -> Array:
 
 
 def repeat_nearly(sections: Array, lengths: Counts, error: Array, largest: int) -> Mask:
-    """Which sections repeat themselves so well that they cannot be told from periodic ones.
+    """Whether sections repeat so well that they cannot be distinguished from periodic ones.
 
-    Each component beside what it moves by itself: a large one must hide no other's chaos.
+    Each component relative to its largest modulus: a large one must not hide chaos of another.
 
     Parameters
     ----------
     sections : ndarray, shape (n_states, m, longest)
         Section points [m].
     lengths : ndarray of int, shape (m,)
-        How many there are in each row.
+        Number of section points in each row.
     error : ndarray, shape (m,)
-        Of each of them, from the solver's tolerances [m].
+        Error of the points of each row, from the solver's tolerances [m].
     largest : int
         Largest multiple of a forcing period tried.
     """
@@ -243,7 +243,7 @@ def repeat_nearly(sections: Array, lengths: Counts, error: Array, largest: int) 
     inside = np.arange(sections.shape[2]) < lengths[:, None]
     extent = np.where(inside, np.abs(sections), 0.0).max(axis=2, initial=0.0)
     moves = extent > error / ALIKE
-    # What does not move repeats in any case.
+    # A component that does not move repeats in any case.
     shares = sections * np.where(moves, 1.0 / np.where(moves, extent, 1.0), 0.0)[..., None]
     found = period_multiples(sections, lengths, every, error, largest) > 0
     alike = np.full(len(lengths), ALIKE)
@@ -252,17 +252,17 @@ def repeat_nearly(sections: Array, lengths: Counts, error: Array, largest: int) 
 
 
 def drifts(sections: Array, lengths: Counts) -> Mask:
-    """Which motions move one way along a coordinate, in every period of their windows.
+    """Whether motions move one way along a coordinate, in every period of their windows.
 
-    Such a motion is on its way, or nothing holds it; rounding that grows with its distance
-    stretches disturbances as chaos does.
+    Such a motion is a transient or unbounded; rounding errors that grow with its distance amplify
+    disturbances as chaos does.
 
     Parameters
     ----------
     sections : ndarray, shape (n_coordinates, m, longest)
         Displacements of section points [m].
     lengths : ndarray of int, shape (m,)
-        How many there are in each row.
+        Number of section points in each row.
     """
     moves = np.diff(sections, axis=2)
     outside = np.arange(moves.shape[2]) >= lengths[:, None] - 1
@@ -271,21 +271,21 @@ def drifts(sections: Array, lengths: Counts) -> Mask:
 
 
 def repeats(shares: Array, modulus: Array) -> Counts:
-    """How many repeats of an orbit it takes until disturbances have shrunk to shares < 1.
+    """Number of periods of an orbit until disturbances have shrunk to given shares < 1.
 
     Parameters
     ----------
     shares, modulus : ndarray, shape (m,)
         The shares, and the largest multiplier's modulus, < 1 [-].
     """
-    # numpy's own logarithm is another one on another processor.
+    # numpy's logarithm differs between processors.
     pairs = zip(shares.tolist(), modulus.tolist(), strict=True)
     found = [max(1, math.ceil(math.log(share) / math.log(each))) for share, each in pairs]
     return np.array(found, np.int64)
 
 
 def prime_multiple(orbit: Array, tolerance: float) -> int:
-    """Smallest divisor of its length after which a closed orbit repeats itself.
+    """Smallest divisor of the length of a closed orbit after which the orbit repeats itself.
 
     Parameters
     ----------
@@ -300,7 +300,7 @@ def prime_multiple(orbit: Array, tolerance: float) -> int:
 
 
 def largest_parts(orbits: Array, tolerance: Array) -> Counts:
-    """Largest proper divisors of their length after which closed orbits repeat; else the length.
+    """Largest proper divisor of the orbits' length after which each closed orbit repeats, else n.
 
     Parameters
     ----------
@@ -347,7 +347,7 @@ def cloud_distances(a: Array, b: Array) -> Array:
 
 
 def own_neighbours(a: Array, b: Array) -> Array:
-    """Share of the points of two clouds whose nearest other point is of their own cloud [-].
+    """Share of the points of two clouds whose nearest other point is of the same cloud [-].
 
     Half of them if both are samples of one distribution, all if they lie apart, whatever their
     shape and the number of states (Schilling 1986).

@@ -2,11 +2,11 @@
 
 The tangent equations carry the monodromy matrix along with the motion. The contact force is
 continuous, so nothing jumps at a contact. The product of the multipliers over n periods T is
-``exp(-r n T)`` for all forces that depend on positions alone: r is ``2 ζ ω_n`` for an oscillator,
+``exp(-r n T)`` for all forces that depend on positions only: r is ``2 ζ ω_n`` for an oscillator,
 for a system ``tr(M⁻¹C) - tr H``.
 
-All of it is columns, a row per point: arithmetic on one small matrix costs numpy more than the
-engine needs for its motion. No row depends on the others.
+All data are columns with a row per point: numpy needs more time for one small matrix than the
+engine for its motion. No row depends on the others.
 """
 
 from typing import Any
@@ -26,18 +26,18 @@ Numbers = NDArray[np.intp]
 
 
 class NewtonShooting:
-    """Newton on the map over n forcing periods, from a state near the orbit.
+    """Newton's method on the map over n forcing periods, from a state near the orbit.
 
     Attributes
     ----------
     y : ndarray, shape (n_states, n_points)
-        The states: of an orbit where one is found.
+        Present states of the iteration; states on the orbit if one is found.
     n : ndarray of int, shape (n_points,)
         Forcing periods of the orbits.
     multipliers : ndarray of complex, shape (n_points, n_states)
         Floquet multipliers over n periods of an orbit that was found, largest modulus first.
     n_multipliers : int
-        How many of them there are; what the map of a section has beyond is zero.
+        Number of multipliers; further eigenvalues of a Poincaré map are zero.
     omega : ndarray, shape (n_points,)
         Section points per second [Hz] on an orbit that was found.
     section : list of ndarray, shape (n_states, n)
@@ -55,13 +55,13 @@ class NewtonShooting:
         self._moved, self._tries = np.zeros_like(self.y), np.zeros(n_points, np.int64)
         self.last_step, self._apart = np.zeros((2, n_points))  # _apart: distance of the ends
         self._goal, self._noise, self._furthest = np.zeros((3, n_points))
-        # By point: an orbit that was found, while part of its period is tried.
+        # By point: an orbit that was found, while shooting tries a part of its period.
         self._whole: dict[int, tuple[Any, ...]] = {}
 
     def start(
         self, points: Numbers, y: Array, n: Counts, goal: Array, noise: Array, furthest: Array
     ) -> None:
-        """Start near states.
+        """Start shooting from states near orbits.
 
         Parameters
         ----------
@@ -69,12 +69,12 @@ class NewtonShooting:
         y : ndarray, shape (n_states, m)
         n : ndarray of int, shape (m,)
         goal : ndarray, shape (m,)
-            Distance [m] from the orbit at which it is found.
+            Newton step [m] at which the orbit counts as found.
         noise : ndarray, shape (m,)
-            How far apart [m] the solver's noise may keep an orbit's ends, where it lets no step be
-            as short.
+            Distance [m] of an orbit's ends that solver noise may cause, if no step is shorter than
+            `goal`.
         furthest : ndarray, shape (m,)
-            Distance [m] from `y` beyond which it is given up.
+            Distance [m] from `y` beyond which shooting stops.
         """
         self.y[:, points], self.n[points] = y, n
         self._goal[points], self._noise[points], self._furthest[points] = goal, noise, furthest
@@ -84,11 +84,11 @@ class NewtonShooting:
             self._whole.pop(k, None)
 
     def shorten(self, points: Numbers, n: Counts, *, is_scattered: bool) -> None:
-        """Start again at orbits that were found, over fewer forcing periods.
+        """Restart shooting at orbits that were found, over fewer forcing periods.
 
-        The shorter orbit must close much better than the parts of the whole one are alike, or as
-        well as that one closed: predicted noise may hide a doubled period. If it does not, the
-        whole is the orbit (`restore`). A solver that scatters sections shows nothing of this.
+        The shorter orbit must close much better than the parts of the whole one agree, or as well
+        as the whole one closed: predicted noise may hide a doubled period. If it does not, the
+        whole orbit is kept (`restore`). With a solver that scatters sections there is no such test.
         """
         kept = [] if is_scattered else zip(points.tolist(), n.tolist(), strict=True)
         for k, part in kept:
@@ -102,7 +102,7 @@ class NewtonShooting:
         self.last_step[points] = self._apart[points] = np.inf
 
     def restore(self, points: Numbers) -> Mask:
-        """Return to the whole orbits of shots over parts of their periods; which those are."""
+        """Restore the whole orbits of points that tried parts of their periods; True for these."""
         is_part = np.array([k in self._whole for k in points.tolist()], bool)
         for k in points[is_part].tolist():
             self.y[:, k], self.n[k], self.multipliers[k], self.omega[k], self.section[k] = (
@@ -111,18 +111,18 @@ class NewtonShooting:
         return is_part
 
     def modulus(self, points: Numbers) -> Array:
-        """Largest moduli of multipliers [-], at least 1e-12."""
+        """Return the largest moduli of multipliers [-], at least 1e-12."""
         return np.asarray(np.maximum(np.abs(self.multipliers[points, 0]), 1e-12))
 
     def parts(self, points: Numbers, tolerance: Array) -> Counts:
-        """Forcing periods of the largest parts after which orbits repeat; of the whole if none do.
+        """Periods of the largest part after which each orbit repeats, or of the whole orbit.
 
         Parameters
         ----------
         points : ndarray of int, shape (m,)
-            Whose orbit is found.
+            Points with an orbit.
         tolerance : ndarray, shape (m,)
-            Distances [m] within which two of its section points are the same.
+            Distances [m] within which two section points are the same.
         """
         found = self.n[points]
         for n in np.unique(found[found > 1]).tolist():
@@ -132,25 +132,25 @@ class NewtonShooting:
         return found
 
     def step(self, points: Numbers, call: Call) -> tuple[Mask, Mask]:
-        """One step of Newton's method from what a call found.
+        """Do one step of Newton's method from the motions of a call.
 
         Parameters
         ----------
         points : ndarray of int, shape (m,)
-            Whose motions the call holds, in this order.
+            Points of the motions of the call, in this order.
 
         Returns
         -------
         is_found, is_lost : ndarray of bool, shape (m,)
-            Whose orbit is closed; who went too far, did not converge, or failed.
+            Points whose orbit is closed; points that went too far, did not converge, or failed.
         """
         y, is_ok = self.y[:, points], call.is_ok
         goal = self._goal[points]
-        with np.errstate(over="ignore", invalid="ignore"):  # of motions that failed
+        with np.errstate(over="ignore", invalid="ignore"):  # for motions that failed
             missed = (call.y - y) / call.unit
             step = newton_steps(call.monodromy, missed.T).T
             length = norm(step)
-            # Ends that meet are not enough: weakly contracting, the orbit is much farther away.
+            # Ends that meet are not enough: with weak contraction the orbit is much farther away.
             apart = norm(missed)
             is_near = apart <= np.maximum(goal, self._noise[points])
             shortens = length < limit.SHORTENED * self.last_step[points]
@@ -161,11 +161,11 @@ class NewtonShooting:
                 is_found &= call.is_sound
             multipliers = floquet_multipliers(call.monodromy, call.determinant)
             modulus = np.abs(multipliers[:, 0])
-            # About a rest, Newton's orbits shrink until they close within the noise.
+            # Near an equilibrium, Newton's orbits shrink until they close within the noise.
             is_rest = call.swing <= self._noise[points] / np.maximum(
                 1.0 - modulus, limit.LEAST_CONTRACTION
             )
-            is_rest &= np.isfinite(goal)  # of an orbit as it is, Newton moves nothing
+            is_rest &= np.isfinite(goal)  # an orbit taken as it is does not move
             is_found &= ~is_rest
             self._keep(points, is_found.nonzero()[0], multipliers, call)
             self._tries[points] += 1
@@ -190,12 +190,12 @@ class NewtonShooting:
 
 
 def newton_steps(monodromy: Array, moved: Array) -> Array:
-    """Steps from initial states towards fixed points of their maps; infinite where none is near.
+    """Newton steps from initial states to fixed points of their maps; infinite if none is near.
 
     Parameters
     ----------
     monodromy : ndarray, shape (n, n_states, n_states)
-        Derivatives of the ends by the starts, as section points.
+        Derivatives of end states with respect to initial states, as section points.
     moved : ndarray, shape (n, n_states)
         Ends minus starts, as section points [m].
 
@@ -220,16 +220,16 @@ def _solution(matrix: Array, right: Array) -> Array:
 def floquet_multipliers(monodromy: Array, determinant: Array) -> NDArray[np.complex128]:
     """Eigenvalues of monodromy matrices, largest modulus first; NaN where the tangent overflowed.
 
-    Two follow from the trace and from the determinant, which damping fixes: computed from the
-    matrix it is lost in rounding where the two shrink differently, and with it the smaller one.
-    Of more than two those are lost that rounding of the largest hides. What shrank to nothing is
-    zero.
+    With two states, both follow from the trace and the determinant, which damping determines: a
+    determinant computed from the matrix would be lost in rounding if the two differ much, and with
+    it the smaller one. With more states, small eigenvalues are lost in rounding of the largest one.
+    Eigenvalues below the smallest normal numbers are zero.
 
     Parameters
     ----------
     monodromy : ndarray, shape (n, n_states, n_states)
     determinant : ndarray, shape (n,)
-        What the determinants are without error, >= 0.
+        Exact determinants, >= 0.
 
     Returns
     -------
@@ -251,7 +251,7 @@ def floquet_multipliers(monodromy: Array, determinant: Array) -> NDArray[np.comp
 
 def _pairs(monodromy: Array, determinant: Array) -> NDArray[np.complex128]:
     """Eigenvalues of 2 x 2 matrices, the larger first."""
-    with np.errstate(all="ignore"):  # of tangents that overflowed or shrank to nothing
+    with np.errstate(all="ignore"):  # for tangents that overflowed or shrank to zero
         half = 0.5 * (monodromy[:, 0, 0] + monodromy[:, 1, 1])
         # Where the trace is zero the two are imaginary.
         ratio = np.where(half == 0.0, np.inf, determinant / half / half)

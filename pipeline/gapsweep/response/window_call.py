@@ -1,4 +1,4 @@
-"""What a call of the engine found: motions, their events and tangents, as section points."""
+"""Result of a call of the engine: motions, their events and tangents, as section points."""
 
 import math
 from functools import cached_property
@@ -12,36 +12,36 @@ from gapsweep.status import Status
 
 Array = NDArray[np.float64]
 
-# How far a tangent's determinant may be off, and from which share of its size squared on its own
-# rounding shows.
+# Largest relative error of a tangent's determinant. Below the second share of the tangent's size,
+# to the power of the number of states, a determinant is rounding.
 _UNSOUND, _ROUNDING = 1e-2, 1e-3
 _OK = int(Status.OK)  # numpy compares with a member of an enumeration four times as slowly
 
 
 class Call:
-    """What one call of the engine found: n motions.
+    """Result of one call of the engine: n motions over whole periods.
 
     Attributes
     ----------
     y : ndarray, shape (n_states, n)
-        Their ends: displacements [m], velocities [m/s], first-order states.
+        End states: displacements [m], velocities [m/s], first-order states.
     unit : ndarray, shape (n_states, n)
-        What one metre of the section is in each component of a state.
+        Value of each component of a state that corresponds to one metre of the section.
     omega : ndarray, shape (n,)
         Section points per second [Hz].
     status : ndarray of int, shape (n,)
         `Status` values.
     is_ok : ndarray of bool, shape (n,)
-        Which motions did not fail.
+        Whether a motion did not fail.
     n_steps : ndarray of int, shape (n,)
     n_contacts : ndarray of int, shape (n,)
-        How many walls they passed.
+        Numbers of wall crossings.
     t, t_end : ndarray, shape (n,)
-        How long they lasted [s], and how long they were to last.
+        Durations of the motions [s], and requested durations.
     contact_time : ndarray, shape (n, n_contacts), or None
-        Time spent beyond the walls of every contact [s]; None: only the events tell.
+        Time spent beyond the walls of every contact [s]; None: to be computed from the events.
     swing : ndarray, shape (n,), or float
-        How far [m] motions swing by themselves; infinity where they are driven.
+        Amplitude [m] of autonomous motions; infinity for forced motions.
     """
 
     swing: Array | float = math.inf
@@ -63,8 +63,8 @@ class Call:
         self.y, self.t, self._tangent_end = found.state.T, found.t, tangent_end
         self.n_steps, self.status, self._reach = found.n_steps, found.status, found.reach
         if self.status.any():
-            # A fit that was left on the way but did not run away goes on; where its steady
-            # response lies decides in the end.
+            # A motion that left the range of a fit but did not diverge goes on; the range of its
+            # steady response decides in the end.
             excused = arrived(found, t_end) & (found.status == Status.OUT_OF_FIT_RANGE)
             self.status = np.where(excused, Status.OK, found.status)
         self.is_ok = self.status == _OK
@@ -86,9 +86,9 @@ class Call:
 
     @cached_property
     def tangent(self) -> Array:
-        """Derivatives of the ends by the starts, as section points; shape (n, n_states, n_states).
+        """Derivatives of end by initial states, as section points; shape (n, n_states, n_states).
 
-        With the tangent only. Without units, no arithmetic on them sees how fast clocks run.
+        Only if the tangent was integrated. Without units, results do not depend on the time scale.
         """
         assert self._monodromy is not None
         unit = self.unit.T
@@ -96,26 +96,26 @@ class Call:
 
     @property
     def strayed(self) -> Array:
-        """How far [m] motions have strayed from those that their tangents belong to.
+        """Distances [m] of the end states from those of the motions that the tangents belong to.
 
-        These start where they do, and their kinks are located.
+        Both start from the same states, but the latter have their kinks located.
         """
         return norm((self.y - self._tangent_end) / self.unit)
 
     @cached_property
     def shrinkage(self) -> Array:
-        """Shares [-] of a volume of the section that damping leaves, whatever the forces."""
-        # numpy's own exponential is another one on another processor.
+        """Factors [-] by which damping shrinks volumes in state space, for any forces."""
+        # numpy's exponential differs between processors.
         return np.fromiter(map(math.exp, (-self._volume_rate * self.t_end).tolist()), float)
 
     @property
     def is_sound(self) -> NDArray[np.bool_]:
-        """Where the tangent shrinks volumes as damping says, whatever the forces.
+        """Whether the determinant of the tangent is the one that damping determines.
 
-        Its directions shrink so differently that the determinant is known to no better than
-        rounding of as many factors of its size.
+        Directions shrink so differently that the determinant has a rounding error of the size of
+        the tangent to the power of the number of states.
         """
-        with np.errstate(all="ignore"):  # of motions that failed
+        with np.errstate(all="ignore"):  # for motions that failed
             size = np.square(self.tangent).sum(axis=(1, 2))
             missed = np.abs(np.linalg.det(self.tangent) - self.shrinkage)
             allowed = np.maximum(self.shrinkage, _ROUNDING * size ** (0.5 * len(self.unit)))
@@ -123,28 +123,28 @@ class Call:
 
     @cached_property
     def events(self) -> Events:
-        """Their events; none of a motion that was not recorded."""
+        """Events of the motions; motions that were not recorded have none."""
         events = self._read()
         del self._read  # what the engine keeps for it is larger
         return events
 
     @property
     def passings(self) -> tuple[Array, NDArray[np.int64]]:
-        """States on the section, motion by motion, and how many each has."""
+        """States on the section, motion by motion, and their number for each motion."""
         return self.events.section, self.events.n_section
 
     @cached_property
     def section(self) -> Array:
-        """All section points [m], motion by motion; shape (n_states, sum of those of each)."""
+        """All section points [m], motion by motion; shape (n_states, number of all points)."""
         states, counts = self.passings
         return scaled(states, np.repeat(self.unit, counts, axis=1))
 
     @cached_property
     def period_ends(self) -> NDArray[np.int64]:
-        """Where each motion's section points end, after a zero; shape (n + 1,)."""
+        """Ends of each motion's points in `section`, after a zero; shape (n + 1,)."""
         return np.concatenate(([0], np.cumsum(self.passings[1])))
 
 
 def arrived(found: Motions, t_end: Array) -> NDArray[np.bool_]:
-    """Which motions came to their ends."""
+    """Whether motions reached their ends `t_end`."""
     return np.asarray(found.t >= t_end * (1.0 - 1e-9))

@@ -19,7 +19,7 @@ Numbers = NDArray[np.intp]
 
 
 class RecordedWindows:
-    """Motions that advance by whole forcing periods, all scenes of an ensemble.
+    """Motions of all cases of an ensemble, which advance by whole periods, with their windows.
 
     Attributes
     ----------
@@ -28,16 +28,16 @@ class RecordedWindows:
     status : ndarray of int, shape (n,)
         `Status` values.
     n_periods : ndarray of int, shape (n,)
-        Forcing periods since the start.
+        Forcing periods since the initial time.
     section : ndarray, shape (n_states, n, longest window so far)
         Section points of the windows [m], the first `length` of each row.
     length : ndarray of int, shape (n,)
     reach : ndarray, shape (n,)
         Largest displacements of the windows, as section points [m].
     n_turning : int
-        How much extrema are recorded of: coordinates, then a system's gaps.
+        Number of quantities whose extrema are recorded: coordinates, then a system's gaps.
     extrema : RaggedArrays
-        Zero-velocity points [m] of a window recorded with all events; `n_turning` lists a scene.
+        Zero-velocity points [m] of a window recorded with all events; `n_turning` lists a case.
     contact_share : ndarray, shape (n_contacts, n)
         Share of that window's time spent beyond each contact's walls [-].
     """
@@ -56,42 +56,42 @@ class RecordedWindows:
 
     @property
     def t(self) -> Array:
-        """Times since the start [s]."""
+        """Times since the initial one [s]."""
         return self.ensemble.duration(self.n_periods, self._elapsed)
 
     @property
     def step_error(self) -> Array:
-        """What the solver's tolerances admit in a step [m]."""
+        """Error of a step that the solver's tolerances allow [m]."""
         return np.asarray(self.ensemble.atol + self.ensemble.solver.rtol * self.reach)
 
     def noise(self, n_periods: Counts | int = 1) -> Array:
-        """Predicted scatter [m] of section points so many forcing periods apart.
+        """Predicted scatter [m] of section points `n_periods` forcing periods apart.
 
-        It is what the solver's tolerances admit in each step, in as many random steps as it
-        takes. What scatters more than `resolution` is not the solver's doing.
+        It is the sum of the allowed errors of all steps in random directions. Scatter larger than
+        `resolution` is not due to the solver.
         """
         return self.step_error * np.sqrt(self._steps_per_period * n_periods)
 
     @property
     def resolution(self) -> Array:
-        """Distances [m] below which two states are the same to this solver."""
+        """Distances [m] below which two states are equal within the noise of the solver."""
         return DEVIATIONS * self.noise()
 
     def _place(self, points: Numbers) -> Array:
-        """How far [m] from the origin they are."""
+        """Return the largest moduli of the present displacements, as section points [m]."""
         unit = self.ensemble.unit[:, points]
         return reach_of(self.y[: self.ensemble.n_coordinates, points], unit)
 
     def rows(self, points: Numbers) -> Numbers:
-        """Numbers of the lists of extrema of some scenes, one scene's after the other's."""
+        """Return the numbers of the lists of extrema of some cases, case after case."""
         return (points[:, None] * self.n_turning + np.arange(self.n_turning)).ravel()
 
     def has_extrema(self, points: Numbers) -> NDArray[np.bool_]:
-        """Whether a window of scenes was recorded with all events."""
+        """Whether a window of cases was recorded with all events."""
         return np.asarray(self.extrema.counts[points * self.n_turning] >= 0)
 
     def discard_extrema(self, points: Numbers) -> None:
-        """Forget events of windows: they were not the last."""
+        """Discard recorded extrema of windows that turned out not to be the last."""
         self.extrema.counts[self.rows(points)] = -1
 
     def window(self, point: int) -> Array:
@@ -99,15 +99,15 @@ class RecordedWindows:
         return self.section[:, point, : self.length[point]]
 
     def clear(self, points: Numbers) -> None:
-        """Start empty windows here."""
+        """Start empty windows at the present states."""
         self.length[points], self._extent[points] = 0, 0.0
         self.reach[points] = self._place(points)
 
     def integrate(
         self, points: Numbers, transient: Counts, window: Counts, *, section_only: bool = True
     ) -> None:
-        """Go on for whole periods, then for some that are added to the windows; one may be none."""
-        # The motions of a call: of each point a transient, a window, or one that follows the other.
+        """Integrate transients, then periods that are added to the windows; either may be zero."""
+        # The motions of a call: for each point a transient, a window, or both in succession.
         both = np.array((transient, window)).T
         of, part = both.nonzero()
         recorded = part == 1
@@ -127,22 +127,22 @@ class RecordedWindows:
             self._add(scenes[recorded], recorded.nonzero()[0], call)
         self._elapsed[points] += np.bincount(of, call.t_end)
         if not call.is_ok.all():
-            # What failed in its transient is where it was left.
+            # A motion that failed in its transient keeps the state of the failure.
             first = last - follows[last]
             last = np.where(call.is_ok[first], last, first)
-            # What failed did so before the end of a period, and what follows it was not begun.
+            # A failed motion ended within a period, and the motion that follows it was not begun.
             lasted = np.where(call.is_ok, n_periods, np.ceil(call.t * call.omega))
             transient, window = np.bincount(of, lasted).astype(np.int64), np.zeros_like(window)
         self._steps_per_period[points] = np.maximum(call.n_steps[last] / n_periods[last], 1.0)
         self.move_to(points, call.y[:, last], call.status[last], transient + window)
 
     def extrema_of(self, call: Call) -> tuple[Array, Counts]:
-        """Zero-velocity points [m] of a call, and how many there are of each motion's quantities.
+        """Zero-velocity points [m] of a call, and their number for each motion's quantities.
 
         Returns
         -------
         extrema : ndarray
-            Those of the first motion, of each in order of time, then of the next motion.
+            By motion, then by quantity, then in the order of time.
         counts : ndarray of int, shape (n, n_turning)
         """
         events, n = call.events, self.n_turning
@@ -161,12 +161,12 @@ class RecordedWindows:
             more = np.zeros((*self.section.shape[:2], room))
             self.section = np.concatenate([self.section, more], axis=2)
         rows, columns = np.repeat(points, new), spans(self.length[points], new)
-        # Events stand motion by motion, and motions that were not recorded have none.
+        # Events are sorted by motion, and motions that were not recorded have none.
         self.section[:, rows, columns] = call.section
         self.length[points] += new
 
     def move_to(self, points: Numbers, y: Array, status: Counts, n_periods: Counts) -> None:
-        """Set the states that whole periods of motion led to."""
+        """Set the states and status of points after `n_periods` more periods."""
         self.y[:, points], self.status[points] = y, status
         self.n_periods[points] += n_periods
         self.reach[points] = np.maximum(self._extent[points], self._place(points))

@@ -1,1 +1,1 @@
-"""Where results live: the point cache and NetCDF files."""
+"""Storage of results: the point cache and NetCDF files."""

@@ -1,8 +1,8 @@
-"""Files of a run: complete or absent, never torn, never silently damaged.
+"""Files of a run: written atomically, with checksums that reveal later damage.
 
 A file is written under a temporary name in its own folder, flushed to disk and only then
-renamed into place. Its SHA-256 stands in ``SHA256SUMS`` beside it, in the form that
-``sha256sum --check`` reads; while a file is replaced, the old and the new one stand there.
+renamed into place. Its SHA-256 is recorded in ``SHA256SUMS`` of the folder, in the form that
+``sha256sum --check`` reads; while a file is replaced, both checksums are recorded.
 """
 
 import errno
@@ -35,12 +35,12 @@ def replacing(path: Path, is_ours: Callable[[Path], bool] | None = None) -> Iter
     ----------
     path : Path
     is_ours : callable, optional
-        Whether a file that is there already may be replaced; any may if None.
+        Returns whether an existing file may be replaced; None allows it.
 
     Raises
     ------
     StoreError
-        If the folder or file cannot be written, or the file there is somebody else's.
+        If the folder or file cannot be written, or `is_ours` forbids the replacement.
     """
     if is_ours is not None and path.exists() and not is_ours(path):
         raise StoreError(
@@ -68,7 +68,7 @@ def replacing(path: Path, is_ours: Callable[[Path], bool] | None = None) -> Iter
 
 
 def remove_leftovers(folder: Path) -> None:
-    """Remove temporary files of a folder whose process, on this machine, was killed."""
+    """Remove temporary files in a folder that killed processes of this machine have left."""
     ours = r"\..+" + re.escape(f".{platform.node()}.") + r"(\d+)\.\w+"
     for there in folder.iterdir():
         owner = re.fullmatch(ours, there.name)
@@ -89,19 +89,22 @@ def _flush(path: Path) -> None:
 
 @contextmanager
 def recording(path: Path, is_ours: Callable[[Path], bool]) -> Iterator[Path]:
-    """`replacing`, the SHA-256 of the new file recorded beside it."""
+    """Replace a file as `replacing` does, and record its SHA-256 in ``SHA256SUMS``."""
     known = digests(path)
     with replacing(path, is_ours) as temporary:
         remove_leftovers(path.parent)
         yield temporary
         new = sha256(temporary)
-        # At no moment may the file that is there lack its digest: a kill may come between.
+        # Record both digests first: a kill may happen before or after the replacement.
         _record(path, [*known, new])
     _record(path, [new])
 
 
 def is_intact(path: Path) -> bool | None:
-    """Whether a file is as it was written; None if no digest is recorded and it is no pipe."""
+    """Whether the SHA-256 of a file is the recorded one; None if none is recorded.
+
+    False for a pipe or device, and for a file that cannot be read.
+    """
     known = digests(path)
     if not known and (path.is_file() or not path.exists()):
         return None
@@ -112,13 +115,13 @@ def is_intact(path: Path) -> bool | None:
 
 
 def checked(folder: Path, most: float = _SOON) -> tuple[list[str], list[str]]:
-    """Files of a run, as paths in its folder, that are not as written, and that were not read.
+    """Paths in a run's folder of files with a wrong checksum, and of files that were not read.
 
     Parameters
     ----------
     folder : Path
     most : float
-        Bytes that may be read in all. The smallest files come first.
+        Bytes to read in total, the smallest files first.
     """
     places = [folder, *(sums.parent for sums in folder.glob(f"report/**/{SUMS}"))]
     files = {place / name for place in places for _, name in _sums(place)}
@@ -134,12 +137,12 @@ def checked(folder: Path, most: float = _SOON) -> tuple[list[str], list[str]]:
 
 
 def is_recorded(path: Path) -> bool:
-    """Whether a run of ours wrote a file, sound or damaged; then it may be replaced."""
+    """Whether ``SHA256SUMS`` has an entry for a file, which gapsweep then may replace."""
     return bool(digests(path))
 
 
 def text_of(path: Path) -> str:
-    """Text of a file that anybody may have written; an OSError if it is larger than 64 MB."""
+    """Text of a file from any source; OSError if it is larger than 64 MB."""
     with _opened(path) as file:
         found = file.read(_LONGEST + 1)
     if len(found) > _LONGEST:
@@ -148,7 +151,7 @@ def text_of(path: Path) -> str:
 
 
 def _opened(path: Path) -> BufferedReader:
-    """A file that is open for reading; for a pipe or a device, which may never end, an OSError."""
+    """Open a file for reading; OSError for a pipe or a device, which may never end."""
     if path.exists() and not path.is_file():
         raise OSError(errno.EINVAL, "not a regular file", str(path))
     return path.open("rb")
@@ -168,15 +171,17 @@ def digests(path: Path) -> list[str]:
 def _sums(folder: Path) -> list[tuple[str, str]]:
     try:
         lines = text_of(folder / SUMS).splitlines()
-    except OSError:  # not there, or something else in its place
+    except FileNotFoundError:  # nothing is recorded
         return []
+    except OSError as error:
+        raise StoreError(f"{folder / SUMS}: {error.strerror}; remove it") from None
     pairs = (line.partition("  ") for line in lines)
-    return [(digest, name) for digest, _, name in pairs if name]  # none in a line that was cut
+    return [(digest, name) for digest, _, name in pairs if name]  # a truncated line has no name
 
 
 @contextmanager
 def reading(folder: Path) -> Iterator[None]:
-    """Errors of this block as `StoreError`: files of another version or maker hold anything."""
+    """Turn any error of the block into a `StoreError`: files of other versions hold anything."""
     try:
         yield
     except GapsweepError:
@@ -189,7 +194,7 @@ def reading(folder: Path) -> Iterator[None]:
 
 
 def remove(folder: Path, names: Collection[str]) -> None:
-    """Remove files of a folder, and what is recorded of them.
+    """Remove files of a folder and their checksums.
 
     Raises
     ------
@@ -219,13 +224,13 @@ def _write_sums(folder: Path, sums: Iterable[tuple[str, str]]) -> None:
 
 @contextmanager
 def alone_in(folder: Path) -> Iterator[None]:
-    """Wait until no other run writes into a folder, and keep others waiting.
+    """Hold the exclusive lock of a folder during the block; wait while another run holds it.
 
-    The operating system lets go when the process ends. Where folders cannot be locked (some
-    network file systems) nothing is kept; each file is replaced as a whole all the same.
+    The operating system releases it when the process ends. Where folders cannot be locked (some
+    network file systems) there is no lock; each file is still replaced atomically.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    if fcntl is None:  # nor can folders be opened there
+    if fcntl is None:  # folders cannot be opened there either
         yield
         return
     descriptor = os.open(folder, os.O_RDONLY)

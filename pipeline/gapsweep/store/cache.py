@@ -1,10 +1,10 @@
 """The point cache: a folder of segment files, with a slab of results in every frame.
 
-All NetCDF files can be made again from the cache. Every point has a key of its own, made of all
-that its result depends on, the fingerprint of the code among it. Any number of processes and hosts
-may write at once, without locks: a file is never changed, and removed only when its sound frames
-stand in another one. Two results of one point are harmless. A frame that fails its checksum is
-never returned; its points are computed again.
+All NetCDF files can be rebuilt from the cache. Every point has a content key, a hash of all that
+its result depends on, including the fingerprint of the code. Any number of processes and hosts
+may write at once, without locks: a file is never changed, and removed only when its intact frames
+are in another one. Two results of one point are harmless. A frame that fails its checksum is
+never returned; gapsweep recomputes its points.
 """
 
 import warnings
@@ -34,33 +34,33 @@ _KEPT = 64  # decoded slabs: neighbouring points are read together
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Found:
-    """Stored results of some of the keys that were asked for."""
+    """The stored results among the requested keys."""
 
-    at: NDArray[np.intp]  # shape (n,); numbers of these keys, ascending
+    at: NDArray[np.intp]  # shape (n,); positions of these keys in the request, ascending
     responses: Responses
     host: NDArray[np.str_]  # shape (n,); machine that computed each
-    versions: frozenset[str]  # of Python and the libraries, as text
+    versions: frozenset[str]  # versions of Python and the libraries, as text
 
 
 class Cache:
-    """An open point cache; a context manager.
+    """The point cache, opened in a context manager.
 
     Parameters
     ----------
     path : path-like
         The folder; created if it does not exist.
     read_only : bool
-        Whether nothing is created.
+        Whether to open without creating the folder.
 
     Attributes
     ----------
     damaged : set of Path
-        Segments in which damage was met so far.
+        Segments in which damage has been found so far.
 
     Raises
     ------
     StoreError
-        If the folder cannot be created or read, or is none.
+        If the folder cannot be created or read, or is a file.
     """
 
     def __init__(self, path: str | Path, *, read_only: bool = False) -> None:
@@ -75,9 +75,9 @@ class Cache:
                 self.path.mkdir(parents=True, exist_ok=True)
         self.damaged: set[Path] = set()
         self._index = Index()
-        self._frames: list[Frame] = []  # by number of the slab in the index
+        self._frames: list[Frame] = []  # index: number of the slab
         self._numbers: dict[bytes, int] = {}
-        self._scanned: dict[Path, bool] = {}  # and whether anything was found
+        self._scanned: dict[Path, bool] = {}  # scanned segments, and whether they have frames
         self._n_commits = 0
         self._contents = lru_cache(maxsize=_KEPT)(self._decoded)
         self._refresh()
@@ -86,16 +86,16 @@ class Cache:
         return self
 
     def __exit__(self, *_: object) -> None:
-        del self._contents  # it holds us: the index would stay until the garbage collector runs
+        del self._contents  # a reference cycle, which would keep the index in memory
 
     @property
     def n_points(self) -> int:
-        """Points in the cache, each counted as often as it was computed."""
+        """Number of stored results; a point computed twice counts twice."""
         self._refresh()
         return sum(frame.n_points for frame in self._frames)
 
     def status(self, keys: NDArray[np.void]) -> NDArray[np.int8]:
-        """Stored status of each key; `MISSING` where nothing is stored, or it is damaged."""
+        """Stored status of each key; `MISSING` where no result or a damaged one is stored."""
         self._refresh()
         held = self._index.find(keys)
         slabs = np.unique(held["slab"][held["slab"] >= 0]).tolist()
@@ -103,7 +103,7 @@ class Cache:
         return np.where(np.isin(held["slab"], lost), MISSING, held["status"]).astype(np.int8)
 
     def find(self, keys: NDArray[np.void], structure: AnyStructure = _OSCILLATOR) -> Found:
-        """Stored results, of oscillators or of systems; damaged ones are left out, as if missing.
+        """Stored results of keys of one structure; damaged results are left out, as if missing.
 
         Raises
         ------
@@ -128,13 +128,16 @@ class Cache:
         )
 
     def place(self, key: NDArray[np.void]) -> tuple[Slab, Stored, int] | None:
-        """The slab that holds one key, its contents, and the key's number in it."""
+        """The slab that holds a key, its contents, and the key's row in it; None if not stored."""
         for slab, contents, _, rows in self._places(key):
             return slab, contents, int(rows[0])
         return None
 
     def origins(self, keys: NDArray[np.void]) -> tuple[NDArray[np.void], NDArray[np.bool_]]:
-        """Keys of what results started from (or zero), and which of them have an end (or true)."""
+        """Keys of the points from whose end each result started, and whether it has an end state.
+
+        Zero and True for keys that are not stored.
+        """
         origins, has_end = np.zeros(len(keys), KEY), np.ones(len(keys), bool)
         for _, contents, asked, rows in self._places(keys):
             origins[asked] = contents.previous[rows]
@@ -142,14 +145,14 @@ class Cache:
         return origins, has_end
 
     def seconds(self, keys: NDArray[np.void]) -> NDArray[np.float64]:
-        """Processor time [s] of each key's result, as its slab's mean; NaN if it is not stored."""
+        """CPU time [s] of each key's result, the mean of its slab; NaN if it is not stored."""
         self._refresh()
-        # The last one for what is not there.
+        # The last entry is for keys that are not stored.
         seconds = np.array([*(frame.seconds / frame.n_points for frame in self._frames), np.nan])
         return np.asarray(seconds[self._index.find(keys)["slab"]])
 
     def checksums(self, keys: NDArray[np.void]) -> Iterator[bytes]:
-        """What an export of these keys is made of: checksums of slabs, and which are whose."""
+        """Bytes that identify the stored results of keys: checksums of slabs, then positions."""
         self._refresh()
         held = self._index.find(keys)
         for number, asked in _grouped(held["slab"]):
@@ -157,7 +160,7 @@ class Cache:
             yield asked.tobytes() + held["row"][asked].tobytes()
 
     def commit(self, slabs: Sequence[Slab]) -> None:
-        """Store slabs, all or none."""
+        """Write slabs to a new segment, all or none; merge small segments now and then."""
         self._refresh()
         serial = 1 + max((frame.serial for frame in self._frames), default=0)
         with _store_errors(self.path):
@@ -167,20 +170,20 @@ class Cache:
             self.merge()
 
     def merge(self) -> None:
-        """Put what is sound in small and in damaged segments into one."""
+        """Merge the intact frames of small and of damaged segments into one segment."""
         self._refresh()
-        # One in which nothing was found may be of another version.
+        # A segment without a readable frame may be of another version.
         paths = {path for path, is_ours in self._scanned.items() if is_ours}
         try:
             small = {path for path in paths if path.stat().st_size < _LARGE}
             if len(small) > 1 or paths & self.damaged:
                 self.rewrite(small | paths & self.damaged)
         except OSError as error:
-            if all(path.exists() for path in paths):  # or else another process merges them
+            if all(path.exists() for path in paths):  # otherwise another process merges them
                 warnings.warn(f"{self.path}: small files were not merged: {error}", stacklevel=1)
 
     def rewrite(self, paths: Collection[Path], removed: Collection[bytes] = ()) -> None:
-        """Put the sound frames of segments into a new one, and then remove these segments.
+        """Copy the intact frames of segments into a new one, and then remove these segments.
 
         Parameters
         ----------
@@ -206,7 +209,7 @@ class Cache:
                 yield packed(slab, frame.serial)
 
     def slabs(self) -> Iterator[tuple[Frame, Slab]]:
-        """All sound slabs, with where they stand."""
+        """All intact slabs, each with its frame."""
         self._refresh()
         for number in range(len(self._frames)):
             slab = self._read(number)
@@ -214,7 +217,7 @@ class Cache:
                 yield self._frames[number], slab
 
     def _refresh(self) -> None:
-        """Add what has been stored meanwhile, also by others, to the index."""
+        """Add segments that this or another process has written meanwhile to the index."""
         with _store_errors(self.path):
             here = {path for path in self.path.iterdir() if path.suffix == SUFFIX}
             self._scanned = {path: found for path, found in self._scanned.items() if path in here}
@@ -229,7 +232,7 @@ class Cache:
                     self._warn(path)
                 for frame, entry in found:
                     number = self._numbers.setdefault(frame.digest, len(self._frames))
-                    if number < len(self._frames):  # there already, or moved to this file
+                    if number < len(self._frames):  # known already, or moved to this file
                         self._frames[number] = frame
                     else:
                         self._frames.append(frame)
@@ -246,9 +249,9 @@ class Cache:
             )
 
     def _read(self, number: int) -> Slab | None:
-        """A slab; None if it is damaged or gone."""
+        """The slab of a number in the index; None if it is damaged or removed."""
         # A listing made while others merge may show neither the old file nor the new one: a slab
-        # is gone when three listings show it nowhere.
+        # counts as removed when three listings do not show it.
         n_missed = 0
         while n_missed < 3:
             frame = self._frames[number]
@@ -257,13 +260,13 @@ class Cache:
                 if slab is None:
                     self._warn(frame.path)
                 return slab
-            self._scanned.clear()  # merged by another process: it stands elsewhere
+            self._scanned.clear()  # merged by another process: the slab is in another file
             self._refresh()
             n_missed += self._frames[number] is frame
         return None
 
     def _decoded(self, number: int) -> tuple[Slab, Stored] | None:
-        """A slab and its contents; None if it is damaged or gone."""
+        """The slab of a number in the index, and its contents; None if damaged or removed."""
         slab = self._read(number)
         try:
             return None if slab is None else (slab, stored(slab))
@@ -276,7 +279,7 @@ class Cache:
     def _places(
         self, keys: NDArray[np.void]
     ) -> Iterator[tuple[Slab, Stored, NDArray[np.intp], NDArray[np.int32]]]:
-        """Slabs that hold some of the keys, their contents, which keys, and their rows there."""
+        """Slabs that hold keys, with contents, positions of these keys, and their rows in it."""
         self._refresh()
         held = self._index.find(keys)
         for number, asked in _grouped(held["slab"]):
@@ -287,7 +290,7 @@ class Cache:
 
 @contextmanager
 def _store_errors(path: Path) -> Iterator[None]:
-    """Errors of the operating system as a `StoreError`, with the remedy."""
+    """Turn OSErrors of the block into a `StoreError` that names the remedy."""
     try:
         yield
     except OSError as error:
@@ -298,7 +301,7 @@ def _store_errors(path: Path) -> Iterator[None]:
 
 
 def _grouped(numbers: NDArray[np.integer]) -> Iterator[tuple[int, NDArray[np.intp]]]:
-    """Where each number that is not negative stands."""
+    """Each different number that is ``>= 0``, with the positions at which it occurs."""
     order = np.argsort(numbers, kind="stable")
     order = order[np.searchsorted(numbers[order], 0) :]
     if order.size:

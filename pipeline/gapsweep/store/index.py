@@ -1,4 +1,4 @@
-"""Where in the cache the result of a point stands: an index of content keys, in memory."""
+"""Index of the cache in memory: from content keys to places of results in slabs."""
 
 from collections.abc import Sequence
 from typing import Any, NamedTuple
@@ -10,24 +10,24 @@ from gapsweep.response.ragged import spans
 from gapsweep.status import Status
 from gapsweep.study.points import KEY
 
-MISSING = -1  # in place of a status
-# Number of the slab in the order in which they were added, of the point in it, its status, and its
-# rank: of several results of a point the one of the highest rank counts.
+MISSING = -1  # status of a key that is not stored
+# Number of the slab in the order in which they were added, row of the point in it, its status, and
+# its rank: if a point has several results, the one of the highest rank counts.
 HELD = np.dtype([("slab", "i4"), ("row", "u1"), ("status", "i1"), ("rank", "i8")])
-_COUNTS = 2**32  # added to the rank of what takes the place of any failure
+_COUNTS = 2**32  # added to the rank of results that replace any failure
 
-Held = NDArray[Any]  # of HELD
-# Of a slab its keys' words, their status, whether its points are of sweeps, and its serial number.
+Held = NDArray[Any]  # array of dtype HELD
+# Words of the keys of a slab, their status, whether its points are of sweeps, its serial number.
 Entry = tuple[NDArray[np.uint64], bytes, bool, int]
 
 
 def words(keys: bytes | NDArray[np.void]) -> NDArray[np.uint64]:
-    """First and second eight bytes of keys: two keys that share these are as good as never."""
+    """First and second eight bytes of keys, shape (n, 2); enough to tell keys from each other."""
     return np.frombuffer(keys, np.uint64).reshape(-1, KEY.itemsize // 8)[:, :2]
 
 
 class _Level(NamedTuple):
-    """First and second eight bytes of keys, in order, each once, and where their results stand."""
+    """Distinct keys, sorted, as their first and second eight bytes, with places of results."""
 
     head: NDArray[np.uint64]
     next: NDArray[np.uint64]
@@ -35,18 +35,18 @@ class _Level(NamedTuple):
 
     @classmethod
     def of(cls, parts: "Sequence[_Level]") -> "_Level":
-        """All parts, older ones first, as one; the best result of each key."""
+        """Merge of several levels, older ones first; the best result of each key is kept."""
         whole = cls._make(map(np.concatenate, zip(*parts, strict=True)))
         head = whole.head
         order = np.argsort(head)  # takes a third of what a stable sort does
         if (head[order[1:]] == head[order[:-1]]).any():
-            # Of equally good ones the latest comes last.
+            # Among results of equal rank the latest comes last.
             order = np.lexsort((whole.held["rank"], head))
             order = order[np.append(head[order[1:]] != head[order[:-1]], True)]
         return cls._make(column.take(order) for column in whole)  # a tenth of the time of [order]
 
     def add_to(self, held: Held, asked: NDArray[np.uint64]) -> None:
-        """Note what is here of keys, by their words, where it is no worse than what is noted."""
+        """Enter this level's results of the keys `asked` in `held` if their rank is not lower."""
         head, following = asked.T
         at = np.minimum(np.searchsorted(self.head, head), len(self.head) - 1)
         is_here = (self.head[at] == head) & (self.next[at] == following)
@@ -57,8 +57,8 @@ class _Level(NamedTuple):
 class Index:
     """Content keys of all slabs of a cache, a million in 30 megabytes.
 
-    Of several results of one point that of the highest serial number counts, but no failure takes
-    the place of a result, save in a sweep, where the older one may have started elsewhere.
+    If a point has several results, the one of the highest serial number counts. A failure replaces
+    a result only in a sweep, where the older result may have started from another state.
     """
 
     def __init__(self) -> None:
@@ -86,7 +86,7 @@ class Index:
             self._levels[-2:] = [_Level.of(self._levels[-2:])]
 
     def find(self, keys: NDArray[np.void]) -> Held:
-        """Where the results of keys stand; slab -1 and status `MISSING` of those not stored."""
+        """Slab, row, status and rank of each key; slab -1 and `MISSING` if it is not stored."""
         held = np.full(len(keys), np.array((-1, 0, MISSING, -1), HELD))
         for level in self._levels:
             level.add_to(held, words(np.ascontiguousarray(keys)))

@@ -1,4 +1,4 @@
-"""Looking after a cache: what is in it, whether it is sound, and what can go."""
+"""Maintenance of a cache: statistics, verification and removal of unused results."""
 
 import json
 import time
@@ -14,12 +14,12 @@ from gapsweep.store.segments import FORMAT
 from gapsweep.store.slab import Slab, Stored, stored
 from gapsweep.study.points import Points
 
-_ABANDONED = 86_400.0  # s after which nobody writes a temporary file any more
+_ABANDONED = 86_400.0  # age [s] of a temporary file without a writer
 
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """Points in sound slabs, and segments in which something is not as a run has written it."""
+    """Result of a verification: number of points in intact slabs, and damaged segments."""
 
     n_points: int
     damaged: tuple[Path, ...]
@@ -30,7 +30,7 @@ class Verdict:
 
 
 def info(cache: Cache, numerics: str) -> dict[str, Any]:
-    """Size and contents of a cache; `numerics` is the fingerprint that counts as current."""
+    """Size and contents of a cache by code version and status; `numerics`: current version."""
     by_code: Counter[str] = Counter()
     by_status: Counter[int] = Counter()
     sizes: dict[Path, int] = {}
@@ -61,12 +61,12 @@ def verify(cache: Cache) -> Verdict:
 
 
 def clean(cache: Cache, numerics: str, *, apply: bool) -> tuple[int, int]:
-    """Remove what no study can ask for, of other code or of no run, and damage; merge segments.
+    """Remove damaged slabs and slabs of other code or of no run, and merge small segments.
 
     Returns
     -------
     (int, int)
-        Points and damaged segments that go, or would go.
+        Numbers of points and of damaged segments that are removed, or would be with `apply`.
     """
     gone = {
         frame: frame.n_points
@@ -78,7 +78,7 @@ def clean(cache: Cache, numerics: str, *, apply: bool) -> tuple[int, int]:
         paths = {frame.path for frame in gone} | cache.damaged
         cache.rewrite(paths, {frame.digest for frame in gone})
         cache.merge()
-        for path in cache.path.glob(".*.seg.*"):  # of writers that were killed
+        for path in cache.path.glob(".*.seg.*"):  # temporary files of killed writers
             if path.stat().st_mtime < time.time() - _ABANDONED:
                 path.unlink(missing_ok=True)
     return sum(gone.values()), n_damaged
@@ -93,7 +93,7 @@ def contents_of(slab: Slab) -> Stored | None:
 
 
 def _is_of_run(slab: Slab) -> bool:
-    """Whether a run can have written a slab: its results stand under the keys of their points."""
+    """Whether a run can have written a slab: its keys are the content keys of its points."""
     try:
         previous, numbers, _ = stored(slab)
         keys = Points(slab.kind, numbers).keys_after(slab.identity, previous)
@@ -103,7 +103,7 @@ def _is_of_run(slab: Slab) -> bool:
 
 
 def _numerics_of(slab: Slab) -> str:
-    """Fingerprint of the code that computed a slab; empty if the slab does not say."""
+    """Fingerprint of the code that computed a slab; empty if the slab does not record it."""
     try:
         whole = json.loads(slab.identity)
     except (ValueError, RecursionError):

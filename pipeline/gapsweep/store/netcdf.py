@@ -1,8 +1,8 @@
-"""NetCDF files of a run: complete or absent, never silently damaged.
+"""NetCDF files of a run: written atomically, read with a check of their SHA-256.
 
 The netCDF library is not thread-safe: all writing happens in the main process, under one
-lock. A file is opened again before it takes its place, and says in `made_from` what it was
-made from, so that it is made again only when that has changed.
+lock. A file is read once before it takes its place. Its attribute `made_from` holds the digests
+of its inputs, so that gapsweep rewrites it only when these have changed.
 """
 
 import json
@@ -44,7 +44,7 @@ def writing(path: Path, attributes: Mapping[str, Any]) -> Iterator[netCDF4.Datas
     Raises
     ------
     StoreError
-        If the file cannot be written, or one that is not ours is in its place.
+        If the file cannot be written, or a file of other software has its name.
     """
     with _LOCK, recording(path, _is_ours) as temporary, _errors(path):
         with netCDF4.Dataset(temporary, "w", format="NETCDF4") as dataset:
@@ -57,7 +57,7 @@ def writing(path: Path, attributes: Mapping[str, Any]) -> Iterator[netCDF4.Datas
 
 @contextmanager
 def passing(attributes: Mapping[str, Any]) -> Iterator[netCDF4.Dataset]:
-    """An open netCDF4 dataset that nobody keeps."""
+    """An open netCDF4 dataset in a temporary file, removed when the block ends."""
     with (
         _LOCK,
         _errors(Path(tempfile.gettempdir())),
@@ -69,14 +69,14 @@ def passing(attributes: Mapping[str, Any]) -> Iterator[netCDF4.Dataset]:
 
 
 def loaded(dataset: netCDF4.Dataset) -> "xr.Dataset":
-    """All that an open netCDF4 dataset of ours holds, as `read` would read it."""
+    """Contents of an open netCDF4 dataset as an xarray Dataset in memory, as `read` returns it."""
     import xarray as xr
 
     dataset.set_auto_maskandscale(False)
     variables = {}
     for name, variable in dataset.variables.items():
         found = _plain(variable[:])
-        along = variable.dimensions[: found.ndim]  # of texts without that of their characters
+        along = variable.dimensions[: found.ndim]  # texts lose the dimension of characters
         variables[name] = xr.Variable(along, found, _attributes(variable))
     named = [getattr(each, "coordinates", "").split() for each in dataset.variables.values()]
     names = dict.fromkeys([*dataset.dimensions, *(name for each in named for name in each)])
@@ -87,10 +87,10 @@ def loaded(dataset: netCDF4.Dataset) -> "xr.Dataset":
 def create_texts(
     dataset: netCDF4.Dataset, name: str, dimensions: tuple[str, ...], texts: NDArray[Any]
 ) -> "netCDF4.Variable[Any]":
-    """A variable of texts in an open dataset, as characters: as CF has it, and as xarray reads it.
+    """A new variable of texts in an open dataset, stored as characters as in the CF conventions.
 
-    Reading texts of variable length from a file that is also open elsewhere in the process was seen
-    to end it (netCDF4 1.7.5, HDF5 2.2).
+    Reading texts of variable length from a file that the process has open twice was seen to crash
+    it (netCDF4 1.7.5, HDF5 2.2).
     """
     encoded = np.char.encode(np.asarray(texts, str), "utf-8")
     length = max(encoded.dtype.itemsize, 1)
@@ -99,17 +99,17 @@ def create_texts(
         dataset.createDimension(characters, length)
     created = dataset.createVariable(name, "S1", (*dimensions, characters))
     created[:] = encoded.astype(f"S{length}").view("S1").reshape(*encoded.shape, length)
-    created.setncattr("_Encoding", "utf-8")  # from now on the library speaks of texts
+    created.setncattr("_Encoding", "utf-8")  # from now on the library returns texts
     return created
 
 
 def _plain(values: NDArray[Any]) -> NDArray[Any]:
-    """Values as they are; texts as NumPy's own, not as objects."""
+    """The values; texts with a string dtype of NumPy instead of objects."""
     return values.astype(str) if values.dtype == object else values
 
 
 def _attributes(held: Any) -> dict[str, Any]:
-    """Attributes of an open dataset or variable, but for those by which files name coordinates."""
+    """Attributes of an open dataset or variable, except ``coordinates`` and ``_Encoding``."""
     return {
         name: held.getncattr(name)
         for name in held.ncattrs()
@@ -118,9 +118,9 @@ def _attributes(held: Any) -> dict[str, Any]:
 
 
 def write(dataset: "xr.Dataset", path: Path, attributes: Mapping[str, Any]) -> None:
-    """Write a small dataset as a whole, with attributes and provenance; else like `writing`.
+    """Write an xarray dataset in memory to a file, with attributes and provenance, as `writing`.
 
-    Ctrl-C waits for it. A Dask client of the user's takes no part: an asynchronous one could not.
+    Ctrl-C takes effect afterwards. Dask's synchronous scheduler is used, not the user's client.
     """
     import dask  # xarray has imported it
 
@@ -141,10 +141,10 @@ def write(dataset: "xr.Dataset", path: Path, attributes: Mapping[str, Any]) -> N
 
 @contextmanager
 def _uninterrupted() -> Iterator[None]:
-    """Ctrl-C arrives when this block ends: within, it would leave xarray's lock held for ever."""
+    """Delay Ctrl-C to the end of the block: within, it would leave xarray's lock held."""
     before = {number: signal.getsignal(number) for number in STOPPING}
     if None in before.values() or threading.current_thread() is not threading.main_thread():
-        yield  # interrupts are the main thread's; another program's handler is its own
+        yield  # only the main thread gets signals; handlers that are not Python's are kept
         return
     waiting: list[int] = []
     for number in before:
@@ -160,7 +160,7 @@ def _uninterrupted() -> Iterator[None]:
 
 @contextmanager
 def _errors(path: Path) -> Iterator[None]:
-    """What the netCDF library raises, as `StoreError`; a full disk is a RuntimeError there."""
+    """Turn errors of the netCDF library (RuntimeError for a full disk) into a `StoreError`."""
     try:
         yield
     except GapsweepError:
@@ -172,7 +172,7 @@ def _errors(path: Path) -> Iterator[None]:
 
 
 def _is_ours(path: Path) -> bool:
-    """Whether a file may be replaced: one that we wrote, sound or damaged."""
+    """Whether gapsweep wrote a file, by ``SHA256SUMS`` or its ``source``; then it is replaced."""
     return bool(digests(path)) or attributes(path).get("source") == SOURCE
 
 
@@ -234,7 +234,7 @@ def read(
     >>> gs.open("small/attractors.nc")["n_attractors"].values.ravel().tolist()
     [1]
     """
-    # half a second to import, which a run without anything to do can spare
+    # takes half a second to import, which a run without work avoids
     import xarray as xr
 
     if not isinstance(path, str | os.PathLike):
@@ -253,7 +253,7 @@ def read(
         opening = xr.open_dataset if is_lazy else xr.load_dataset
         opened = opening(path, engine="netcdf4", chunks=chunks)
         for coordinate in opened.coords.values():
-            coordinate.load()  # else whenever datasets are put together
+            coordinate.load()  # otherwise xarray reads it at every combination of datasets
     except StoreError:
         raise
     except FileNotFoundError:
@@ -266,13 +266,13 @@ def read(
             f"{path}: not checked for damage; copy the file SHA256SUMS to the same folder",
             stacklevel=2,
         )
-    for variable in opened.variables.values():  # of texts that may be cut, and then saved again
+    for variable in opened.variables.values():  # users may shorten texts and save them
         variable.encoding.pop("char_dim_name", None)
     return opened
 
 
 def provenance() -> dict[str, str]:
-    """File attributes that say where and by what a file was made."""
+    """File attributes: conventions, time, versions and machine of the file's creation."""
     now = datetime.now(UTC).isoformat(timespec="seconds")
     return {
         "Conventions": CONVENTIONS,

@@ -1,8 +1,8 @@
 """Segment files of the cache: frames of slabs, written once under a new name, never changed.
 
-A frame is a slab behind its lengths and two SHA-256: one of the columns, one of all that stands
-before the columns. A scan of a file reads and checks the latter only. Damage costs the frames that
-it touches: the search for the next mark goes on behind it.
+A frame is a head, with lengths and two SHA-256, and a slab: one checksum is of the columns, the
+other of everything before the columns. A scan of a file reads and checks the latter only. Damage
+costs the frames that it touches: the scan continues at the next mark.
 """
 
 import hashlib
@@ -20,17 +20,17 @@ from gapsweep.study.points import FIXED, KEY
 
 FORMAT, SUFFIX = 5, ".seg"
 _MARK = b"gapswp\x00" + bytes([FORMAT])
-# Mark, SHA-256 of all between it and the columns, serial number, number of points, bytes of text
-# and of columns, seconds, SHA-256 of the columns. Keys, status, text and columns follow.
+# Mark, SHA-256 of all bytes from there to the columns, serial number, number of points, bytes of
+# text and of columns, seconds, SHA-256 of the columns. Keys, status, text and columns follow.
 _HEAD = struct.Struct("<8s32sIIIId32s")
-_SEALED = 40  # where what the first checksum covers begins
+_SEALED = 40  # first byte that the first checksum covers
 _POINT = KEY.itemsize + 1  # bytes of its key and its status
 _MOST_TEXT = 2**24  # bytes of identity, host, versions and messages
-_BLOCK = 2**20  # bytes in which a mark is looked for at a time
+_BLOCK = 2**20  # bytes read at a time in the search for a mark
 
 
 class Frame(NamedTuple):
-    """Where a slab stands in which file, and what its head says of it."""
+    """The place of a slab in a segment file, and the numbers in its head."""
 
     path: Path
     at: int
@@ -43,7 +43,7 @@ class Frame(NamedTuple):
 
 
 def packed(slab: Slab, serial: int) -> bytes:
-    """A frame; of several results of one point the one of the highest serial number counts."""
+    """Bytes of a frame; if a point has several results, the highest serial number counts."""
     text = "\n".join((slab.identity, slab.host, slab.versions, slab.messages)).encode()
     columns = hashlib.sha256(slab.columns).digest()
     sizes = slab.n_points, len(text), len(slab.columns)
@@ -53,12 +53,12 @@ def packed(slab: Slab, serial: int) -> bytes:
 
 
 def write(folder: Path, frames: Iterable[bytes]) -> None:
-    """Write frames to a new segment, which appears whole or not at all.
+    """Write frames to a new segment, atomically.
 
     Raises
     ------
     StoreError
-        If the folder cannot be written, or has no room.
+        If the folder cannot be written, or its disk is full.
     """
     path = folder / f"{uuid.uuid4().hex}{SUFFIX}"
     with replacing(path) as temporary, temporary.open("wb") as file:
@@ -66,7 +66,7 @@ def write(folder: Path, frames: Iterable[bytes]) -> None:
 
 
 def scan(path: Path) -> tuple[list[tuple[Frame, Entry]], bool]:
-    """Frames of a file whose heads are sound, and whether the file holds them and nothing else."""
+    """Frames of a file with intact heads, and whether the file holds nothing else."""
     found: list[tuple[Frame, Entry]] = []
     at, is_whole, is_checked = 0, True, True
     with path.open("rb") as file:
@@ -78,7 +78,7 @@ def scan(path: Path) -> tuple[list[tuple[Frame, Entry]], bool]:
                 at, is_checked = one[0].end, False
                 continue
             is_whole = False
-            # If bytes have gone from the frame in front, the next one begins before its end.
+            # If bytes are lost from the preceding frame, the next one begins before its end.
             if not is_checked and read(found[-1][0]) is None:
                 at = found.pop()[0].at
             is_checked = True
@@ -87,7 +87,7 @@ def scan(path: Path) -> tuple[list[tuple[Frame, Entry]], bool]:
 
 
 def _head(path: Path, file: BinaryIO, at: int, size: int) -> tuple[Frame, Entry] | None:
-    """The frame that begins at a place; None if there is none, or its head is damaged."""
+    """The frame that begins at byte `at`; None if there is none, or its head is damaged."""
     file.seek(at)
     head = file.read(_HEAD.size)
     if len(head) < _HEAD.size or not head.startswith(_MARK):
@@ -109,13 +109,13 @@ def _head(path: Path, file: BinaryIO, at: int, size: int) -> tuple[Frame, Entry]
 
 
 def _parts(head: bytes, n_points: int) -> tuple[bytes, bytes, bytes]:
-    """Keys, status and text."""
+    """Keys, statuses and text in the head of a frame, as bytes."""
     first, last = (_HEAD.size + size * n_points for size in (KEY.itemsize, _POINT))
     return head[_HEAD.size : first], head[first:last], head[last:]
 
 
 def _next_mark(file: BinaryIO, at: int, size: int) -> int:
-    """Where the next mark stands; the size of the file if there is none."""
+    """Position of the next mark from byte `at` on; the size of the file if there is none."""
     while at < size:
         file.seek(at)
         here = file.read(_BLOCK).find(_MARK)
@@ -126,7 +126,7 @@ def _next_mark(file: BinaryIO, at: int, size: int) -> int:
 
 
 def read(frame: Frame) -> Slab | None:
-    """The slab of a frame; None if it is not as it was written."""
+    """The slab of a frame, read from its file; None if a checksum is wrong."""
     with frame.path.open("rb") as file:
         file.seek(frame.at)
         head = file.read(frame.columns_at - frame.at)

@@ -1,7 +1,7 @@
 """Results of up to 64 points of one kind, in the form in which they are stored.
 
-Columns and lists of numbers stand one after the other, compressed together: values that are equal,
-missing, or in a column and in a list take almost no room.
+Columns and lists of numbers are concatenated and compressed together: values that are equal,
+missing, or both in a column and in a list take almost no space.
 """
 
 import json
@@ -19,21 +19,21 @@ from gapsweep.response.result import LISTS, Responses, columns_of
 from gapsweep.status import Status
 from gapsweep.study.points import KEY, Kind
 
-# Few enough that damage costs little, and that picking out a point reads little.
+# Points in a slab: few, so that damage loses little and reading one point reads little.
 SLAB = 64
-_MOST_BYTES = 2**24  # of one point: 65,536 extrema of 16 coordinates, their kinds, the section
+_MOST_BYTES = 2**24  # bytes of a point: 65,536 extrema of 16 coordinates, kinds, the section
 MOST_COLUMNS = SLAB * _MOST_BYTES  # bytes of the columns of a slab
-_LEVEL = 1  # of compression: more takes longer and saves little
+_LEVEL = 1  # level of compression: higher levels take longer and save little
 
 
 @dataclass(frozen=True, slots=True)
 class Slab:
-    """Stored results of some points.
+    """Stored results of up to 64 points of one kind.
 
     Attributes
     ----------
     identity : str
-        Of the points' `Kind`.
+        Identity of the points' `Kind`, as JSON.
     keys : bytes
         Their content keys, 32 bytes each.
     status : bytes
@@ -43,11 +43,11 @@ class Slab:
     messages : str
         JSON: messages by number of the point.
     seconds : float
-        Processor time of all the points together; those not measured left out.
+        CPU time of all points together, as far as it was measured.
     host : str
         Machine that computed them.
     versions : str
-        Of Python and the libraries there.
+        Versions of Python and the libraries on that machine.
     """
 
     identity: str
@@ -74,7 +74,7 @@ class Slab:
 
 
 class Stored(NamedTuple):
-    """Keys of the points that those of a slab start from, or zero; numbers as of `Points`."""
+    """Contents of a slab: keys of the preceding points (or zero), numbers, responses."""
 
     previous: NDArray[np.void]
     numbers: NDArray[np.float64]
@@ -90,7 +90,7 @@ def slabs(
     host: str,
     versions: str,
 ) -> Iterator[Slab]:
-    """Responses in the form in which they are stored; the rest as of `Slab` and `Stored`."""
+    """Slabs of up to 64 points each with these responses; arguments as in `Slab` and `Stored`."""
     for first in range(0, len(numbers), SLAB):
         rows = np.arange(first, min(first + SLAB, len(numbers)))
         part = responses.take(rows)
@@ -107,16 +107,16 @@ def slabs(
 
 
 def stored(slab: Slab) -> Stored:
-    """What is in a slab.
+    """Decode the contents of a slab.
 
     Raises
     ------
     ValueError
-        If no run has written it.
+        If the slab is not in the form in which a run writes it.
     """
     try:
         n, at, unpacking = slab.n_points, 0, zlib.decompressobj()
-        # No more than so many points can have.
+        # Limits the memory for data that no run has written.
         data = unpacking.decompress(slab.columns, _MOST_BYTES * n)
         if not unpacking.eof or unpacking.unused_data:
             raise ValueError("its columns differ in length")

@@ -1,7 +1,7 @@
-"""State of a run, kept in its folder while it lasts and after it: `run.json`.
+"""State of a run in its folder, during the run and after it: `run.json`.
 
-Another shell can read it at any time, also after the process was killed: a run that says it
-is running, but whose process is gone or has been silent for long, is reported as dead.
+Another shell can read it at any time, also after the process was killed: a run with state running
+is reported as dead if its process has ended, or on another machine was silent for two minutes.
 """
 
 import json
@@ -26,7 +26,7 @@ RUNNING, FINISHED, INTERRUPTED, FAILED, DIED = (
     "died",
 )
 NO_FOLDER = "must be the folder of a run, as data/runs/quick, not a file"
-# Longer than any pause between two tasks is worth a doubt, if the process cannot be seen.
+# Longer pauses between updates mean that the process of another machine has died.
 _SILENT_SECONDS = 120.0
 
 
@@ -36,7 +36,7 @@ def _now() -> str:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RunState:
-    """What a run is doing, or how it ended."""
+    """State of a run: running or its outcome, counts of points, and its process."""
 
     state: str  # ``running``, ``finished``, ``interrupted``, ``failed`` or ``died``
     study: str  # name of the study
@@ -45,8 +45,8 @@ class RunState:
     hits: int
     computed: int = 0
     failed: int = 0
-    message: str = ""  # why it failed, else empty
-    # Where it runs; the start time tells a process from a later one of the same number.
+    message: str = ""  # reason of a failure, else empty
+    # Machine and process; the creation time distinguishes processes with the same number.
     host: str = field(default_factory=platform.node)
     pid: int = field(default_factory=lambda: psutil.Process().pid)
     process_started: float = field(default_factory=lambda: psutil.Process().create_time())
@@ -54,12 +54,12 @@ class RunState:
     updated: str = field(default_factory=_now)  # UTC
 
     def write(self, folder: Path) -> None:
-        """Store the state as of now."""
+        """Write the state to ``run.json`` of a folder, with the present time."""
         text = json.dumps(asdict(replace(self, updated=_now())), indent=1) + "\n"
         try:
             with replacing(folder / STATE) as temporary:
                 temporary.write_text(text, encoding="utf-8")
-        except StoreError:  # on a full disk the file that is there still has room
+        except StoreError:  # on a full disk the existing file can still be overwritten
             if not (folder / STATE).is_symlink():
                 with suppress(OSError):
                     (folder / STATE).write_text(text, encoding="utf-8")
@@ -67,12 +67,12 @@ class RunState:
 
     @classmethod
     def read(cls, folder: Path) -> "RunState":
-        """The state of the run in a folder, as it really is now.
+        """Read the state of the run in a folder; `died` if it is running, but its process is not.
 
         Raises
         ------
         StoreError
-            If there is none, or it is damaged.
+            If there is no state, or it is damaged.
         """
         path = folder / STATE
         try:
@@ -94,7 +94,7 @@ class RunState:
         return found
 
     def is_hidden_in(self, folder: Path) -> bool:
-        """Whether a folder tells of another study, or of another run that goes on there."""
+        """Whether the state in a folder is of another study, or of another run still running."""
         try:
             there = RunState.read(folder)
         except StoreError:
@@ -104,7 +104,7 @@ class RunState:
 
     @property
     def is_alive(self) -> bool:
-        """Whether the process that wrote the state still is there, as far as one can see."""
+        """Whether the process of the run exists; on another machine, whether it wrote recently."""
         if self.host == platform.node():
             try:
                 process = psutil.Process(self.pid)

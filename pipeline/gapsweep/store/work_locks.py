@@ -1,8 +1,8 @@
-"""Who is computing what: so that two runs of one study on one cache do not do the same work twice.
+"""Claims on points, so that two runs of one study on one cache share the work.
 
 A claim is a lock on a range of a file in the cache: from the number of a task's first point in its
-plan to that of its last, at a place that the plan's points give. The operating system drops it when
-the process ends. Claims only save work: where such locks do not exist, everything can be claimed,
+plan to that of its last, at an offset that is a hash of the plan's points. The operating system
+releases it when the process ends. Claims only save work: without such locks every claim succeeds,
 and points may be computed and stored twice.
 """
 
@@ -14,17 +14,17 @@ from gapsweep.errors import StoreError
 from gapsweep.store.filesystem import fcntl
 
 _HELD_BY_OTHERS = {errno.EAGAIN, errno.EACCES}
-_ROOM = 2**24  # numbers that a study has; places in a file have 63 bits
+_ROOM = 2**24  # largest number of points of a study; offsets in a file have 63 bits
 
 
 class WorkLocks:
-    """This process' claims on points of one study and cache; a context manager.
+    """The claims of this process on points of one study and cache; a context manager.
 
     Parameters
     ----------
     cache : Path
     points : bytes-like
-        What tells one study's points from another's.
+        Keys of all points of the study, which give the offset of its claims.
     """
 
     def __init__(self, cache: Path, points: bytes | memoryview) -> None:
@@ -41,11 +41,11 @@ class WorkLocks:
         self._file.close()
 
     def take(self, first: int, last: int) -> bool:
-        """Claim all from one number to another; False if another process holds some of them."""
+        """Claim the points `first` to `last`; False if another process holds some of them."""
         return fcntl is None or self._lock(fcntl.LOCK_EX | fcntl.LOCK_NB, first, last)
 
     def release(self, first: int, last: int) -> None:
-        """Give up all from one number to another."""
+        """Release the claim on the points `first` to `last`."""
         if fcntl is not None:
             self._lock(fcntl.LOCK_UN, first, last)
 

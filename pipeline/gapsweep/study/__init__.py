@@ -1,1 +1,1 @@
-"""What is asked: study files, sweep points, keys and the dataset schema."""
+"""Studies: study files, sweep points, content keys and the dataset schema."""

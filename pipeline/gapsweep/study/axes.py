@@ -1,4 +1,4 @@
-"""What may stand for an axis of a sweep in a study file: one value, a list, or a grid."""
+"""Types of the axes of a sweep in a study file: one value, a list, or a grid."""
 
 from collections.abc import Sequence
 from typing import Annotated, Any, Generic, Literal, TypeVar
@@ -21,11 +21,11 @@ from gapsweep.model.labels import canonical_representation
 from gapsweep.model.oscillator import LARGEST, SMALLEST
 
 MAX_POINTS = 10**7
-_LARGEST = 1e100  # of spans; of what a model is made of nothing comes near it
+_LARGEST = 1e100  # of spans; far beyond any parameter of a model
 
 
 def _bounded(value: float) -> float:
-    """A number of a size that models take."""
+    """Return a number whose modulus models allow; refuse larger ones."""
     if abs(value) > LARGEST:
         raise ValueError(f"must be within -{LARGEST:g}..{LARGEST:g}")
     return value
@@ -97,7 +97,7 @@ class StepGrid(_RangeTable[Value], Generic[Value]):
 
     @property
     def count(self) -> int:
-        # A stop that is a whole number of steps away is meant to be reached.
+        # A stop at a whole number of steps, within rounding, is included.
         return int(min(self.span / self.step, _LARGEST) + 1e-9) + 1
 
     def values(self) -> list[float]:
@@ -125,12 +125,12 @@ def _form(value: Any) -> str:
 
 
 def several(value: Any) -> Any:
-    """A value as a list of one, where it is none."""
+    """Return a single value as a list of one; lists and tables as they are."""
     return value if isinstance(value, list | dict | BaseModel) else [value]
 
 
 def _axis(value: Any) -> Any:
-    """The type of a numeric axis whose values are of a type."""
+    """Return the type of a numeric axis with values of a type: a list, or a grid by step or num."""
     return Annotated[
         Annotated[list[value], Field(min_length=1), Tag("list")]
         | Annotated[StepGrid[value], Tag("step")]
@@ -144,17 +144,17 @@ AnyAxis, PositiveAxis, NonNegativeAxis = map(_axis, (Number, Positive, NonNegati
 
 
 def count(axis: Any) -> int:
-    """Values of a numeric axis, without making them."""
+    """Number of values of a numeric axis, without creating them."""
     return len(axis) if isinstance(axis, list) else int(axis.count)
 
 
 def values(axis: Any) -> list[float]:
-    """Values of a numeric axis."""
+    """Return the values of a numeric axis."""
     return axis if isinstance(axis, list) else list(axis.values())
 
 
 def _one_pair(value: Any) -> Any:
-    """A pair of numbers as a list of one."""
+    """Return a single pair of numbers as a list of one pair; other values as they are."""
     is_pair = isinstance(value, list) and len(value) == 2
     return (
         [value] if is_pair and not any(isinstance(v, list | dict | str) for v in value) else value
@@ -205,7 +205,7 @@ class SobolStarts(_Box):
 
 
 def spread(box: Sequence[Sequence[float]], n: int, seed: int) -> NDArray[np.float64]:
-    """The first Sobol points in a box, shape (n, number of its ranges)."""
+    """Return the first n Sobol points in a box, shape (n, number of ranges)."""
     from scipy.stats import qmc  # a second to import, and few studies need it
 
     # Sobol points are balanced in powers of two; the first ones of the next power.
@@ -248,7 +248,7 @@ def _start_form(value: Any) -> str:
 
 
 def _one_state(value: Any) -> Any:
-    """A state of numbers as a list of one; states next to other forms as one form of them."""
+    """Return a single state as a list of one; join the states among other forms in one form."""
     if not isinstance(value, list) or not value:
         return value
     if not any(isinstance(each, list | dict | str | BaseModel) for each in value):
@@ -276,13 +276,13 @@ Starts = Annotated[
 
 
 def forms(starts: Any) -> list[Any]:
-    """The forms of starts in a list of them; a list of states is one form."""
+    """Return the forms (states, grid, Sobol, sweep) of initial conditions; states are one form."""
     is_several = isinstance(starts, list) and any(_start_form(each) != "list" for each in starts)
     return starts if is_several else [starts]
 
 
 def n_starts(starts: Any) -> int:
-    """Starts, without making them."""
+    """Number of initial conditions, without creating them."""
     return sum(
         1 if isinstance(form, str) else len(form) if isinstance(form, list) else form.count
         for form in forms(starts)

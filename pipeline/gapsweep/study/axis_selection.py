@@ -1,7 +1,8 @@
-"""Selection along one axis: which of the values that it holds are wanted.
+"""Selection of values along one axis of a study or a dataset.
 
-One rule of equality for studies, datasets and claims: numbers are one if they are after rounding to
-12 significant digits, representations if their canonical labels are, gaps if their distances are.
+One rule of equality for studies, datasets and claims: numbers are equal if they are after rounding
+to 12 significant digits, representations if their canonical labels are, gaps if their distances
+are.
 """
 
 from collections.abc import Sequence
@@ -13,34 +14,34 @@ from numpy.typing import ArrayLike, NDArray
 from gapsweep.model.labels import canonical_representation
 from gapsweep.study.points import canonical
 
-_MANY, _ENDS = 8, 3  # values in a message, and of more those at either end
+_MANY, _ENDS = 8, 3  # most values in a message; of more values, the number at either end
 
 
 def positions(
     name: str, held: ArrayLike, wanted: Any, of: str = "this dataset"
 ) -> NDArray[np.int64]:
-    """Where on an axis the wanted values lie.
+    """Return the positions of the wanted values on an axis.
 
     Parameters
     ----------
     name : str
-        Of the axis; ``representation`` and ``gap`` hold labels that have more than one spelling.
+        Name of the axis; ``representation`` and ``gap`` have labels with more than one spelling.
     held : array_like, shape (n,)
-        Its values: numbers or texts.
+        Values of the axis: numbers or texts.
     wanted : object
-        A value, a sequence of values, or of numbers a slice that includes both ends.
+        A value, a sequence of values, or for numbers a slice that includes both ends.
     of : str
-        Whose axis it is, for messages.
+        Owner of the axis, for messages.
 
     Returns
     -------
     ndarray of int
-        Ascending, each once: all places that hold a wanted value, at least one.
+        All positions with a wanted value, ascending, each once; at least one.
 
     Raises
     ------
     ValueError
-        If a wanted value is not there; one line that names it and what there is.
+        If the axis lacks a wanted value; one line with that value and the values of the axis.
     """
     axis = np.atleast_1d(np.asarray(held))
     if isinstance(wanted, slice):
@@ -52,9 +53,9 @@ def positions(
     for value in wanted if is_several(wanted) else [wanted]:
         at = places.get(_key(name, axis, value))
         if at is None:
-            said = repr(value.item() if hasattr(value, "item") else value)
+            shown = repr(value.item() if hasattr(value, "item") else value)
             raise ValueError(
-                f"{name} = {said}: not in {of}, which has {listed(axis)}{_nearest(axis, value)}"
+                f"{name} = {shown}: not in {of}, which has {listed(axis)}{_nearest(axis, value)}"
             )
         found += at
     if not found:
@@ -63,7 +64,7 @@ def positions(
 
 
 def is_several(wanted: Any) -> bool:
-    """Whether a selection names any number of values, not one."""
+    """Whether a selection is a slice or a sequence of values, not a single value."""
     if isinstance(wanted, str):
         return False
     return isinstance(wanted, slice | Sequence) or getattr(wanted, "ndim", 0) > 0
@@ -96,7 +97,7 @@ def _within(name: str, axis: NDArray[Any], wanted: slice, of: str) -> NDArray[np
 
 
 def _key(name: str, axis: NDArray[Any], value: Any) -> Any:
-    """What is equal for values that are one; None for what the axis cannot hold."""
+    """Return a key that is equal for equal values; None for values that the axis cannot have."""
     try:
         if is_numeric(axis):
             return canonical(value)
@@ -111,7 +112,7 @@ def _key(name: str, axis: NDArray[Any], value: Any) -> Any:
 
 
 def _nearest(axis: NDArray[Any], wanted: Any) -> str:
-    """The value next to a number that is not there, with all digits that it has."""
+    """Return the words "the nearest is ..." with the axis value nearest to a missing number."""
     key = _key("", axis, wanted)
     if axis.dtype.kind != "f" or not isinstance(key, float) or not np.isfinite(key):
         return ""
@@ -119,7 +120,7 @@ def _nearest(axis: NDArray[Any], wanted: Any) -> str:
 
 
 def listed(held: ArrayLike) -> str:
-    """Values as text, of many the first and last ones."""
+    """Return values as text; if there are many, the first and last ones."""
     axis = np.atleast_1d(np.asarray(held))
     if axis.size > _MANY:
         return f"{', '.join(as_words(axis[:_ENDS]))}, ..., {', '.join(as_words(axis[-_ENDS:]))}"
@@ -127,6 +128,6 @@ def listed(held: ArrayLike) -> str:
 
 
 def as_words(held: ArrayLike) -> list[str]:
-    """Values as they are printed."""
+    """Return values as they are printed."""
     values = np.asarray(held).tolist()
     return [f"{value:g}" if isinstance(value, float) else str(value) for value in values]

@@ -15,7 +15,7 @@ from gapsweep.study.axes import (
     TomlTable,
 )
 
-# Of a motion that is compared with its references.
+# Longest motion that is compared with its reference, in forcing periods.
 MAX_BENCH_PERIODS = 100_000
 # Share of rtol that is the absolute tolerance [m], [m/s] where a method states none: motions are
 # about a millimetre wide.
@@ -54,11 +54,11 @@ class BenchSceneTable(TomlTable):
     without: list[Label] = Field([])
 
     def merged(self, oscillator: OscillatorTable) -> OscillatorTable:
-        """The scene's own oscillator."""
+        """Return the oscillator of the scenario: that of the study with its changes."""
         return oscillator.model_copy(update=self.oscillator.model_dump(exclude_none=True))
 
     def contradictions(self, oscillator: OscillatorTable) -> list[str]:
-        """What keeps the expected answer from being one, for the study's oscillator."""
+        """Problems that exclude the expected solution, for the oscillator of the study."""
         own, touching = self.merged(oscillator), self.gap == [0.0, 0.0]
         needs = {
             "energy": ("zeta = 0 and forcing = 0", own.zeta == 0.0 and own.forcing == 0.0),
@@ -94,7 +94,7 @@ class MethodTable(TomlTable):
 
     @property
     def rungs(self) -> list[tuple[float, float]]:
-        """Relative [-] and absolute [m, m/s] tolerances."""
+        """Pairs of relative [-] and absolute [m, m/s] tolerances."""
         atol = self.atol or [ATOL_PER_RTOL * rtol for rtol in self.rtol]
         return list(zip(self.rtol, atol, strict=True))
 

@@ -1,4 +1,4 @@
-"""Blocks of a study, ``[[sweep]]``: their axes, and the grid that they make together."""
+"""Blocks of a study, ``[[sweep]]``: their axes, and the grid of all blocks."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -14,9 +14,9 @@ from gapsweep.study.spec import SweepTable
 
 
 def expanded(block: SweepTable, swept: Mapping[str, float]) -> dict[str, Any]:
-    """A block's values along the dimensions but the starts, canonical and without repeats.
+    """Return a block's axes except initial conditions, with canonical values without repeats.
 
-    `swept` are the further numbers that some block sweeps, as they are where none does.
+    `swept` are default values of the further parameters that some block sweeps.
     """
     axes: dict[str, Any] = {"representation": block.representation}
     if block.K_c is not None:
@@ -36,7 +36,7 @@ def expanded(block: SweepTable, swept: Mapping[str, float]) -> dict[str, Any]:
 
 
 def union(blocks: Sequence[Axes]) -> Axes:
-    """All blocks' axes: numbers ascending, others in order of appearance."""
+    """Return the joint axes of all blocks: numbers ascending, others in order of appearance."""
     found: dict[str, Sequence[Any]] = {}
     for name, first in blocks[0].items():
         if isinstance(first, Starts):
@@ -49,7 +49,7 @@ def union(blocks: Sequence[Axes]) -> Axes:
 
 
 def requested_of(blocks: Sequence[Axes], axes: Axes) -> NDArray[np.bool_]:
-    """Which cells over the axes some block asks for."""
+    """Whether some block contains each cell of the grid over the joint axes."""
     requested = np.zeros([len(axis) for axis in axes.values()], dtype=bool)
     for block in blocks:
         at = [_places(axis, block[name]) for name, axis in axes.items()]
@@ -58,7 +58,7 @@ def requested_of(blocks: Sequence[Axes], axes: Axes) -> NDArray[np.bool_]:
 
 
 def _places(axis: Sequence[Any], some: Sequence[Any]) -> Sequence[int] | NDArray[np.intp]:
-    """Where values lie on an axis that has them."""
+    """Return the positions of values on an axis that contains them."""
     if isinstance(axis, Starts) and isinstance(some, Starts):
         return axis.places(some)
     places = {value: i for i, value in enumerate(axis)}

@@ -1,4 +1,4 @@
-"""The labelled grid of a study: its axes, and which of its cells are sweep points."""
+"""The labelled grid of a study: its axes, and a mask of the cells that are sweep points."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -22,16 +22,16 @@ Selection = tuple[NDArray[np.intp], ...]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Starts(Sequence[tuple[str, tuple[float, ...]]]):
-    """Initial conditions, n of them: fixed states, and sweeps, which begin at rest.
+    """n initial conditions: fixed states, and sweeps, whose first point starts at rest.
 
     Attributes
     ----------
     kind : ndarray of int8, shape (n,)
         Position in `KINDS`.
     number : ndarray of int, shape (n,)
-        Number of each in its study.
+        Number of each initial condition in its study.
     states : ndarray, shape (n, n_states)
-        Displacements [m], velocities [m/s] and first-order states; zero of a sweep.
+        Displacements [m], velocities [m/s] and first-order states; zero for a sweep.
     """
 
     KINDS: ClassVar[tuple[str, ...]] = (FIXED, *SWEEPS)
@@ -42,20 +42,20 @@ class Starts(Sequence[tuple[str, tuple[float, ...]]]):
 
     @classmethod
     def fixed(cls, states: ArrayLike) -> "Starts":
-        """Fixed states, shape (n, n_states), made canonical."""
+        """Return fixed initial states, shape (n, n_states), rounded to canonical values."""
         found = np.asarray(states, float)
         found = np.reshape([canonical(value) for value in found.ravel().tolist()], found.shape)
         return cls(np.zeros(len(found), np.int8), found, np.arange(len(found), dtype=np.int32))
 
     @classmethod
     def sweep(cls, kind: str, n_states: int) -> "Starts":
-        """A sweep, by its name."""
+        """Return the initial condition of a sweep, ``"sweep_up"`` or ``"sweep_down"``."""
         number = np.array([cls.KINDS.index(kind)], np.int8)
         return cls(number, np.zeros((1, n_states)), np.zeros(1, np.int32))
 
     @classmethod
     def union(cls, several: Iterable["Starts"]) -> "Starts":
-        """All starts of several, each once, in order of first appearance."""
+        """Join several sets of initial conditions, each once, in order of first appearance."""
         columns = zip(*((s.kind, s.states, s.number) for s in several), strict=True)
         whole = cls(*map(np.concatenate, columns))
         _, first = np.unique(whole._rows, return_index=True)
@@ -64,7 +64,7 @@ class Starts(Sequence[tuple[str, tuple[float, ...]]]):
 
     @property
     def _rows(self) -> NDArray[np.void]:
-        """Each start as one value, no two the same; such values can be sorted."""
+        """Each initial condition as one sortable value, equal only for equal initial conditions."""
         rows = np.column_stack([self.kind, self.states])
         return rows.view(f"V{rows.itemsize * rows.shape[1]}").ravel()
 
@@ -73,7 +73,7 @@ class Starts(Sequence[tuple[str, tuple[float, ...]]]):
         return np.asarray(self.kind == 0)
 
     def places(self, some: "Starts") -> NDArray[np.intp]:
-        """Where some of these starts are."""
+        """Return the positions of some of these initial conditions."""
         rows = self._rows
         order = np.argsort(rows)
         return order[np.searchsorted(rows[order], some._rows)]
@@ -86,23 +86,23 @@ class Starts(Sequence[tuple[str, tuple[float, ...]]]):
         return len(self.kind)
 
     def __getitem__(self, number: Any) -> Any:
-        """Kind and state of a start."""
+        """Kind and state of an initial condition."""
         return self.KINDS[self.kind[number]], tuple(self.states[number].tolist())
 
 
 @dataclass(frozen=True)
 class Grid:
-    """Coordinates of the dataset and which of its cells are sweep points.
+    """Coordinates of the dataset, and a mask of the cells that are sweep points.
 
     Attributes
     ----------
     axes : mapping of str to sequence
         By dimension, in the dataset's order: labels of representations, protocol included;
-        stiffnesses [N/m]; gaps, or distances of both walls [m]; frequencies [Hz]; what else is
-        swept; `Starts`. Numbers ascend, others come in order of first appearance.
+        stiffnesses [N/m]; gaps, or distances of both walls [m]; frequencies [Hz]; other swept
+        parameters; `Starts`. Numbers ascend, others come in order of first appearance.
     requested : ndarray of bool, of the axes' lengths
     structure : Structure or OscillatorStructure
-        Of the models of all points.
+        Structure of the models of all points.
     parts : mapping of str to tuple of str
         Dimensions within a point, those with several entries: names of coordinates, contacts, lags.
     """
@@ -130,7 +130,7 @@ class Grid:
 
     @property
     def gaps(self) -> tuple[Gap, ...]:
-        """All gaps, also where both walls have axes of their own."""
+        """All gaps; if both walls have separate axes, all combinations."""
         if "gap" in self.axes:
             return tuple(self.axes["gap"])
         return tuple(Gap(j_1, j_2) for j_1 in self.axes["j_1"] for j_2 in self.axes["j_2"])
@@ -141,7 +141,7 @@ class Grid:
 
     @property
     def scene_dims(self) -> tuple[str, ...]:
-        """Dimensions of what a scene is, apart from its frequency."""
+        """Dimensions of a case: all except representation, omega and initial condition."""
         return tuple(d for d in self.dims if d not in ("representation", "omega", START))
 
     @property
@@ -149,18 +149,18 @@ class Grid:
         return starts_of(self.axes)
 
     def labels(self, name: str) -> Sequence[Any]:
-        """Values of an axis as its coordinate in the dataset holds them."""
+        """Return the values of an axis as in the coordinate of the dataset."""
         axis = self.axes[name]
         if name == "gap":
             return [self.label(gap) for gap in axis]
         return axis.number.tolist() if isinstance(axis, Starts) else axis
 
     def label(self, gap: Gap) -> str:
-        """Wall distances as text: in mm, or in the user's own unit."""
+        """Return wall distances as text: in mm, or for a system in the unit of the study."""
         return gap.label if self.structure.in_metres else f"{gap.j_1:.12g}/{gap.j_2:.12g}"
 
     def coordinates(self) -> dict[str, NDArray[Any]]:
-        """Values of all coordinates of the dataset; states of sweeps are NaN."""
+        """Return the values of all coordinates of the dataset; states of sweeps are NaN."""
         found = {name: np.array(self.labels(name)) for name in self.dims}
         if "gap" in found:
             walls = np.array([(gap.j_1, gap.j_2) for gap in self.axes["gap"]])
@@ -175,7 +175,7 @@ class Grid:
         return found | {"start": np.array(Starts.KINDS)[starts.kind]}
 
     def cut(self, selection: Selection) -> "Grid":
-        """The selected part, as a grid of its own."""
+        """Return the selected part as a grid."""
         axes = {
             name: axis.take(some) if isinstance(axis, Starts) else tuple(axis[i] for i in some)
             for (name, axis), some in zip(self.axes.items(), selection, strict=True)
@@ -183,10 +183,10 @@ class Grid:
         return Grid(axes, self.requested[np.ix_(*selection)], self.structure, self.parts)
 
     def order(self, wanted: NDArray[np.bool_]) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
-        """The wanted points in the order in which they are computed.
+        """Return the wanted points in the order in which they are computed.
 
-        Neighbouring frequencies follow each other, those of a sweep in its direction. Of a sweep
-        all points up to the last one wanted are among them.
+        Neighbouring frequencies follow each other, those of a sweep in its direction. A sweep
+        includes all points up to the last one wanted.
 
         Parameters
         ----------
@@ -197,37 +197,37 @@ class Grid:
         cells : ndarray of int, shape (n,)
             Flat positions in the grid.
         follows : ndarray of bool, shape (n,)
-            Which points start where the one before them ends.
+            Whether a point starts in the end state of the one before it.
         """
         n_omega, cells = len(self.axes.get("omega", "-")), np.arange(self.requested.size)
-        cells, asked, requested = map(
+        cells, chosen, requested = map(
             self._along_omega, (cells.reshape(self.shape), wanted, self.requested)
         )
         kind = self.starts.kind
         if kind.any():
-            cells, asked, requested = cells.copy(), asked.copy(), requested.copy()
+            cells, chosen, requested = cells.copy(), chosen.copy(), requested.copy()
             down = kind == Starts.KINDS.index("sweep_down")
-            for some in (cells, asked, requested):
+            for some in (cells, chosen, requested):
                 some[..., down, :] = some[..., down, ::-1]
-            leads = np.logical_or.accumulate(asked[..., ::-1], axis=-1)[..., ::-1] & requested
-            asked = np.where((kind > 0)[:, None], leads, asked)
-        asked = asked & requested
-        at = np.flatnonzero(asked)
+            leads = np.logical_or.accumulate(chosen[..., ::-1], axis=-1)[..., ::-1] & requested
+            chosen = np.where((kind > 0)[:, None], leads, chosen)
+        chosen = chosen & requested
+        at = np.flatnonzero(chosen)
         chain = at // n_omega
         is_sweep = (kind > 0)[chain % len(kind)]
         follows = np.zeros(len(at), bool)
         follows[1:] = is_sweep[1:] & (chain[1:] == chain[:-1])
-        return cells[asked], follows
+        return cells[chosen], follows
 
     def _along_omega(self, values: NDArray[Any]) -> NDArray[Any]:
-        """Values over the grid, their last axis that of the frequencies."""
-        if "omega" not in self.dims:  # nothing forces the systems
+        """Return values over the grid with the axis of frequencies moved to the end."""
+        if "omega" not in self.dims:  # unforced systems
             return values[..., None]
         return np.moveaxis(values, self.dims.index("omega"), -1)
 
 
 def starts_of(axes: Axes) -> Starts:
-    """The starts among the axes."""
+    """Return the initial conditions among the axes."""
     found = axes[START]
     assert isinstance(found, Starts)
     return found

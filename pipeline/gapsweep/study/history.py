@@ -1,4 +1,4 @@
-"""Of which oscillator and walls the time histories of a study are."""
+"""Parameters of the oscillator and the walls for the time histories of a study."""
 
 from collections.abc import Iterator, Mapping, Sequence
 
@@ -7,9 +7,9 @@ from gapsweep.study.spec import HistoryTable
 
 
 def setting(history: HistoryTable, model: Mapping[str, float], axes: Axes) -> dict[str, float]:
-    """Parameters of the model, and the ratio of the walls' stiffnesses, of a time history.
+    """Return the parameters of the model, and the stiffness ratio of the walls, of a time history.
 
-    Its own; else the only one that the study sweeps; else the model's.
+    Values of the history come first, then the single value of a sweep axis, then the model's.
     """
     found = {**model, "K_ratio": 1.0}
     return found | {name: axes[name][0] for name in found if name in axes} | _own(history)
@@ -18,7 +18,7 @@ def setting(history: HistoryTable, model: Mapping[str, float], axes: Axes) -> di
 def undecided(
     histories: Sequence[HistoryTable], model: Mapping[str, float], axes: Axes
 ) -> Iterator[str]:
-    """What is wrong with those that could be of several values that the study sweeps."""
+    """Yield a problem for every parameter that the study sweeps and a history does not set."""
     for number, table in enumerate(histories):
         for name in (*model, "K_ratio"):
             axis = axes.get(name, ())

@@ -1,19 +1,18 @@
-"""No more model than a scene needs: what is adequate, from the scene's parameters alone.
+"""The simplest adequate model of a case, from its parameters only.
 
-Nothing is integrated, so no answer can leak into the choice
-(docs/decisions/0010-advice.md):
+Nothing is integrated, so no result can influence the choice (docs/decisions/0010-advice.md):
 
 - *The walls are never reached.* The linear oscillator answers a force of magnitude f by at most
   L f, with L the integral of its impulse response's magnitude. As long as ``|x| <= b``, the cubic
   spring is such a force of at most ``|α| b³ / m``. Let b_0 bound the linear motion, transient
   included. If ``b = b_0 + L |α| b³ / m`` has a root below both walls, the motion never leaves it:
   plain Duffing, whose motion is the same.
-- *The cubic spring is not seen.* By the same bound it moves the steady motion by at most
+- *The cubic spring is negligible.* By the same bound it changes the steady motion by at most
   ``L |α| b³ / m``, now with the linear steady amplitude as b_0. Below the error: linear.
 - *A tolerance* of a tenth of the error is enough where that bound holds: then the steady motion is
-  the only one, because the cubic spring feeds back less than it is given. Where walls may be
-  reached there may be several, and the tolerance is the one that decides between them: errors of
-  the transient must stay as small as a start is known, whatever error of the amplitude is asked.
+  the only one, because the loop gain of the cubic spring is below one. If walls may be reached,
+  there may be several, and the tolerance is the one that decides between them: errors of the
+  transient must stay as small as those of an initial condition, for any error of the amplitude.
 """
 
 import math
@@ -27,12 +26,12 @@ from gapsweep.study.points import Points
 
 DEFAULT_ERROR = 1e-3
 SMALLEST_ERROR, LARGEST_ERROR = 1e-9, 0.1
-# Solver tolerance: per asked error, and at most this where it may choose between attractors.
+# Solver tolerance: per allowed error, and largest one if it may decide between attractors.
 _TOLERANCE, _CHOOSING_RTOL = 0.1, 1e-9
 
 
 class Model(IntEnum):
-    """What a scene needs; the order is part of the schema."""
+    """Simplest adequate model of a case; the numbers are part of the schema."""
 
     EXACT = 0
     DUFFING = 1
@@ -41,18 +40,18 @@ class Model(IntEnum):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Advice:
-    """The least model that is adequate for one scene and start.
+    """The simplest adequate model for one case and initial condition.
 
     Attributes
     ----------
     model : Model
     bound : float
-        What the displacement never exceeds [m]; infinite where nothing is certain.
+        Upper bound of the displacement [m]; infinite if none is known.
     oscillator : Oscillator
-        The one to simulate: without the cubic spring if `model` is linear.
+        Oscillator to simulate: without the cubic spring if `model` is linear.
     K_c : float
-        Contact stiffness to simulate [N/m]: 0 if the walls are never reached. Crossings of the
-        walls are counted all the same, and would show.
+        Contact stiffness to simulate [N/m]: 0 if the walls are never reached. Wall crossings are
+        counted nevertheless.
     rtol : float
         Relative tolerance of the solver [-].
     """
@@ -73,25 +72,25 @@ def advise(
     *,
     error: float = DEFAULT_ERROR,
 ) -> Advice:
-    """The least model that is adequate.
+    """Return the simplest adequate model.
 
     Parameters
     ----------
     oscillator : Oscillator
     K_c : float
-        Contact stiffness [N/m]; how much stiffer one wall is than the other tells nothing here.
+        Contact stiffness [N/m]; the stiffness ratio of the walls has no effect here.
     gap : Gap
     omega : float
         Forcing frequency [Hz].
     start : (float, float), optional
         Displacement [m] and velocity [m/s] at forcing phase zero; None if not known.
     error : float
-        Error of the steady amplitude that is accepted, relative to the amplitude or half the
-        gap, whichever is larger; 1e-9 to 0.1.
+        Allowed error of the steady amplitude, relative to the larger of the amplitude and half the
+        gap; 1e-9 to 0.1.
     """
     check_error(error)
     bound, steady, moved = math.inf, 0.0, math.inf
-    if start is not None and oscillator.is_classic:  # the bounds below are of such
+    if start is not None and oscillator.is_classic:  # the bounds below hold for these only
         oscillator = replace(oscillator, zeta=oscillator.damping_ratio, c=0.0)
         steady, transient = _linear_motion(oscillator, omega, start)
         cubic = _cubic_share(oscillator)
@@ -116,12 +115,12 @@ def advise(
 
 
 def check_error(error: float) -> float:
-    """The error, if it may be asked for.
+    """Return `error` as a float, if it is within 1e-9..0.1.
 
     Raises
     ------
     ModelError
-        If it is not within 1e-9..0.1.
+        If `error` is out of this range.
     """
     error = checked("error", error)
     if not SMALLEST_ERROR <= error <= LARGEST_ERROR:
@@ -132,7 +131,7 @@ def check_error(error: float) -> float:
 def _linear_motion(
     oscillator: Oscillator, omega: float, start: tuple[float, float]
 ) -> tuple[float, float]:
-    """Amplitude of the linear steady motion, and bound of its transient [m]."""
+    """Return the amplitude of the linear steady motion, and a bound of its transient [m]."""
     omega_rad, omega_n, zeta = 2.0 * math.pi * omega, oscillator.omega_n_rad, oscillator.zeta
     response = (
         (oscillator.forcing / oscillator.mass)
@@ -175,14 +174,14 @@ def _smallest_root(b_0: float, cubic: float) -> float:
 
 
 def advised(table: Points, error: float) -> Iterator[Advice]:
-    """The least model that is adequate at each point of a table, whatever its representation."""
+    """Yield the simplest adequate model of each point, independent of its representation."""
     for row, numbers in enumerate(table.numbers.tolist()):
-        said = dict(zip(table.kind.numbers, numbers, strict=True))
+        point = dict(zip(table.kind.numbers, numbers, strict=True))
         yield advise(
-            Oscillator(**{name: said[name] for name in OSCILLATOR}),
-            said["K_c"],
+            Oscillator(**{name: point[name] for name in OSCILLATOR}),
+            point["K_c"],
             table.gap(row),
-            said["omega"],
-            None if table.kind.is_sweep else (said["x_0"], said["v_0"]),
+            point["omega"],
+            None if table.kind.is_sweep else (point["x_0"], point["v_0"]),
             error=error,
         )

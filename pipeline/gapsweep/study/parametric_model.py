@@ -22,12 +22,12 @@ from gapsweep.study.grid import START, Axes, starts_of
 from gapsweep.study.points import OF_CONTACT, SWEEPS, canonical
 from gapsweep.study.problems import EXAMPLES
 from gapsweep.study.spec import StudySpec, SweepTable
-from gapsweep.study.system_tables import Maker, maker, said
+from gapsweep.study.system_tables import Maker, in_words, maker
 
 Array = NDArray[np.float64]
 Places = Mapping[str, NDArray[np.intp]]
 
-# Of so many systems each is made twice: those of a function may differ where they should not.
+# So many systems are made twice, to detect functions that do not depend on their arguments only.
 _MADE_AGAIN = 4
 
 
@@ -51,7 +51,7 @@ class AlongParameter:
 
     @property
     def identity(self) -> list[Any]:
-        """All that it depends on, for JSON."""
+        """Table, code, values and name that the system depends on, for JSON."""
         own = self.make.own
         return [self.make.table.model_dump(), own and own.key, dict(self.values), self.name]
 
@@ -64,9 +64,9 @@ class ParametricModel:
     ----------
     spec : StudySpec
     source : str
-        For messages.
+        Name of the study, for messages.
     folders : tuple of Path
-        Where the module of its function is searched after Python's path.
+        Folders in which the function's module is searched after Python's path.
     """
 
     spec: StudySpec
@@ -75,18 +75,18 @@ class ParametricModel:
 
     @property
     def is_oscillator(self) -> bool:
-        """Whether it is the ready-made one, of which more is known than of a system."""
+        """Whether the model is an `Oscillator`, not a `System`."""
         return self.spec.system is None
 
     @cached_property
     def _make(self) -> Callable[[Mapping[str, float]], Model]:
-        """What makes a model of parameters: one code for the whole study."""
+        """Function that makes a model from its parameters; its code is read once per study."""
         table = self.spec.system
         if table is None:
             return self._oscillator
         unlike = table.scales ^ set(self.spec.parameters)
         if any(":" in label for block in self.spec.sweep for label in block.representation):
-            unlike = table.scales - set(self.spec.parameters)  # others are of laws
+            unlike = table.scales - set(self.spec.parameters)  # others belong to laws
         if table.function is None and unlike:
             raise StudyError(
                 [
@@ -105,7 +105,7 @@ class ParametricModel:
 
     @cached_property
     def _known(self) -> dict[tuple[float, ...], Model]:
-        """The models made so far, by their parameters."""
+        """Cache of the models made so far, by parameter values."""
         return {}
 
     @cached_property
@@ -115,7 +115,7 @@ class ParametricModel:
 
     @property
     def json(self) -> str:
-        """That as JSON: what a function made cannot be read off its name."""
+        """The `default` model as JSON; the study file lacks its numbers if a function made it."""
         return json.dumps(asdict(self.default), default=lambda array: array.tolist())
 
     @cached_property
@@ -129,33 +129,33 @@ class ParametricModel:
 
     @property
     def parts(self) -> dict[str, tuple[str, ...]]:
-        """Dimensions within a point, those with several entries, and the names along them."""
+        """Dimensions within a point that have several entries, and the names along them."""
         return self.default.parts
 
     def labels(self, representation: str) -> tuple[str, ...]:
-        """Of every contact the label of its law, where all others have this one."""
+        """Return the label of every contact's law: that of [contact], else this representation."""
         return tuple(self._own(name, "representation") or representation for name in self.contacts)
 
     def numbers(self, axes: Axes, places: Places, n: int) -> Array:
-        """The columns of a table of n points, from their places on the axes."""
+        """Return the columns of a table of n points, from their positions on the axes."""
         omega = np.asarray(axes["omega"])[places["omega"]] if "omega" in axes else np.zeros(n)
         parts = [self._walls(axes, places, n), omega[:, None], self._arrays(axes, places, n)]
         return np.concatenate([*parts, starts_of(axes).states[places[START]]], axis=1)
 
     def sections(self, axes: Axes, places: Places, rate: Array) -> tuple[Array, Array]:
-        """What the sections of n scenes are measured by.
+        """Return the units of section points, and the contact directions, of n points.
 
         Parameters
         ----------
         rate : ndarray, shape (n,)
-            Section points per second; where NaN, that of the forcing, or else of the slowest mode.
+            Section points per second; if NaN, the frequency of the forcing or the slowest mode.
 
         Returns
         -------
         unit : ndarray, shape (n_states, n)
-            What one metre of the section is in each component of a state.
+            Value of each component of a state that corresponds to one metre of the section.
         directions : ndarray, shape (n, n_contacts, n_coordinates)
-            Of the contacts.
+            Directions of the contacts.
         """
         number, models = np.zeros(len(rate), np.intp), [self.default]
         if not self.is_oscillator:
@@ -170,7 +170,7 @@ class ParametricModel:
         return unit, np.array([model.directions for model in models])[number]
 
     def starts(self, states: ArrayLike | None, where: str = "initial_condition") -> Array:
-        """States with as many components as the model's; missing first-order states are zero."""
+        """Return initial states as long as the model's; missing first-order states are zero."""
         n, n_states = self.structure.n, self.structure.n_states
         if states is None:
             return np.zeros((1, n_states))
@@ -189,19 +189,19 @@ class ParametricModel:
         return np.array(found)
 
     def swept(self, axes: Axes, requested: NDArray[np.bool_]) -> list[dict[str, float]]:
-        """The values of swept parameters with which a model is made, those of requested points."""
+        """Return all combinations of swept model parameters that requested points have."""
         names = [name for name in axes if name in self.spec.model]
         others = tuple(i for i, name in enumerate(axes) if name not in names)
         places = np.argwhere(requested.any(axis=others)) if names else np.empty((0, 0), np.intp)
         return _named(names, axes, places)
 
     def at(self, some: Mapping[str, float]) -> Model:
-        """The model where some parameters have these values, others their own.
+        """Return the model with these values of some parameters, and defaults of the others.
 
         Raises
         ------
         StudyError
-            If there is none, or it differs from the others in more than numbers.
+            If the model is invalid, or its structure differs from that of the default.
         """
         given = {**self.spec.model, **some}
         values = {name: canonical(value) for name, value in given.items()}
@@ -209,7 +209,7 @@ class ParametricModel:
         if key not in self._known:
             made = self._make(values)
             if len(self._known) < _MADE_AGAIN and not _are_alike(made, self._make(values)):
-                at = f" at {said(some)}" if some else ""
+                at = f" at {in_words(some)}" if some else ""
                 raise StudyError(
                     [
                         f"{self.source}: system{at}: two calls return different systems; the "
@@ -221,7 +221,7 @@ class ParametricModel:
         if some and _form(made) != _form(self.default):
             raise StudyError(
                 [
-                    f"{self.source}: system at {said(some)}: has other coordinates, contacts "
+                    f"{self.source}: system at {in_words(some)}: has other coordinates, contacts "
                     "or loads than at the values in [parameters]; write a separate study"
                 ]
             )
@@ -296,7 +296,7 @@ class ParametricModel:
         return None if table is None else getattr(table, name)
 
     def _walls(self, axes: Axes, places: Places, n: int) -> Array:
-        """Stiffness, distances and ratio of every contact."""
+        """Return the columns of every contact: stiffness, distances and ratio of its walls."""
         swept: dict[str, Any] = {"K_ratio": 1.0, "K_c": 0.0, "j_1": 0.0, "j_2": 0.0}
         for name in ("K_c", "j_1", "j_2", "K_ratio"):
             if name in axes:
@@ -322,7 +322,7 @@ class ParametricModel:
         return np.array([self.structure.row(model) for model in models])[number]
 
     def _models(self, axes: Axes, places: Places, n: int) -> tuple[NDArray[np.intp], list[Model]]:
-        """Which model each point has, and the models."""
+        """Return the number of each point's model, and the models."""
         names = [name for name in self.spec.model if name in axes]
         if not names:
             return np.zeros(n, np.intp), [self.default]
@@ -332,9 +332,9 @@ class ParametricModel:
 
 
 def _out_of_range(others: Mapping[str, float], name: str, axis: Any) -> Iterator[str]:
-    """What is wrong with an axis of a parameter of the oscillator: its ends, as ranges go."""
+    """Yield problems of an axis of an oscillator parameter; testing its ends is sufficient."""
     several = values(axis)
-    for value in {min(several), max(several)} if name in others else ():  # others are of laws
+    for value in {min(several), max(several)} if name in others else ():  # others belong to laws
         try:
             Oscillator(**{**others, name: value})
         except ModelError as error:
@@ -342,7 +342,7 @@ def _out_of_range(others: Mapping[str, float], name: str, axis: Any) -> Iterator
 
 
 def _form(model: Model) -> tuple[Any, ...]:
-    """What all models of a study share: all but numbers."""
+    """Return names and structure of a model, which all models of a study share."""
     return model.coordinates, tuple(model.contacts), structure_of(model)
 
 
@@ -351,7 +351,7 @@ def _are_alike(a: Model, b: Model) -> bool:
 
 
 def _named(names: list[str], axes: Axes, places: NDArray[np.intp]) -> list[dict[str, float]]:
-    """The values of parameters at places on their axes, one place a row."""
+    """Return the values of parameters, by name, for each row of positions on their axes."""
     return [
         {name: axes[name][i] for name, i in zip(names, one, strict=True)} for one in places.tolist()
     ]

@@ -1,4 +1,4 @@
-"""Sweep points: rows of a table, and what identifies the result of each."""
+"""Sweep points as rows of a table, and the content keys of their results."""
 
 import hashlib
 import json
@@ -26,7 +26,7 @@ RESULT_SCHEMA = 8
 FIXED = "fixed"
 SWEEPS = ("sweep_up", "sweep_down")
 
-# The columns of every table of points: what differs from point to point.
+# Columns of every table of points: numbers that differ between points.
 OF_CONTACT = ("K_c", "j_1", "j_2", "K_ratio")  # of every contact, first
 _OSCILLATOR = OscillatorStructure()
 KEY = np.dtype("V32")  # a content key, as an element of an array
@@ -36,18 +36,18 @@ Numbers = NDArray[np.intp]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Kind:
-    """What the points of a table have in common: all that their results depend on but numbers."""
+    """Common settings of the points of a table: everything but numbers that affects results."""
 
     representation: str  # canonical label, without a protocol
     solver: Solver
     steady: Steady
     fit_range: float = FIT_RANGE  # half-width [m] of the range of fitted laws
-    # ``"fixed"``, or ``"sweep_up"`` or ``"sweep_down"``: from where the point before it ended, the
-    # first one from the state in the table.
+    # ``"fixed"``, or ``"sweep_up"`` or ``"sweep_down"``: a point starts in the end state of the one
+    # before, the first one in the state of the table.
     start: str = FIXED
-    # Added to a fixed initial displacement [m], for exact-against-exact floors.
+    # Added to a fixed initial displacement [m], to measure the reproducibility of the exact law.
     start_jitter: float = 0.0
-    law_code: str | None = None  # key of a user's own law
+    law_code: str | None = None  # key of a user law
     contacts: tuple[str, ...]  # label of every contact's law
     structure: AnyStructure = _OSCILLATOR  # the arrays of systems are among the numbers
     # The law of that key; None in a kind that was read from a cache.
@@ -55,56 +55,56 @@ class Kind:
 
     @property
     def numbers(self) -> tuple[str, ...]:
-        """Columns of the table."""
+        """Names of the columns of the table."""
         return columns_of(self.structure)
 
     @property
     def n_states(self) -> int:
-        """Length of a start."""
+        """Length of an initial state."""
         return self.structure.n_states
 
     @property
     def is_sweep(self) -> bool:
-        """Whether a point starts where the one before it ended."""
+        """Whether a point starts in the end state of the one before it."""
         return self.start != FIXED
 
     @property
     def identity(self) -> str:
-        """All that it says, with the numerics and libraries that compute it, as canonical JSON."""
+        """All fields, fingerprint of the numerics, and library versions, as canonical JSON."""
         return _identity(self)
 
     @classmethod
     def of(cls, identity: str) -> "Kind":
-        """The kind that an identity describes.
+        """Return the kind of an identity.
 
         Raises
         ------
         ValueError
-            If it is none.
+            If the text is no identity.
         """
         try:
             whole = json.loads(identity)
-            said = {"fit_range": FIT_RANGE, **whole["kind"]}
-            said["law_code"] = said.pop("law")
-            said |= {"solver": Solver(**said["solver"]), "steady": Steady(**said["steady"])}
-            said["structure"] = read_structure(said["structure"])
-            said["contacts"] = tuple(said["contacts"])
-            return cls(**said)
+            values = {"fit_range": FIT_RANGE, **whole["kind"]}
+            values["law_code"] = values.pop("law")
+            values |= {"solver": Solver(**values["solver"]), "steady": Steady(**values["steady"])}
+            values["structure"] = read_structure(values["structure"])
+            values["contacts"] = tuple(values["contacts"])
+            return cls(**values)
         except (TypeError, KeyError, AttributeError, RecursionError) as error:
             raise ValueError(f"{type(error).__name__}: {error}") from None
 
 
-# The same few kinds stand in all tables of a study.
+# All tables of a study share a few kinds.
 @lru_cache(maxsize=256)
 def _identity(kind: Kind) -> str:
-    said = asdict(replace(kind, own=None))
-    said["law"] = said.pop("law_code")
-    del said["own"]
+    values = asdict(replace(kind, own=None))
+    values["law"] = values.pop("law_code")
+    del values["own"]
     if not any(map(is_fitted, kind.contacts)):
-        del said["fit_range"]
+        del values["fit_range"]
     whole = {
         "numbers": kind.numbers,
-        "kind": said,
+        "kind": values,
         "numerics": numerics_fingerprint(),
         "schema": RESULT_SCHEMA,
         "versions": {
@@ -130,19 +130,19 @@ class Points:
         return self.numbers[:, self.kind.numbers.index(name)]
 
     def take(self, rows: Any) -> "Points":
-        """Some of the points."""
+        """Return some of the points."""
         return Points(self.kind, self.numbers[rows])
 
     def gap(self, row: int) -> Gap:
         return Gap(*self.numbers[row, 1:3].tolist())
 
     def keys(self, follows: NDArray[np.bool_] | None = None) -> NDArray[np.void]:
-        """Content keys: SHA-256 of the kind's identity and a row's numbers.
+        """Return content keys: SHA-256 of the kind's identity and a row's numbers.
 
         Parameters
         ----------
         follows : ndarray of bool, shape (n,), optional
-            Which points start where the one before it ended; its key is part of theirs.
+            Whether a point starts in the end state of the one before; its key includes that key.
         """
         kind, keys, previous = hashlib.sha256(self.kind.identity.encode()), [], b""
         after = [False] * len(self) if follows is None else follows.tolist()
@@ -152,7 +152,7 @@ class Points:
         return np.frombuffer(b"".join(keys), KEY)
 
     def keys_after(self, identity: str, previous: NDArray[np.void]) -> NDArray[np.void]:
-        """Content keys of points of an identity, from those that they start from; zero: none."""
+        """Return content keys for an identity, from the keys of the points before; zero: none."""
         kind, nothing = hashlib.sha256(identity.encode()), bytes(KEY.itemsize)
         rows = zip(self._rows, previous.tolist(), strict=True)
         keys = (_key(kind, row, b"" if before == nothing else before) for row, before in rows)
@@ -167,9 +167,9 @@ class Points:
 
 @cache
 def columns_of(structure: AnyStructure) -> tuple[str, ...]:
-    """The columns of tables of points.
+    """Return the names of the columns of tables of points.
 
-    Those of all contacts, then the frequency (0 where nothing is forced), the model's numbers, the
+    First those of all contacts, then the frequency (0 if unforced), the model's numbers, the
     initial state.
     """
     if isinstance(structure, OscillatorStructure):

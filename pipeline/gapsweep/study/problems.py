@@ -1,4 +1,4 @@
-"""What is wrong in a study file, in words: a line per problem, with what is allowed."""
+"""Messages about problems of a study file: a line per problem, with the allowed values."""
 
 import difflib
 from collections.abc import Collection
@@ -27,9 +27,9 @@ _WORDS = {
     "string_pattern_mismatch": "must be letters, digits, '.', '_' and '-', without spaces; 64 at "
     "most, a letter or digit first",
 }
-# Of numbers, in what they are.
+# Units of numbers, by key.
 _UNITS = {**UNITS, "t_end": "s", "t_max": "s", "range": "m"}
-# What to write where it is missing.
+# Example of a missing key.
 EXAMPLES = {
     "study": '[study] with name = "my-study"',
     "sweep": "[[sweep]] with representation, K_c, gap and omega",
@@ -49,7 +49,7 @@ EXAMPLES = {
     "v": "v = [-0.05, 0.05], in m/s",
 }
 _RANGES = "must be a range for each coordinate, as [-0.1, 0.1] or [[-0.1, 0.1], [-0.1, 0.1]]"
-# What stands for these as a whole; what is wrong inside of it has words of its own.
+# Allowed form of these keys as a whole; problems inside have separate messages.
 _FORMS = {
     "gap": "must be the distances of both walls [m], as [4e-4, 4e-4], or a list of such pairs",
     "initial_condition": "must be x [m] and v [m/s], as [0.0, 0.0], 'sweep_up', 'sweep_down', "
@@ -57,7 +57,7 @@ _FORMS = {
     "x": _RANGES,
     "v": _RANGES,
 }
-# The same of a system, also for what is wrong inside.
+# Allowed form of keys of a system, also for problems inside.
 _MATRIX = "must be a matrix, a list for each row, as [[2.0, 0.0], [0.0, 1.0]]"
 _OF_SYSTEMS = {
     "mass": _MATRIX,
@@ -67,11 +67,11 @@ _OF_SYSTEMS = {
     "forcing": "must be a list of tables, as [{ amplitude = [1.0, 0.0] }]",
 }
 _SHAPES = ("list_type", "dict_type", "model_type", "too_short", "too_long")
-# Of two forms of one thing, those that the discriminator takes where neither is told.
+# For alternatives, by the one that the discriminator assumes if none is given.
 _EITHER = {"step": "give step or num", "sobol": "give sobol or grid"}
-# The tags of unions: ours, not the user's.
+# Tags of unions, which are no keys of a file.
 _TAGS = {"list", "step", "num", "sobol", "grid", "sweep", "several"}
-# The field that holds the model's parameters in a block, and what stands for it in a place.
+# The field with the model's parameters in a block, and its alias in locations.
 _PARAMETERS, _APART = "parameter", "[parameters]"
 
 Loc = tuple[str | int, ...]
@@ -80,7 +80,7 @@ Loc = tuple[str | int, ...]
 def problems(
     source: str, error: ValidationError, spec: type[BaseModel], parameters: Collection[str]
 ) -> list[str]:
-    """One line for each: where, the offending value, what is allowed.
+    """Return one line per problem: location, value, and what is allowed.
 
     Parameters
     ----------
@@ -108,7 +108,7 @@ def _problem(source: str, error: Any, spec: type[BaseModel], names: Collection[s
 
 
 def _message(error: Any, spec: type[BaseModel], names: Collection[str]) -> str:
-    """What is wrong with a value, and what is allowed."""
+    """Return the message for one error: the problem, and what is allowed."""
     kind, loc, value = error["type"], error["loc"], error["input"]
     if kind in _SHAPES and (field := _form_at(loc)):
         return _FORMS[field]
@@ -130,8 +130,8 @@ def _message(error: Any, spec: type[BaseModel], names: Collection[str]) -> str:
         return f"missing; write {EXAMPLES[loc[-1]]}" if loc[-1] in EXAMPLES else "missing"
     if kind == "float_type":
         return f"must be a number{_in_units(loc)}{_instead(loc, value)}"
-    said = str(error["msg"]).removeprefix("Value error, ").replace("Input should be", "must be")
-    return _WORDS.get(kind, said.removeprefix(f"{value!r}: "))
+    text = str(error["msg"]).removeprefix("Value error, ").replace("Input should be", "must be")
+    return _WORDS.get(kind, text.removeprefix(f"{value!r}: "))
 
 
 def _in_units(loc: Loc) -> str:
@@ -141,7 +141,7 @@ def _in_units(loc: Loc) -> str:
 
 
 def _instead(loc: Loc, value: Any) -> str:
-    """How to write what must have been meant by what is no number."""
+    """Return a hint for a value that is no number but a likely intention; empty without one."""
     if loc[0] == "oscillator" and isinstance(value, list | dict):
         return "; write swept values in [[sweep]]"
     if isinstance(value, str) and ":" in value:
@@ -150,17 +150,17 @@ def _instead(loc: Loc, value: Any) -> str:
 
 
 def _form_at(loc: Loc) -> str:
-    """Which of `_FORMS` a place is in, if nothing but tags and numbers follow it; empty if none."""
+    """Return the key of `_FORMS` at the end of a location without tags and numbers; else empty."""
     names = [part for part in loc if isinstance(part, str) and part not in _TAGS - {"sweep"}]
     return names[-1] if names and names[-1] in _FORMS else ""
 
 
 def _likely(loc: Loc, spec: type[BaseModel], parameters: Collection[str]) -> str:
-    """Which key of the same table is meant, if one is alike, else all of them."""
+    """Return the question for a key of similar spelling in the same table, else all its keys."""
     keys = [key for table in _tables(loc[:-1], spec) for key in table.model_fields]
     is_swept = _PARAMETERS in keys
     keys += [*parameters] * is_swept
-    # Another form may have it.
+    # Another form of the table may have the key.
     known = [key for key in dict.fromkeys(keys) if key not in (loc[-1], _PARAMETERS)]
     alike = difflib.get_close_matches(str(loc[-1]), known, n=1)
     if alike:
@@ -170,7 +170,7 @@ def _likely(loc: Loc, spec: type[BaseModel], parameters: Collection[str]) -> str
 
 
 def _tables(loc: Loc, spec: type[BaseModel]) -> list[type[BaseModel]]:
-    """The tables that may stand in a place; none where none may."""
+    """Return the classes of tables that a location allows; an empty list if it allows none."""
     found = [spec]
     for i, part in enumerate(loc):
         fields = [table.model_fields[part] for table in found if part in table.model_fields]
@@ -180,7 +180,7 @@ def _tables(loc: Loc, spec: type[BaseModel]) -> list[type[BaseModel]]:
 
 
 def _of(annotation: Any) -> list[type[BaseModel]]:
-    """The tables in an annotation, without those inside of them."""
+    """Return the classes of tables in a type annotation, without nested ones."""
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         return [annotation]
     return [table for part in get_args(annotation) for table in _of(part)]

@@ -10,12 +10,12 @@ from gapsweep.response.result import RESPONSE, exists, part_sizes
 from gapsweep.study.grid import START
 from gapsweep.variables import EXTREMUM, INPUTS, MULTIPLIER, PARTS, SECTION_POINT, Variable
 
-# Of a study that sweeps nothing else; each further number swept has a dimension after omega.
+# Dimensions of a study without further swept numbers, which have dimensions after omega.
 POINT_DIMS = ("representation", "K_c", "gap", "omega", "initial_condition")
 ATTRACTOR = "attractor"
 
-# Of every coordinate the dimension it lies along, and what it is. Walls that are swept one by one
-# have dimensions of their own.
+# Dimension and description of every coordinate. Walls that are swept separately have separate
+# dimensions.
 COORDINATES: dict[str, tuple[str, Variable]] = {
     "representation": ("representation", Variable("str", "1", "representation of the contact")),
     "K_c": ("K_c", Variable("f8", "N m-1", "contact stiffness")),
@@ -51,11 +51,11 @@ _WRITTEN = {
 
 
 def written(units: str) -> str:
-    """A unit as engineers write it."""
+    """Return a unit as engineers write it, from its UDUNITS text."""
     return _WRITTEN.get(units, units)
 
 
-# Of the numbers that a study of an oscillator may sweep.
+# Units of the numbers that a study of an oscillator may sweep.
 UNITS = {
     name: written(variable.units)
     for name, (dim, variable) in COORDINATES.items()
@@ -64,23 +64,23 @@ UNITS = {
 
 # Numbers of an oscillator whose names parameters of a system may have, too.
 SHARED = ("mean_load", "c")
-PARAMETER = "parameter"  # of a system: what its coordinate's long name begins with
+PARAMETER = "parameter"  # beginning of the long name of a system parameter's coordinate
 
 
 Found = dict[str, tuple[tuple[str, ...], Variable]]
 
 
 def coordinates(dims: Collection[str], structure: AnyStructure) -> Found:
-    """The coordinates that dimensions bring along: the dimensions of each, and its description.
+    """Return dimensions and description of every coordinate of a dataset with these dimensions.
 
     Parameters
     ----------
     dims : collection of str
     structure : Structure or OscillatorStructure
-        Of the models; it adds the dimensions within a point.
+        Structure of the models; it adds the dimensions within a point.
     """
     parts = part_sizes(structure)
-    own = () if structure.in_metres else SHARED  # parameters of the user's, whatever they mean
+    own = () if structure.in_metres else SHARED  # parameters of a user's system, of any meaning
     known = {
         name: (name if name in dims else dim, variable)
         for name, (dim, variable) in COORDINATES.items()
@@ -100,12 +100,12 @@ def coordinates(dims: Collection[str], structure: AnyStructure) -> Found:
 
 
 def described(variable: Variable, structure: AnyStructure) -> Variable:
-    """A variable without its unit where only the user knows that of the coordinates."""
+    """Return a variable, for systems without its unit if that depends on the coordinates."""
     return variable if structure.in_metres else variable.of_systems
 
 
 def parts_of(name: str, parts: Collection[str]) -> tuple[str, ...]:
-    """The dimensions within a point that a variable has."""
+    """Return the dimensions within a point, among `parts`, of a variable or input."""
     described = {**VARIABLES, **INPUTS}
     return tuple(dim for dim in described[name].dims if dim in parts) if name in described else ()
 
@@ -120,7 +120,7 @@ VARIABLES: dict[str, Variable] = {
     "host": Variable("i2", "1", "machine on which cpu_time was measured", -1),
 }
 
-# `attractors.nc`: over the scenes and `attractor`; names as in `responses.nc` where they are one.
+# Variables of `attractors.nc`, over cases and `attractor`; shared names are as in `responses.nc`.
 ATTRACTOR_VARIABLES: dict[str, Variable] = {
     **{
         name: RESPONSE[name]
@@ -139,12 +139,12 @@ ATTRACTOR_VARIABLES: dict[str, Variable] = {
 }
 N_ATTRACTORS = Variable("i4", "1", "number of attractors found", 0)
 
-# What stands beside selections in calls: arguments of `query` and of the figures.
+# Arguments of `query` and of the figures, in addition to selections.
 OF_CALLS = {
     *("self", "study", "client", "cache", "workers", "scheduler", "on_progress"),
     *("along", "ax", "variable", "x", "y", "n_points", "n_periods"),
 }
-# Names that a parameter of a system cannot have: they mean something else in files and selections.
+# Names that a parameter of a system cannot have: files and selections use them otherwise.
 TAKEN = {
     *OF_CALLS,
     *(name for name in COORDINATES if name not in SHARED),

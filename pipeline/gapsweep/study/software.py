@@ -1,4 +1,4 @@
-"""The software that computes: what two processes must have in common to give the same numbers."""
+"""Versions of the software, which two processes must share to compute the same numbers."""
 
 import platform
 from collections.abc import Iterable, Mapping
@@ -12,24 +12,23 @@ LIBRARIES = ("numba", "llvmlite", "numpy", "scipy")
 
 
 def software() -> Mapping[str, str]:
-    """Digest of the sources that compute and store results, and `versions`, of this process."""
+    """Return the digest of the sources that compute and store results, and `versions`."""
     return {"gapsweep": data_fingerprint(), **versions()}
 
 
 @cache
 def versions() -> Mapping[str, str]:
-    """Versions of Python, without its last number, and of the libraries that compute."""
+    """Return the versions of Python (major and minor) and of the numerical libraries."""
     python = ".".join(platform.python_version_tuple()[:2])
     return {"Python": python, **{name: version(name) for name in LIBRARIES}}
 
 
 def deciding(labels: Iterable[str], engine: str) -> tuple[str, ...]:
-    """The libraries that decide a result: a new version of one may give other numbers.
+    """Return the libraries that determine a result: a new version of one may change numbers.
 
-    What writes the machine code of the compiled engine, the solver of the other one, the searches
-    by which laws are fitted, and the curve through a user's table. numpy's arithmetic is in all of
-    them, but the same in all versions up to rounding: an upgrade of it is recorded and asks for no
-    new numbers.
+    They compile the compiled engine, are the solver of the reference engine, fit laws, and
+    interpolate a user's table. numpy's arithmetic is in all of them, but equal in all versions up
+    to rounding: an upgrade of numpy is recorded, and results need not be recomputed.
     """
     is_made = any(is_fitted(label) or ":" in label for label in labels)
     making = ("numpy", "scipy") if is_made else ()

@@ -1,4 +1,4 @@
-"""The study file: what may stand in it, checked all at once.
+"""The study file: its tables and their checks, all at once.
 
 pydantic models mirror the TOML tables. `parse` turns text into a checked `StudySpec` or
 raises one `StudyError` with a line per problem; `gapsweep.study.study` turns the spec into
@@ -52,9 +52,9 @@ from gapsweep.study.problems import EXAMPLES, problems
 from gapsweep.study.schema import TAKEN
 from gapsweep.study.system_tables import ContactTable, SystemTable, wrong_matrices
 
-# Where the parameters of the model stand apart in a block or a history: no key of a file.
+# Key of the table with the model's parameters in a block or a history; not a key of a file.
 PARAMETERS = "[parameters]"
-# Of a time history; its dense output is kept in memory.
+# Longest time history; its dense output is kept in memory.
 MAX_HISTORY_PERIODS = 10_000
 
 
@@ -90,13 +90,13 @@ class SweepTable(TomlTable):
 
     @property
     def parameters(self) -> dict[str, Any]:
-        """Axes of the model's parameters, and of the ratio of the walls, that are swept here."""
+        """Axes of model parameters, and of the walls' stiffness ratio, that this block sweeps."""
         ratio = {} if self.K_ratio is None else {"K_ratio": self.K_ratio}
         return {**self.parameter, **ratio}
 
     @property
     def count(self) -> int:
-        """Sweep points, without making them."""
+        """Number of sweep points, without creating them."""
         axes = [self.K_c, self.j_1, self.j_2, self.omega, *self.parameters.values()]
         sizes = [count(axis) for axis in axes if axis is not None]
         n_gaps = 1 if self.gap is None else len(self.gap)
@@ -113,6 +113,7 @@ class SolverTable(TomlTable):
     atol: Positive | None = None
     controller: Literal["native", "ode45"] | None = None
     restart: bool | None = None
+    contact_force: Literal["by_mode", "as_written"] | None = None
     start_jitter: float = 0.0
 
 
@@ -197,7 +198,7 @@ class BranchesTable(TomlTable):
     atol: Positive | None = None
 
     def problems(self, axes: Axes, contacts: Mapping[str, ContactTable]) -> Iterator[str]:
-        """What is wrong with the parameter, for the axes of a study."""
+        """Problems of the parameter, for the axes of a study."""
         names = [name for name in axes if name not in _NO_PARAMETERS and len(axes[name]) > 1]
         if self.along not in names:
             swept = ", ".join(names) or "none; write several values in [[sweep]]"
@@ -222,9 +223,9 @@ class ReportTable(ModuleTable):
     """The module of additional sections of the report."""
 
 
-# Axes that no branch goes along.
+# Axes along which no branch is continued.
 _NO_PARAMETERS = ("representation", "gap", START)
-# What studies of oscillators have and those of systems do not.
+# Tables that only studies of oscillators have.
 _OF_OSCILLATORS = ("oscillator", "auto", "history", "bench")
 
 
@@ -249,12 +250,12 @@ class StudySpec(TomlTable):
     @model_validator(mode="before")
     @classmethod
     def _with_parameters_apart(cls, given: Any) -> Any:
-        """Put the parameters in blocks and histories, named by the model, in a table each."""
+        """Move the model's parameters in every block and history to a table within it."""
         if not isinstance(given, dict):
             return given
         own = given.get("parameters") or {}
         if not isinstance(own, dict) or not all(isinstance(name, str) for name in own):
-            return given | {"sweep": []}  # what is wrong with them is said instead
+            return given | {"sweep": []}  # reports only the problem of [parameters]
         is_system = given.get("system") is not None
         taken = TAKEN if is_system else TAKEN.union(OscillatorTable.model_fields)
         names = _parameters(given)
@@ -288,7 +289,7 @@ class StudySpec(TomlTable):
 
     @property
     def model(self) -> dict[str, float]:
-        """Values of all parameters of the model where no block sweeps them."""
+        """Default values of all parameters of the model."""
         return self.oscillator.model_dump() if self.oscillator else self.parameters
 
     @property
@@ -334,8 +335,8 @@ class StudySpec(TomlTable):
                 wrong.append(f"sweep: give {name} in every block, or in none")
         n_points = sum(block.count for block in self.sweep)
         if n_points > MAX_POINTS:
-            said = n_points if n_points < 10**15 else "more than 10^15"
-            wrong.append(f"{said} sweep points: must be <= {MAX_POINTS}; coarsen a grid")
+            number = n_points if n_points < 10**15 else "more than 10^15"
+            wrong.append(f"{number} sweep points: must be <= {MAX_POINTS}; coarsen a grid")
         wrong += [
             f"bench.scene[{scene.name!r}]: {problem}"
             for scene in scenes
@@ -348,7 +349,7 @@ class StudySpec(TomlTable):
 
 
 def _parameters(tables: Any) -> Any:
-    """Names of the parameters of model and laws, as far as unchecked tables have them."""
+    """Return the names of the parameters of model and laws in tables not yet checked."""
     given = (isinstance(tables, dict) and tables.get("parameters")) or {}
     if isinstance(tables, dict) and tables.get("system") is not None:
         return given
@@ -356,7 +357,7 @@ def _parameters(tables: Any) -> Any:
 
 
 def _with_swept(table: Any, blocks: Any) -> Any:
-    """The table of the oscillator; a number that each block sweeps is its first one there."""
+    """Return the oscillator table; a missing number that all blocks sweep is its first value."""
     table = {} if table is None else table
     if not (isinstance(table, dict) and isinstance(blocks, list) and blocks):
         return table
@@ -366,13 +367,13 @@ def _with_swept(table: Any, blocks: Any) -> Any:
             first = blocks[0][name]
             first = first.get("start") if isinstance(first, dict) else first
             first = first[0] if isinstance(first, list) and first else first
-            # Another form is refused where it is swept.
+            # Values of another form are refused in [[sweep]].
             table = table | {name: first if isinstance(first, int | float) else 1.0}
     return table
 
 
 def _with_walls(block: Any) -> Any:
-    """A block of users' laws that leaves out K_c and gap: the law itself has the walls."""
+    """Return a block; if it has only user laws and no K_c and gap, with zeros for them."""
     labels = several(block.get("representation")) if isinstance(block, dict) else None
     own = isinstance(labels, list) and all(isinstance(x, str) and ":" in x for x in labels)
     if not own or {"K_c", "gap", "j_1", "j_2"} & block.keys():
@@ -381,7 +382,7 @@ def _with_walls(block: Any) -> Any:
 
 
 def _parted(block: Any, parameters: Collection[str]) -> Any:
-    """A block of points, or a history, with its parameters in a table within it."""
+    """Return a block or a history with its parameters moved to a table within it."""
     if not isinstance(block, dict):
         return block
     if PARAMETERS in block:  # no key of a file: refused as unknown
@@ -392,12 +393,12 @@ def _parted(block: Any, parameters: Collection[str]) -> Any:
 
 
 def read(path: str | PathLike[str]) -> StudySpec:
-    """Check the text of a study file; none of the code that it names is run.
+    """Read and check a study file; none of the code that it names is run.
 
     Raises
     ------
     StudyError
-        If the file cannot be read; or as `parse`.
+        If the file cannot be read; or as in `parse`.
     """
     try:
         text = Path(path).read_text(encoding="utf-8-sig")  # as some editors save it
@@ -420,15 +421,15 @@ def parse(text: str, source: str = "study") -> StudySpec:
     try:
         tables = tomllib.loads(text)
     except RecursionError:
-        said = "brackets are nested too deeply; close them"
-        raise StudyError([f"{source}: not valid TOML: {said}"]) from None
+        problem = "brackets are nested too deeply; close them"
+        raise StudyError([f"{source}: not valid TOML: {problem}"]) from None
     except ValueError as error:  # numbers too long, too
         raise StudyError([f"{source}: not valid TOML: {error}{_line(text, error)}"]) from None
     return check(tables, source)
 
 
 def _line(text: str, error: ValueError) -> str:
-    """The line of an error; or the one before: a bracket or a quote that is open ends there."""
+    """Return the line of a TOML error, or the one before, where an open bracket or quote may be."""
     place = re.search(r"at line (\d+), column (\d+)\)", str(error))
     if place is None:
         return ""
@@ -450,7 +451,7 @@ def check(tables: dict[str, Any], source: str = "study") -> StudySpec:
 
 
 def _missing(tables: Any, source: str) -> list[str]:
-    """What blocks of an oscillator lack, in a study in which something else is wrong, too."""
+    """Return a problem per missing K_c or omega of a block, for a study with other problems."""
     given = isinstance(tables, dict) and tables.get("system") is None
     blocks = tables.get("sweep") if given else None
     return [

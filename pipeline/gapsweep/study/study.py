@@ -83,7 +83,7 @@ class Study:
         return f"<Study {self.name!r}: {', '.join([points, *sizes])}>"
 
     def _repr_html_(self) -> str:
-        """The study as a notebook shows it: its title, and the values along each dimension."""
+        """Return the study as HTML for notebooks: title, and values along each dimension."""
         rows = [
             f"<tr><th>{name}</th><td>{size}</td><td>{escape(_ends(self.grid.labels(name)))}</td></tr>"
             for name, size in zip(self.grid.dims, self.grid.shape, strict=True)
@@ -94,7 +94,7 @@ class Study:
         )
 
     def plan(self, **options: Any) -> Any:
-        """Which points are in the cache and which are missing: `gapsweep.plan` of this study."""
+        """Return the cached and the missing points: `gapsweep.plan` of this study."""
         from gapsweep import plan
 
         return plan(self, **options)
@@ -106,7 +106,7 @@ class Study:
         return run(self, **options)
 
     def query(self, **wanted: Any) -> Any:
-        """Responses of a part of the study, computed if missing: `gapsweep.query` of it."""
+        """Return responses of a part of the study, computed if missing: `gapsweep.query` of it."""
         from gapsweep import query
 
         return query(self, **wanted)
@@ -168,7 +168,7 @@ class Study:
         return self
 
     def _check_modules(self) -> None:
-        """Refuse code beside the study that cannot be read; none of it is run."""
+        """Refuse modules of [claims] and [report] that cannot be read; none of them is run."""
         problems = []
         for table, path in (("claims", self.claims_module), ("report", self.report_module)):
             try:
@@ -193,8 +193,8 @@ class Study:
     def attributes(self) -> dict[str, str]:
         """Global attributes of every dataset of the study, named by the CF and ACDD conventions."""
         table = self.spec.study
-        said = {"creator_name": table.creator, "license": table.license}
-        given = {name: text for name, text in said.items() if text}
+        texts = {"creator_name": table.creator, "license": table.license}
+        given = {name: text for name, text in texts.items() if text}
         if not self.model.is_oscillator:
             given["system_json"] = self.model.json
         return {"title": self.title, "study": self.name, "study_json": self.json, **given}
@@ -205,20 +205,20 @@ class Study:
         return json.dumps(self.spec.tables, sort_keys=True)
 
     def setting(self, history: HistoryTable) -> dict[str, float]:
-        """Parameters of model and laws, and the ratio of the walls' stiffnesses, of a history."""
+        """Return parameters of model and laws, and the walls' stiffness ratio, of a history."""
         return setting(history, {**self.spec.model, **self.spec.parameters}, self._axes)
 
     @cached_property
     def claims_module(self) -> Path | None:
         """Path of the Python file of [claims], in the folder of the study file."""
-        return self._beside(self.spec.claims)
+        return self._next_to_study(self.spec.claims)
 
     @cached_property
     def report_module(self) -> Path | None:
         """Path of the Python file of [report], in the folder of the study file."""
-        return self._beside(self.spec.report)
+        return self._next_to_study(self.spec.report)
 
-    def _beside(self, table: ModuleTable | None) -> Path | None:
+    def _next_to_study(self, table: ModuleTable | None) -> Path | None:
         return None if table is None else Path(self.source).absolute().parent / table.module
 
     @cached_property
@@ -243,12 +243,12 @@ class Study:
 
     @cached_property
     def claims_code(self) -> Snapshot | None:
-        """The code of that file and of what it imports, read once."""
+        """Code of the module of [claims] and of its imports, read once."""
         return _snapshot(self.claims_module)
 
     @cached_property
     def report_code(self) -> Snapshot | None:
-        """The code of that file and of what it imports, read once."""
+        """Code of the module of [report] and of its imports, read once."""
         return _snapshot(self.report_module)
 
     @cached_property
@@ -258,17 +258,17 @@ class Study:
 
     @cached_property
     def _known_laws(self) -> dict[str, OwnLaw]:
-        """The user's own laws that have been read, by label."""
+        """Cache of the user laws that have been read, by label."""
         return {}
 
     def own_law(self, label: str, **parameters: float) -> OwnLaw | None:
-        """The user law of a label, its code read once, with some values of [parameters] replaced;
-        None for laws of gapsweep.
+        """Return the user law of a label with some values of [parameters] replaced; None for laws
+        of gapsweep.
 
         Raises
         ------
         ModelError
-            If its code cannot be read.
+            If the code of the law cannot be read.
         """
         name = law_of(label)
         if ":" not in name:
@@ -279,12 +279,12 @@ class Study:
         return replace(self._known_laws[name], parameters=tuple(named.items()))
 
     def law(self, label: str, K_c: float, gap: Gap, K_ratio: float = 1.0) -> ContactLaw:
-        """The contact law of a label; the label may name a user law.
+        """Return the contact law of a label; the label may name a user law.
 
         Raises
         ------
         ModelError
-            If it cannot be built.
+            If the law cannot be built.
         """
         own = self.own_law(label)
         if own is not None:
@@ -313,7 +313,7 @@ class Study:
 
     @cached_property
     def _protocols(self) -> dict[str, tuple[Solver, float]]:
-        """Solver and start jitter by protocol; the empty name is plain ``[solver]``."""
+        """Solver and start jitter by protocol; the empty name is ``[solver]`` without protocol."""
         return {name: self._protocol(name) for name in ("", *self.spec.protocol)}
 
     def _protocol(self, name: str) -> tuple[Solver, float]:
@@ -391,12 +391,12 @@ class Study:
         if problems:
             raise StudyError(problems)
         if not self.grid.requested[np.ix_(*found)].any():
-            said = ", ".join(f"{name} = {value!r}" for name, value in wanted.items())
-            raise StudyError([f"{self.source}: {said}: no block has a point with these values"])
+            values = ", ".join(f"{name} = {value!r}" for name, value in wanted.items())
+            raise StudyError([f"{self.source}: {values}: no block has a point with these values"])
         return tuple(found)
 
     def _starts_in_words(self) -> str:
-        """What the numbers of the starts stand for."""
+        """Return the numbers of the initial conditions with their states or sweeps, as text."""
         states = [
             kind if kind in SWEEPS else f"[{', '.join(f'{value:g}' for value in state)}]"
             for kind, state in self.grid.starts
@@ -418,13 +418,15 @@ class Study:
             chooses.
         """
         tables = []
-        for rows, table, label in self._asked(cells):
+        for rows, table, label in self._requested(cells):
             found = self._adequate(table) if label == AUTO else [(np.arange(len(rows)), table)]
             tables += [(rows[some], points) for some, points in found]
         return tables
 
-    def _asked(self, cells: NDArray[np.int64]) -> Iterator[tuple[NDArray[np.intp], Points, str]]:
-        """The points in some cells as they are asked for, with their label."""
+    def _requested(
+        self, cells: NDArray[np.int64]
+    ) -> Iterator[tuple[NDArray[np.intp], Points, str]]:
+        """Yield tables of the points of some cells, and their labels, with ``auto`` unresolved."""
         axes, starts, names = self.grid.axes, self.grid.starts, self._law_parameters
         at = dict(zip(axes, np.unravel_index(cells, self.grid.shape), strict=True))
         kind = at["representation"] * len(Starts.KINDS) + starts.kind[at[START]]
@@ -443,17 +445,17 @@ class Study:
 
     @cached_property
     def _law_parameters(self) -> dict[str, list[str]]:
-        """Names of the parameters that each user law takes; refuses those that nothing takes."""
+        """Names of the parameters of each user law; refuse parameters that nothing uses."""
         laws = {law_of(label): self.own_law(label) for label in self.grid.representations}
         found = {n: [name for name, _ in checked(own).parameters] for n, own in laws.items() if own}
         system = self.spec.system
         taken = (system.scales if system else set()).union(*found.values())
         unused = self.spec.parameters.keys() - taken
-        if unused and not (system and system.function):  # which refuses what it does not take
-            said = (
+        if unused and not (system and system.function):  # which refuses other names
+            problem = (
                 f"parameters: {', '.join(sorted(unused))}: must be arguments of {', '.join(found)}"
             )
-            raise StudyError([f"{self.source}: {said}"])
+            raise StudyError([f"{self.source}: {problem}"])
         return found
 
     def _kind(self, label: str, start: str, parameters: Mapping[str, float]) -> Kind:
@@ -473,7 +475,7 @@ class Study:
         )
 
     def _adequate(self, table: Points) -> list[tuple[NDArray[np.intp], Points]]:
-        """What ``auto`` chooses for each point, in tables of one tolerance each."""
+        """Return the points that ``auto`` chooses, in tables of one tolerance each."""
         numbers, rtol = table.numbers.copy(), np.empty(len(table))
         for row, least in enumerate(advised(table, self.spec.auto.error)):
             rtol[row] = least.rtol
@@ -499,7 +501,7 @@ class Study:
         """
         found = np.empty(len(cells), object)
         error = self.spec.auto.error if error is None else error
-        for rows, table, _ in self._asked(cells):
+        for rows, table, _ in self._requested(cells):
             found[rows] = list(advised(table, error))
         return list(found)
 
@@ -512,12 +514,12 @@ class Study:
         return solver.with_rtol(self.spec.auto.error) if label == AUTO else solver
 
     def start_jitter(self, label: str) -> float:
-        """Shift of fixed initial displacements by a representation's protocol [m]."""
+        """Return the shift [m] of fixed initial displacements by a representation's protocol."""
         return self._protocols[label.partition("@")[2]][1]
 
 
 def _lists(tables: Any) -> Any:
-    """Tables with lists and numbers of Python in place of arrays and numbers of NumPy."""
+    """Return tables with Python lists and numbers in place of NumPy arrays and numbers."""
     if isinstance(tables, dict):
         return {name: _lists(value) for name, value in tables.items()}
     is_list = isinstance(tables, list | tuple)
@@ -530,7 +532,7 @@ def _lists(tables: Any) -> Any:
 
 
 def _ends(values: Sequence[Any]) -> str:
-    """All of some values in words, or the first and the last of many."""
+    """Return values as text; if there are many, only the first ones and the last one."""
     shown = [f"{x:.6g}" if isinstance(x, float) else str(x) for x in values]
     return ", ".join(shown if len(shown) <= 8 else [*shown[:3], "…", shown[-1]])
 

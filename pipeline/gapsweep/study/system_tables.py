@@ -20,7 +20,7 @@ from gapsweep.user_code.load import blame
 Vector = Annotated[list[float], Field(min_length=1)]
 Matrix = Annotated[list[Vector], Field(min_length=1)]
 
-# The functions of `gapsweep.systems`: each has one beside it that returns its law.
+# The functions of `gapsweep.systems`: each has a second function that returns its law.
 READY_MADE = tuple(name for name in systems.__all__ if f"{name}_law" in systems.__all__)
 
 
@@ -30,7 +30,7 @@ class ScaledTable(TomlTable):
     scale: str | None = None
 
     def values(self, strength: str, parameters: Mapping[str, float]) -> dict[str, Any]:
-        """Arguments of what the table describes, at some values of the parameters."""
+        """Return the arguments of the described object, at some values of the parameters."""
         found = self.model_dump(exclude={"scale"})
         if self.scale is not None:
             found[strength] = np.multiply(found[strength], parameters[self.scale]).tolist()
@@ -120,13 +120,13 @@ class ContactTable(TomlTable):
 
 @dataclass(frozen=True)
 class Maker:
-    """What makes the system of a study at some values of its parameters; it can be pickled.
+    """Function that makes the system of a study from parameter values; it can be pickled.
 
     Attributes
     ----------
     table : SystemTable
     source : str
-        For messages.
+        Name of the study, for messages.
     own : OwnLaw, optional
         The code of the user's function.
     """
@@ -136,12 +136,12 @@ class Maker:
     own: OwnLaw | None
 
     def __call__(self, parameters: Mapping[str, float]) -> System:
-        """The system at some values.
+        """Return the system at some values of the parameters.
 
         Raises
         ------
         StudyError
-            If there is none.
+            If the system is invalid, or the function raises.
         """
         name = self.table.function
         try:
@@ -149,25 +149,25 @@ class Maker:
                 return _of_matrices(self.table, parameters)
             return _made(name, self.own.load() if self.own else getattr(systems, name), parameters)
         except ModelError as error:
-            at = f" at {said(parameters)}" if parameters else ""
+            at = f" at {in_words(parameters)}" if parameters else ""
             raise StudyError([f"{self.source}: system{at}: {error}"]) from None
 
 
 def maker(table: SystemTable, source: str, folders: Iterable[Path] = ()) -> Maker:
-    """What makes the system of a study, of the code as it is now.
+    """Return the `Maker` of the system of a study, with the present code of its function.
 
     Parameters
     ----------
     table : SystemTable
     source : str
-        For messages.
+        Name of the study, for messages.
     folders : iterable of Path
-        Where the module of its function is searched after Python's path.
+        Folders in which the function's module is searched after Python's path.
 
     Raises
     ------
     StudyError
-        If its code cannot be read.
+        If the code cannot be read.
     """
     try:
         is_own = table.function is not None and table.function not in READY_MADE
@@ -180,25 +180,25 @@ def maker(table: SystemTable, source: str, folders: Iterable[Path] = ()) -> Make
 
 
 def wrong_matrices(tables: Any, source: str) -> list[str]:
-    """What is wrong with a system of matrices, for a study in which something else is wrong too."""
+    """Return the problems of a system of matrices, for a study that has other problems, too."""
     try:
         table = SystemTable.model_validate(tables["system"])
         if table.function is None:  # no code is run for that
             maker(table, source)(dict.fromkeys(table.scales, 1.0))
-    except (ValidationError, TypeError, LookupError):  # which has been said
+    except (ValidationError, TypeError, LookupError):  # already reported
         return []
     except StudyError as error:
         return list(error.problems)
     return []
 
 
-def said(parameters: Mapping[str, float]) -> str:
-    """Values of parameters, for messages."""
+def in_words(parameters: Mapping[str, float]) -> str:
+    """Return names and values of parameters as text, for messages."""
     return ", ".join(f"{name} = {value:g}" for name, value in parameters.items())
 
 
 def _made(name: str, function: Any, parameters: Mapping[str, float]) -> System:
-    """What a function makes of named numbers."""
+    """Return the system that a function returns for these parameters; refuse other results."""
     try:
         with chdir("."):  # wherever it goes, cache and results stay here
             found = function(**parameters)
@@ -215,8 +215,8 @@ def _made(name: str, function: Any, parameters: Mapping[str, float]) -> System:
         raise ModelError(message) from None
     if not isinstance(found, System):
         raise ModelError(f"{name}: must return a gapsweep.System, not {type(found).__name__}")
-    # Checked anew: its contacts and modulations are dictionaries, which the function may have
-    # changed since it made it.
+    # Checked again: contacts and modulations are dictionaries, which the function may have changed
+    # after it created the system.
     return System(**parts)
 
 

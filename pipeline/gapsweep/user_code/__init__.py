@@ -1,1 +1,1 @@
-"""A study's own Python code, read once into bytes, and the digests of gapsweep's own source."""
+"""User code of a study as a snapshot of bytes, and digests of gapsweep's source."""

@@ -1,10 +1,10 @@
-"""Execution of a snapshot: the bytes become modules of a package of their own.
+"""Execution of a snapshot: its files become modules of a private package.
 
-The package's name holds the key, as ``gapsweep_user_<key>``. Its modules have an ``__import__`` of
-their own, which takes the user's modules from the snapshot and all others from Python. So
-``sys.path``, ``sys.meta_path``, byte code and modules of the same name play no part, and two
-snapshots of one file live side by side. Module-level code that does not raise runs once per process
-and snapshot.
+The package's name holds the key, as ``gapsweep_user_<key>``. Its modules have a private
+``__import__``, which takes the user's modules from the snapshot and all others from Python. So
+``sys.path``, ``sys.meta_path``, byte code and modules of the same name have no effect, and a
+process can load two snapshots of one file. Module-level code that does not raise runs once per
+process and snapshot.
 """
 
 import builtins
@@ -30,22 +30,22 @@ from gapsweep.errors import ClusterError, ModelError, StudyError, described
 from gapsweep.user_code.snapshot import ABSENT, BESIDE, Module, Snapshot, version_of
 
 _PREFIX = "gapsweep_user_"
-# Environment variable: the folder of temporary files that another process removes.
+# Environment variable: a folder for temporary files, which another process removes.
 TEMPORARY = "GAPSWEEP_TEMPORARY"
 _lock = threading.RLock()
-# Where user code was compiled from, by the file name that its code objects have.
+# Path of each file of user code by the file name in its code objects.
 _paths: dict[str, str] = {}
 
 
 def load(snapshot: Snapshot) -> ModuleType:
-    """The module that a snapshot was taken of, executed in this process.
+    """The main module of a snapshot, executed in this process.
 
     Raises
     ------
     ClusterError
-        If this process has other versions of the distributions that it imports.
+        If this process has another version of a distribution that the code imports.
     BaseException
-        Whatever the user's code raises.
+        Any error that the user's code raises.
     """
     with _lock:
         package = _Package(snapshot)
@@ -57,22 +57,22 @@ def load(snapshot: Snapshot) -> ModuleType:
                         f"{snapshot.main}: imports {module} {wanted}, but a process has "
                         f"{here or 'none'}; install the same version for client and workers"
                     )
-            with chdir("."):  # wherever the code goes, this process stays
+            with chdir("."):  # restores the folder if the code changes it
                 package.module(snapshot.main)
         return sys.modules[name]
 
 
 def load_module(snapshot: Snapshot) -> ModuleType:
-    """`load`; whatever the code raises becomes a `StudyError` of one line."""
+    """Load a snapshot; errors of its code become a `StudyError` of one line."""
     with user_errors(snapshot.path):
         return load(snapshot)
 
 
 def load_for_law(snapshot: Snapshot, label: str) -> ModuleType:
-    """`load`; whatever the code raises becomes a `ModelError` of one line."""
+    """Load a snapshot; errors of its code become a `ModelError` of one line."""
     try:
         return load(snapshot)
-    except ModelError as error:  # of a table in it, say
+    except ModelError as error:  # as of an invalid table in it
         raise ModelError(f"{label!r}: {error}") from None
     except (KeyboardInterrupt, MemoryError, ClusterError):
         raise
@@ -82,18 +82,18 @@ def load_for_law(snapshot: Snapshot, label: str) -> ModuleType:
 
 
 def plain(name: str) -> str:
-    """A text without the names of these packages: a module's name as the user knows it."""
+    """The text with module names as the user knows them, without the private package."""
     return re.sub(rf"{_PREFIX}[0-9a-f]+\.?({BESIDE}\.)?", "", name)
 
 
 def inner_name(module: str, snapshot: Snapshot) -> str | None:
-    """A module's name in the snapshot that it was executed from; None if it was not."""
+    """The name in a snapshot of a loaded module; None if it is not of this snapshot."""
     name = module.removeprefix(f"{_PREFIX}{snapshot.key}.")
     return name if name != module and name in snapshot.modules else None
 
 
 class _Package:
-    """The package that the modules of a snapshot are executed in."""
+    """The private package in which the modules of a snapshot are executed."""
 
     def __init__(self, snapshot: Snapshot) -> None:
         self.snapshot, self.name = snapshot, f"{_PREFIX}{snapshot.key}"
@@ -103,7 +103,7 @@ class _Package:
             sys.modules[self.name].__path__ = []
 
     def module(self, name: str) -> ModuleType:
-        """A module of the snapshot, executed if it has not been."""
+        """The module of a name in the snapshot, executed at the first call."""
         full, above = f"{self.name}.{name}", name.rpartition(".")[0]
         with _lock:
             if full in sys.modules:
@@ -133,10 +133,10 @@ class _Package:
     def _execute(self, made: ModuleType, source: Module) -> None:
         try:
             place = _placed(self.snapshot.key, source)
-        except OSError as error:  # the machine's trouble, and not the code's
+        except OSError as error:  # an error of the machine, not of the code
             raise ClusterError(f"user code: {error.filename}: {error.strerror}") from None
         made.__file__ = str(place)
-        # numba keeps machine code of @njit(cache=True) by file name and time: not for others.
+        # numba caches machine code by file name and time: others keep the name of their source.
         file = str(place) if "numba" in self.snapshot.versions else source.path
         _paths[file] = source.path
         exec(compile(source.source, file, "exec", dont_inherit=True), vars(made))
@@ -144,13 +144,13 @@ class _Package:
     def _import(
         self, name: str, globals: Any = None, locals: Any = None, fromlist: Any = (), level: int = 0
     ) -> Any:
-        """What an import statement of the user's code calls."""
+        """The ``__import__`` of user code: its modules are of the snapshot, others of Python."""
         top = name.partition(".")[0]
         if level:
             absolute = resolve_name("." * level + name, globals["__package__"])
             name = absolute.removeprefix(self.name).lstrip(".")
         elif top not in self._tops:
-            # What a library imports in compiled code comes here too.
+            # Imports by compiled code of libraries arrive here, too.
             is_known = top in sys.modules or top in sys.stdlib_module_names or version_of(top)
             if self.snapshot.versions.get(top) == ABSENT or not is_known:
                 raise ModuleNotFoundError(f"No module named {name!r}", name=name)
@@ -167,7 +167,7 @@ class _Package:
 
 
 class _Loader:
-    """Gives tracebacks the source of modules whose file is not there."""
+    """Loader that gives tracebacks the source of modules without a file."""
 
     def __init__(self, source: Module) -> None:
         self._source = source
@@ -178,14 +178,14 @@ class _Loader:
 
 @cache
 def _folder() -> Path:
-    """The private folder of this process, removed at its end; workers are multiprocessing's."""
+    """The private temporary folder of this process, removed at its end (in workers, too)."""
     path = Path(tempfile.mkdtemp(prefix="gapsweep-user-code-", dir=os.environ.get(TEMPORARY)))
     Finalize(None, shutil.rmtree, (path, True), exitpriority=0)
     return path
 
 
 def _placed(key: str, source: Module) -> Path:
-    """Where a module stands in this process: in a private folder, with its data files alone."""
+    """Path of a module in a private folder of this process, after its data files are written."""
     path = Path(source.path)
     number = _numbers.setdefault((key, str(path.parent)), len(_numbers))
     folder = _folder() / str(number)
@@ -196,7 +196,7 @@ def _placed(key: str, source: Module) -> Path:
     return folder / path.name
 
 
-# Of every snapshot and folder the number of the private folder that stands for it.
+# Number of the private folder for each snapshot and folder.
 _numbers: dict[tuple[str, str], int] = {}
 
 
@@ -204,14 +204,14 @@ _numbers: dict[tuple[str, str], int] = {}
 def user_errors(
     path: Path, what: str = "", function: Callable[..., Any] | None = None
 ) -> Iterator[None]:
-    """Whatever a study's own code raises in this block becomes a `StudyError` of one line.
+    """Turn errors of user code in the block into a `StudyError` of one line.
 
     Parameters
     ----------
     path : Path
         The file whose code runs.
     what : str
-        The part of it, for the message.
+        Name of the part of the file that runs, for the message.
     function : callable, optional
         The function that is called; its line is named if the error has none.
     """
@@ -225,7 +225,7 @@ def user_errors(
 
 
 def blame(path: Path | None, error: BaseException, message: str, function: Any = None) -> str:
-    """A message after the file and the last line of the user's code that ran, or else a path."""
+    """The message with file and line of the user code that ran last before it, or else `path`."""
     where = "" if path is None else f"{path}: "
     if isinstance(error, FileNotFoundError) and str(_folder()) in str(error.filename):
         name = Path(error.filename).name

@@ -1,7 +1,7 @@
-"""Digests of gapsweep's own source: one of the numerics, one of the datasets, one of the package.
+"""Digests of gapsweep's source: of the numerics, of the code for datasets, of the whole package.
 
-The digest of the numerics is part of every cache key: results of other source are never taken for
-these. The digests are SHA-256 of the source files' bytes; comments count. This
+The digest of the numerics is part of every cache key, so that results of other code are never
+reused. The digests are SHA-256 of the source files' bytes; comments count. This
 process computes the digest of the numerics when it imports this module, the others at first use.
 """
 
@@ -10,12 +10,12 @@ from functools import cache
 from pathlib import Path
 
 PACKAGE = Path(__file__).parents[1]
-# Files and folders that decide the response of a sweep point.
+# Files and folders that affect the response of a sweep point.
 NUMERICS = (
     *("status.py", "model", "integrate", "response"),
     *("study/points.py", "execution/task.py", "execution/sweeps.py"),
 )
-# Folders that no dataset depends on.
+# Folders that affect no dataset.
 DRAWING = ("report", "explorer", "cli")
 
 
@@ -47,4 +47,4 @@ def _digest(*places: Path) -> str:
     return digest.hexdigest()[:16]
 
 
-numerics_fingerprint()  # now: the engines are imported later
+numerics_fingerprint()  # at import, before the engines are imported

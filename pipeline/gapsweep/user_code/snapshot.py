@@ -1,8 +1,8 @@
 """A study's own Python code as a value: the bytes of the files, read once.
 
-A snapshot holds the named module and every module of the user's that it imports, at any depth.
-Imports are found in the syntax tree, inside functions too; no code runs. Installed packages are
-not read: their versions stand for them. A module names the data files that it reads in
+A snapshot holds the named module and every user module that it imports, at any depth. Imports
+are found in the syntax tree, inside functions too; no code runs. Installed packages are not read:
+a snapshot holds their versions. A module names the data files that it reads in
 ``__data__ = ["k.csv"]``, relative to its folder; their bytes are part of the snapshot.
 """
 
@@ -21,20 +21,20 @@ from pathlib import Path, PurePosixPath
 from gapsweep.errors import ModelError
 
 ABSENT = ""  # the version of a module that was not found
-BESIDE = "_"  # package of a file that stands in none: its neighbours are imported relatively
+BESIDE = "_"  # package name for a file outside packages, so that it can import its neighbours
 _INSTALLED = {"site-packages", "dist-packages"}
 _OURS = "gapsweep"  # keys hold the digest of its source
 
 
 @dataclass(frozen=True)
 class Module:
-    """One source file.
+    """A source file of user code, with its data files.
 
     Attributes
     ----------
     source : bytes
     path : str
-        The file, for messages; no part of the key.
+        Path for messages; not part of the key.
     is_package : bool
     data : mapping of str to bytes
         Data files by their name in ``__data__``.
@@ -48,14 +48,14 @@ class Module:
 
 @dataclass(frozen=True, eq=False)
 class Snapshot:
-    """The code behind one module; equal if the keys are.
+    """The user code that a module consists of; snapshots are equal if their keys are.
 
     Attributes
     ----------
     main : str
         Dotted name of the module.
     modules : mapping of str to Module
-        All modules of the user's, by dotted name.
+        All user modules, by dotted name.
     versions : mapping of str to str
         Version of every distribution that they import, by module; `ABSENT` if there is none.
     """
@@ -90,7 +90,7 @@ class Snapshot:
         return hash(self.key)
 
     def part(self, main: str) -> "Snapshot":
-        """The code behind one of the modules."""
+        """The snapshot of one of the modules and its imports."""
         needed: dict[str, Module] = {}
         others: dict[str, str] = {}
         waiting = [main]
@@ -105,12 +105,12 @@ class Snapshot:
 
     @classmethod
     def of_module(cls, name: str, folders: Iterable[Path] = ()) -> "Snapshot":
-        """Read a module that is found by its name, in these folders after Python's path.
+        """Read a module by its name, from Python's path or else from `folders`.
 
         Raises
         ------
         ModelError
-            If it is not found, or a file of it cannot be read or is not Python.
+            If it is not found, or one of its files cannot be read or is not Python.
         """
         search = _ImportScan(name.partition(".")[0], [*folders])
         search.follow(name)
@@ -132,7 +132,7 @@ class Snapshot:
 
     @classmethod
     def of_file(cls, path: Path, folders: Iterable[Path] = ()) -> "Snapshot":
-        """Read a file that stands in no package; it may import its neighbours relatively too.
+        """Read a file outside packages; it may import files of its folder, relatively too.
 
         Raises
         ------
@@ -147,14 +147,14 @@ class Snapshot:
 
 
 class _ImportScan:
-    """Follows import statements.
+    """Search for user modules that follows import statements.
 
     Parameters
     ----------
     own : str
-        Top-level module that is the user's even where it is installed.
+        Top-level module that counts as user code even if it is installed.
     folders : list of Path
-        Searched after Python's path.
+        Folders searched after Python's path.
     """
 
     def __init__(self, own: str, folders: Sequence[Path]) -> None:
@@ -165,7 +165,7 @@ class _ImportScan:
         self._inside: dict[str, Sequence[Path]] = {}  # folders of packages
 
     def follow(self, name: str) -> None:
-        """Add a module and the packages that it stands in, if they are the user's."""
+        """Add a module and the packages that contain it, if they are user code."""
         for each in _with_parents(name):
             parent = each.rpartition(".")[0]
             if each in self.modules or each in self.versions:
@@ -176,7 +176,7 @@ class _ImportScan:
                 self._top(each)
 
     def _top(self, name: str) -> None:
-        # Asked one by one: `importlib.util.find_spec` answers from what is already imported.
+        # One finder at a time: `importlib.util.find_spec` would return modules already imported.
         finders = (getattr(finder, "find_spec", None) for finder in sys.meta_path)
         found = (find(name, None) for find in finders if find is not None)
         spec = next((spec for spec in found if spec is not None), None)
@@ -195,7 +195,7 @@ class _ImportScan:
                 self.add(name, paths[0], is_package=bool(folders))
 
     def _take(self, name: str, folders: Sequence[Path]) -> bool:
-        """Add a module from the first folder that has it."""
+        """Add a module from the first folder that has it; False if none has."""
         last = name.rpartition(".")[2]
         for folder in folders:
             for path in (folder / last / "__init__.py", folder / f"{last}.py"):
@@ -205,14 +205,14 @@ class _ImportScan:
         return self.add_folder(name, [f / last for f in folders if (f / last).is_dir()])
 
     def add_folder(self, name: str, folders: Sequence[Path]) -> bool:
-        """Add a package without a file of its own."""
+        """Add a package without ``__init__.py``; False without folders."""
         if folders:
             self._inside[name] = folders
             self.modules[name] = Module(b"", str(folders[0]), is_package=True, data={})
         return bool(folders)
 
     def add(self, name: str, path: Path, *, is_package: bool) -> None:
-        """Add a file and all that it imports."""
+        """Add a file and all modules that it imports."""
         if path.suffix != ".py":
             raise ModelError(f"{path}: must be a .py file or belong to an installed package")
         if is_package:
@@ -239,7 +239,7 @@ class _ImportScan:
 
 @cache
 def version_of(name: str) -> str:
-    """Version of the distribution that a module comes with; `ABSENT` if there is none."""
+    """Version of the distribution that contains a module; `ABSENT` if there is none."""
     try:
         return version(name)
     except PackageNotFoundError:
@@ -248,7 +248,7 @@ def version_of(name: str) -> str:
 
 
 def _imports(name: str, module: Module) -> Iterator[str]:
-    """Dotted names of all that a module's import statements name, wherever they stand."""
+    """Dotted names in all import statements of a module, inside functions too."""
     parts = name.split(".")
     for node in ast.walk(ast.parse(module.source)):
         if isinstance(node, ast.Import):
@@ -258,7 +258,7 @@ def _imports(name: str, module: Module) -> Iterator[str]:
             above = parts[: len(parts) + module.is_package - node.level] if node.level else []
             start = ".".join([*above, *filter(None, [node.module])])
             yield from filter(None, [start])
-            # A name that is taken out of a package may be a module of its own.
+            # A name imported from a package may be a module.
             names = (".".join(filter(None, [start, a.name])) for a in node.names if a.name != "*")
             yield from names
         elif isinstance(node, ast.Call) and ast.unparse(node.func).endswith("import_module"):
@@ -268,7 +268,7 @@ def _imports(name: str, module: Module) -> Iterator[str]:
 
 
 def _data(path: Path, source: bytes) -> dict[str, bytes]:
-    """The data files that a module names in ``__data__``."""
+    """Contents of the data files that a module names in ``__data__``, by name."""
     found: dict[str, bytes] = {}
     for node in ast.parse(source).body:
         match node:

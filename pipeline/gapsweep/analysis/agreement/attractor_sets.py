@@ -1,16 +1,16 @@
-"""Attractor sets and basins: which attractors are found again, and by which starts (A10-A12).
+"""Attractor sets and basins of a law compared with those of the exact law (A10 to A12).
 
 Two attractors are close if the distance of their stroboscopic sections is within a tolerance:
 
-* ``0.05 G`` for the Hausdorff distance, for two places of rest as far as they are known;
+* ``0.05 G`` for the Hausdorff distance, for two equilibria at least their uncertainty;
 * for two chaotic ones, or two tori, a quarter of the larger extent (or ``0.05 G``) for the
   distance below which 80 % of the points of either have a neighbour in the other.
-  ``attractors.nc`` takes responses for one attractor also where their points are mixed, which
-  alone is no match here.
+  ``attractors.nc`` also joins responses to one attractor if their points are mixed, which is not
+  sufficient for a match here.
 
-For symmetric gaps mirror images are one: an attractor found has an image, whether a start was
-there to find it or not. The section of an image is known where it was found too; where neither
-side has it, the extrema with the opposite sign stand in for it.
+For symmetric gaps mirror images count as one attractor: every attractor has an image, even if no
+initial condition led to it. The section of an image is known if the image was found; if neither
+law has it, its extrema are those of the attractor with the opposite sign.
 """
 
 from dataclasses import dataclass
@@ -26,7 +26,7 @@ from gapsweep.response.result import ResponseClass
 from gapsweep.response.section import CLOUD_CLOSE, CLOUD_SHARE
 from gapsweep.response.thresholds import DEVIATIONS
 
-# Of the gap width.
+# Tolerance of distances, as a share of the gap width.
 CLOSE = 0.05
 
 
@@ -34,8 +34,8 @@ CLOSE = 0.05
 class Matching:
     """The best one-to-one matching of two attractor sets at every frequency.
 
-    Sets hold the attractors reached from starts that both representations were asked for, and
-    an attractor stands for its mirror image too: `own_class` and `exact_class` hold, for every
+    Sets hold the attractors reached from initial conditions that both representations share. An
+    attractor also represents its mirror image: `own_class` and `exact_class` hold, for every
     attractor, the smaller number of the two.
 
     Attributes
@@ -46,7 +46,7 @@ class Matching:
     pairs : ndarray of int, shape (n_pairs, 3)
         Frequency, attractor and exact attractor of all pairs, matched or not.
     distance : ndarray, shape (n_pairs,)
-        Of the two sections [m].
+        Distance of the two sections [m].
     partner : ndarray of int, shape (n_omega, n_attractors)
         The exact attractor that matches, `NONE` if none does.
     """
@@ -70,7 +70,7 @@ def matching(ours: LawTable, theirs: LawTable, width: float, *, symmetric: bool)
     width : float
         Width of the gap [m], the scale of distances.
     symmetric : bool
-        Whether the gap is.
+        Whether the gap is symmetric.
     """
     common = ours.requested & theirs.requested
     classes = [_mirror_classes(table.found) for table in (ours, theirs)]
@@ -99,7 +99,7 @@ def matching(ours: LawTable, theirs: LawTable, width: float, *, symmetric: bool)
 
 
 def _mirror_classes(found: AttractorTable) -> Ints:
-    """For every attractor the smallest number among itself and its images."""
+    """Smallest number of every attractor and its mirror images, shape (n_omega, n_attractors)."""
     classes = np.broadcast_to(np.arange(found.size), found.mirror_of.shape).copy()
     w, a = np.nonzero(found.mirror_of != NONE)
     np.minimum.at(classes, (w, found.mirror_of[w, a]), a)
@@ -110,7 +110,7 @@ def _mirror_classes(found: AttractorTable) -> Ints:
 
 
 def _present(table: LawTable, classes: Ints, common: Bools) -> Bools:
-    """Which classes some common start ends on."""
+    """Mask of the classes that a common initial condition leads to, per frequency."""
     present = np.zeros(classes.shape, dtype=bool)
     w, s = np.nonzero(common & (table.attractor != NONE))
     present[w, classes[w, table.attractor[w, s]]] = True
@@ -126,7 +126,7 @@ def _costs(
     *,
     symmetric: bool,
 ) -> tuple[Array, Array]:
-    """Distances of classes in tolerances and in metres, the smallest of their members'."""
+    """Distances of classes as multiples of the tolerance and in metres: minima over members."""
     members = [
         np.take_along_axis(some, own, axis=1) & (np.arange(own.shape[1]) < table.found.n[:, None])
         for table, own, some in zip((ours, theirs), classes, present, strict=True)
@@ -147,11 +147,11 @@ def _costs(
 def _section_distance(
     ours: AttractorTable, theirs: AttractorTable, at: tuple[Ints, Ints, Ints], width: float
 ) -> tuple[Array, Array]:
-    """Distance of the sections of pairs of attractors, and what is close for them [m]."""
+    """Distances of the sections of pairs of attractors, and tolerances for a match [m]."""
     w, a, b = at
     p, q = ours.section[w, a], theirs.section[w, b]
     own, other = ours.response_class[w, a], theirs.response_class[w, b]
-    # Samples of chaos, or of a torus, have no two points in common.
+    # Samples of chaos, or of a torus, share no point.
     chaotic = (own == other) & np.isin(own, (ResponseClass.CHAOTIC, ResponseClass.QUASIPERIODIC))
     distance, tolerance = np.empty(len(w)), np.full(len(w), CLOSE * width)
     distance[~chaotic] = hausdorff_in_plane(p[~chaotic], q[~chaotic])
@@ -212,13 +212,13 @@ def _mean_at(w: Ints, values: Array, size: int) -> Array:
 
 
 def basin_metrics(found: Matching, ours: LawTable, theirs: LawTable) -> dict[str, Array]:
-    """Which starts end on the matching attractor, and how far basin shares differ (A11, A12).
+    """Agreement of attractors per initial condition (A12), and distance of basin shares (A11).
 
     Returns
     -------
     dict of str to ndarray
-        `same_attractor` over frequency and start; `basin_distance`, `basin_distance_error`
-        over frequency.
+        `same_attractor` over frequency and initial condition; `basin_distance` and
+        `basin_distance_error` over frequency.
     """
     own, exact = _labels(found, ours, theirs)
     common = ours.requested & theirs.requested
@@ -230,9 +230,9 @@ def basin_metrics(found: Matching, ours: LawTable, theirs: LawTable) -> dict[str
     for labels in (own, exact):
         counts = np.zeros((len(n), n_labels))
         w, s = np.nonzero(counted)
-        # Starts that end on no attractor have a share of their own: the last column.
+        # The last column is the share of initial conditions that lead to no attractor.
         np.add.at(counts, (w, labels[w, s]), 1.0)
-        # A single start is no sample of a basin.
+        # One initial condition is not a sample of a basin.
         shares.append(counts / np.where(n > 1.0, n, np.nan)[:, None])
     variance = sum((phi * (1.0 - phi)).sum(axis=1) for phi in shares) / np.maximum(n, 1.0)
     return {
@@ -243,7 +243,10 @@ def basin_metrics(found: Matching, ours: LawTable, theirs: LawTable) -> dict[str
 
 
 def _labels(found: Matching, ours: LawTable, theirs: LawTable) -> tuple[Ints, Ints]:
-    """Attractor of every start, by the number of the exact one; unmatched ones have their own."""
+    """Attractor reached from each initial condition by both laws, numbered as the exact law's.
+
+    Attractors without a match have numbers after those of the exact law.
+    """
     w = np.arange(len(ours.omega))[:, None]
     own = found.own_class[w, np.maximum(ours.attractor, 0)]
     partner = found.partner[w, own]

@@ -1,12 +1,12 @@
 """Confidence intervals by block bootstrap over frequency.
 
-Responses at neighbouring frequencies are alike, and those from different starts at one
-frequency too: they are no independent sample. So whole blocks of frequencies are drawn, with
+Responses at neighbouring frequencies are similar, as are those from different initial conditions
+at one frequency: they are no independent sample. So whole blocks of frequencies are drawn, with
 replacement, each with all of its points (Künsch 1989; blocks that do not overlap, Carlstein
 1986). The interval holds the middle 95 % of the statistic over the draws (percentile method).
 The draws are the same in every run. Where the points of a block are nearly the same, intervals
-of a median or a mean hold the truth in 91 to 94 % of the cases (10 to 60 blocks, made-up data),
-those of a 95th percentile in 70 to 88 % (20 to 60 blocks): a tail is seen in a few blocks only.
+of a median or a mean hold the true value in 91 to 94 % of tests (10 to 60 blocks, synthetic data),
+those of a 95th percentile in 70 to 88 % (20 to 60 blocks): few blocks contain values of the tail.
 """
 
 from functools import lru_cache
@@ -19,7 +19,7 @@ from gapsweep.analysis.dimensions import Array, Ints
 BLOCK = 0.5
 N_DRAWS = 200
 LEVEL = 0.95
-# The spread of fewer blocks says little: no interval then.
+# With fewer blocks there is no interval: their spread is too uncertain.
 FEWEST_BLOCKS = 5
 _SEED = 20240229
 _ROUNDING = 1e-9
@@ -46,10 +46,10 @@ def quantiles(values: Array, block: Ints, q: tuple[float, ...]) -> tuple[Array, 
     Returns
     -------
     estimates : ndarray, shape (len(q),)
-        As `numpy.quantile`; NaN if there are no values.
+        Quantiles as from `numpy.quantile`; NaN if there are no values.
     intervals : ndarray, shape (len(q), 2)
-        NaN if there are fewer than `FEWEST_BLOCKS` blocks, or so few that less than one is
-        beyond the quantile.
+        NaN if there are fewer than `FEWEST_BLOCKS` blocks, or on average less than one beyond the
+        quantile.
     """
     if not values.size:
         return np.full(len(q), np.nan), np.full((len(q), 2), np.nan)
@@ -58,7 +58,7 @@ def quantiles(values: Array, block: Ints, q: tuple[float, ...]) -> tuple[Array, 
     estimates = _quantile(values, q)
     if used.size < FEWEST_BLOCKS:
         return estimates, np.full((len(q), 2), np.nan)
-    # How many of the drawn values are not above each: positions in the drawn, sorted sample.
+    # Number of drawn values up to each value: positions in the drawn, sorted sample.
     upto = np.cumsum(_draws(used.size)[:, block], axis=1, dtype=np.int32)
     intervals = [
         _interval(_drawn_quantile(values, upto, share))
@@ -85,7 +85,7 @@ def pooled(sums: Array, block: Ints) -> tuple[float, Array]:
     Parameters
     ----------
     sums : ndarray, shape (n, k)
-        What is added up, per frequency.
+        Terms of the sums, per frequency.
     block : ndarray of int, shape (n,)
         The block of every frequency, ascending.
 
@@ -100,15 +100,15 @@ def pooled(sums: Array, block: Ints) -> tuple[float, Array]:
     by_block = by_block[np.any(by_block != 0.0, axis=1)]
     if len(by_block) < FEWEST_BLOCKS:
         return estimate, _NO_INTERVAL
-    # Not a matrix product: for so few numbers its threads cost more than they bring.
+    # No matrix product: for so few numbers its threads take longer than the sum.
     drawn = np.einsum("db,bk->dk", _draws(len(by_block)), by_block)
     return estimate, _interval(ratio(drawn))
 
 
 def ratio(sums: Array) -> Array:
-    """The first of two sums over the second, NaN for nothing over nothing.
+    """Ratio of two sums on the last axis, NaN for 0/0; of four sums, the ratio of two ratios.
 
-    Of four, the ratio of the first two over that of the last two.
+    Four sums give the ratio of the first two divided by the ratio of the last two.
     """
     with np.errstate(invalid="ignore", divide="ignore"):
         ratios = sums[..., ::2] / sums[..., 1::2]
@@ -119,13 +119,13 @@ def ratio(sums: Array) -> Array:
 
 @lru_cache(maxsize=64)
 def _draws(n: int) -> NDArray[np.int32]:
-    """How often each of `n` blocks is drawn, shape (N_DRAWS, n)."""
+    """Number of times that each of `n` blocks is drawn, shape (N_DRAWS, n)."""
     counts = np.random.default_rng(_SEED).multinomial(n, np.full(n, 1.0 / n), size=N_DRAWS)
     return np.asarray(counts, dtype=np.int32)
 
 
 def _interval(drawn: Array) -> Array:
-    """Ends of the interval of a statistic's draws, those left out in which it is undefined."""
+    """Ends of the 95 % interval of a statistic over its draws, without draws that are NaN."""
     known = drawn[np.isfinite(drawn)]
     if not known.size:
         return _NO_INTERVAL
@@ -134,5 +134,5 @@ def _interval(drawn: Array) -> Array:
 
 
 def _quantile(values: Array, q: tuple[float, ...]) -> Array:
-    """As `numpy.quantile` of sorted values; ten times as fast for few."""
+    """Quantiles of sorted values as from `numpy.quantile`, ten times as fast for few values."""
     return np.interp(np.multiply(q, len(values) - 1), np.arange(len(values)), values)

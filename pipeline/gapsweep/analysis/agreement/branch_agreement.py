@@ -1,7 +1,7 @@
-"""Special points of approximations against those of the exact law: where they move, come and go.
+"""Special points on branches of approximations, matched with those of the exact law.
 
-In each scene, points of one kind on branches of one period multiple are paired one to one so that
-the sum of the distances along the parameter is least. Points of either law that are left over have
+In each parameter set, points of one kind on branches of one period multiple are paired one to one
+so that the sum of the distances along the parameter is least. Unpaired points of either law have
 NaN in place of the other value: they are missing in the approximation, or extra.
 """
 
@@ -18,7 +18,7 @@ from gapsweep.model.labels import EXACT
 from gapsweep.variables import Variable
 
 MATCH = "match"
-_SAME = 1e-8  # relative difference of the parameter at one point on two branches
+_SAME = 1e-8  # largest relative difference of the parameter at a point that is on two branches
 VARIABLES = {
     "match_kind": Variable("i1", "1", "kind of special point", flags=SPECIAL_FLAGS),
     "match_period_multiple": Variable("i4", "1", "forcing periods in one period of the orbit"),
@@ -38,18 +38,18 @@ def compared(
     Parameters
     ----------
     scenes : sequence of (mapping of str to int, Dataset or None)
-        Places of scenes on the axes of the study, and their branches.
+        Positions of parameter sets on the axes of the study, and their branches.
     labels : sequence of str
         Representations.
     along : str
-        The parameter.
+        The parameter of the branches.
 
     Returns
     -------
     Dataset
-        Over `match`.
+        Matches, over dimension `match`.
     list of mapping of str to int
-        The scene of the approximation of every match.
+        The position of the approximation of every match.
     """
     rows: list[tuple[float, ...]] = []
     places: list[Place] = []

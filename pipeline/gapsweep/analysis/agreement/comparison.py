@@ -1,8 +1,8 @@
 """Agreement of each representation with the exact law: ``agreement.nc``.
 
 Every representation, the exact law with other solver settings included, is compared with the
-one labelled ``piecewise``: by point, by attractor, and in summaries of each scene. Variables are
-defined in `gapsweep.analysis.agreement.metrics`.
+one labelled ``piecewise``: by point, by attractor, and in summaries of each parameter set.
+`gapsweep.analysis.agreement.metrics` defines the variables.
 """
 
 import json
@@ -53,7 +53,7 @@ def agreement(responses: xr.Dataset, attractors: xr.Dataset) -> xr.Dataset | Non
     Parameters
     ----------
     responses, attractors : Dataset
-        As stored in ``responses.nc`` and ``attractors.nc``; read scene by scene.
+        As in ``responses.nc`` and ``attractors.nc``; parameter sets are read one by one.
 
     Returns
     -------
@@ -135,7 +135,7 @@ def _width(gap: float, exact: LawTable) -> float:
 def _compared(
     ours: LawTable, exact: LawTable, width: float, *, symmetric: bool
 ) -> Iterator[tuple[str, Any]]:
-    """All variables of one table, floors apart."""
+    """All variables of one law in one parameter set, except ``_floor``, by name."""
     found = matching(ours, exact, width, symmetric=symmetric)
     values = {"jump_shift": jump_shifts(ours, exact, 0.5 * width)}
     values |= start_metrics(ours, exact, 0.5 * width)

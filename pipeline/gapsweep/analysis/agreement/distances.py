@@ -1,7 +1,7 @@
 """Distances of finite sets, many pairs of sets in one call.
 
-A row holds one set; NaN at the end of a row is padding. Rows are worked off in batches of
-like size, so that a few long ones (chaotic responses) do not make the many short ones slow.
+A row holds one set; NaN at the end of a row is padding. Rows are computed in batches of
+similar size, so that a few long ones (chaotic responses) do not slow down the many short ones.
 The distance to an empty set is NaN.
 """
 
@@ -17,7 +17,7 @@ _BATCH = 2**19
 
 
 def hausdorff_on_line(a: Array, b: Array) -> Array:
-    """Hausdorff distance of two sets of numbers: the farthest that a member is from the other set.
+    """Hausdorff distance of sets of numbers: the largest distance of a member to the other set.
 
     Parameters
     ----------
@@ -40,7 +40,7 @@ def hausdorff_in_plane(a: Array, b: Array, share: float = 1.0) -> Array:
         Sets, one per row.
     share : float
         Quantile of the distances to the nearest member of the other set; 1 is their maximum,
-        the Hausdorff distance proper. One outlier of a chaotic sample rules that one.
+        the Hausdorff distance, which a single outlier of a chaotic sample determines.
 
     Returns
     -------
@@ -50,9 +50,9 @@ def hausdorff_in_plane(a: Array, b: Array, share: float = 1.0) -> Array:
 
 
 def _by_size(distance: Callable[[Array, Array], Array], a: Array, b: Array, power: int) -> Array:
-    """`distance` of all rows, those of like size together and cut to it.
+    """`distance` of all rows, computed in batches of similar size without their padding.
 
-    The work on two sets of n members grows like n to the `power`.
+    The work for two sets of n members grows like n to the `power`.
     """
     result = np.full(len(a), np.nan)
     n_a, n_b = _sizes(a), _sizes(b)
@@ -88,7 +88,7 @@ def _hausdorff_in_plane(a: Array, b: Array, share: float) -> Array:
     squares = np.zeros((len(a), a.shape[1], b.shape[1]))
     for axis in (0, 1):
         squares += (a[:, :, None, axis] - b[:, None, :, axis]) ** 2
-    # Padding is nobody's neighbour.
+    # Padding is at infinite distance.
     squares[np.isnan(squares)] = np.inf
     directed = [
         _quantile(squares.min(axis=axis), n, share) for axis, n in ((2, _sizes(a)), (1, _sizes(b)))
@@ -97,7 +97,7 @@ def _hausdorff_in_plane(a: Array, b: Array, share: float) -> Array:
 
 
 def _quantile(squares: Array, n: Ints, share: float) -> Array:
-    """Linear quantile of the roots of the `n` smallest numbers of every row."""
+    """Quantile `share` of the square roots of the `n` smallest numbers of every row."""
     roots = np.sqrt(np.sort(squares, axis=1))
     position = share * (n - 1)
     low = np.floor(position).astype(np.int64)

@@ -14,9 +14,9 @@ from gapsweep.analysis.dimensions import Array, Ints
 
 # A jump is at least this share of the larger amplitude (or of half the gap) ...
 JUMP = 0.02
-# ... and this many times the steps next to it, so that a steep flank is not a jump.
+# ... and this many times the adjacent steps, so that a steep flank is not a jump.
 STEEPER = 3.0
-# Farther apart [Hz] than this, two jumps are not the same.
+# Largest distance [Hz] of two jumps that match.
 WINDOW = 1.0
 
 
@@ -27,7 +27,7 @@ class Jumps:
     Attributes
     ----------
     at : ndarray of int
-        Position of the frequency below each.
+        Position of the frequency below each jump.
     omega : ndarray
         Middle of the two frequencies [Hz].
     step : ndarray
@@ -40,24 +40,24 @@ class Jumps:
 
 
 def jumps(table: LawTable, start: int, along: Ints, half_gap: float) -> Jumps:
-    """Jumps in amplitude between periodic responses at neighbours of the frequencies `along`."""
+    """Jumps of amplitude between periodic responses at neighbouring frequencies of `along`."""
     amplitude = np.where(table.periodic, table.amplitude, np.nan)[along, start]
     steps = np.diff(amplitude)
     size = np.abs(steps)
     scale = np.maximum(np.maximum(amplitude[1:], amplitude[:-1]), half_gap)
     padded = np.pad(np.nan_to_num(size), 1)
-    beside = np.maximum(padded[:-2], padded[2:])
+    adjacent = np.maximum(padded[:-2], padded[2:])
     # Comparisons with NaN are false: no jump next to a response that is not periodic.
-    chosen = np.flatnonzero((size >= JUMP * scale) & (size > STEEPER * beside))
+    chosen = np.flatnonzero((size >= JUMP * scale) & (size > STEEPER * adjacent))
     below, above = along[chosen], along[chosen + 1]
     return Jumps(below, 0.5 * (table.omega[below] + table.omega[above]), steps[chosen])
 
 
 def breaks(curve: Array) -> Ints:
-    """Positions in a curve before which a drawn line is broken, so that it joins no two branches.
+    """Positions in a curve before which a plotted line is broken, so that it joins no branches.
 
-    The rule of `jumps`, but the neighbours of a step may lie near either of its ends: a branch
-    may have a single value.
+    The rule is that of `jumps`, except that the neighbours of a step may be near either of its
+    ends: a branch may have a single value.
     """
     if len(curve) < 3:  # a single step has no measure
         return np.empty(0, int)
@@ -71,7 +71,9 @@ def breaks(curve: Array) -> Ints:
 
 
 def shifts(ours: Jumps, theirs: Jumps) -> Array:
-    """Shift [Hz] of the match of each of `theirs`: same direction, within `WINDOW`; else NaN."""
+    """Shift [Hz] of the jump that matches each of `theirs`, in direction and within `WINDOW`;
+    NaN without a match.
+    """
     shift = np.full(len(theirs.omega), np.nan)
     for is_up in (True, False):
         a, b = (np.flatnonzero((one.step > 0.0) == is_up) for one in (ours, theirs))

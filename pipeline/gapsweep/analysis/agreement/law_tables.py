@@ -1,4 +1,4 @@
-"""One representation in one scene: its stored results as plain arrays."""
+"""Stored results of one representation in one parameter set, as NumPy arrays."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -17,7 +17,7 @@ CLASSES = (
     *(f"P{n}" for n in range(1, _LONGEST + 1)),
     f"P>{_LONGEST}",
     "chaotic",
-    "quasiperiodic",  # of systems, as what follows
+    "quasiperiodic",  # from here on for systems
     "equilibrium",
     "unresolved",
     "failed",
@@ -28,7 +28,7 @@ NONE = -1
 
 
 def class_numbers(requested: Bools, response_class: Ints, period_multiple: Ints) -> Ints:
-    """Number in `CLASSES` of every response; `NONE` where nothing was asked for."""
+    """Number in `CLASSES` of every response; `NONE` for points that were not requested."""
     periodic = np.minimum(period_multiple, _LONGEST + 1) - 1
     which = [response_class == kind for kind in (R.PERIODIC, *_NAMED)]
     numbers = np.select(which, [periodic, *_NAMED.values()], FAILED)
@@ -47,18 +47,19 @@ _FOUND_FLOATS = ("x_max", "x_min", *_SECTION)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AttractorTable:
-    """The attractors of every frequency, padded to the largest number of them.
+    """The attractors at every frequency, padded to the largest number of attractors.
 
     Attributes
     ----------
     n : ndarray of int, shape (n_omega,)
+        Number of attractors.
     response_class, period_multiple, mirror_of : ndarray of int, shape (n_omega, n_attractors)
     amplitude : ndarray, shape (n_omega, n_attractors)
         Half the range [m].
     section : ndarray, shape (n_omega, n_attractors, n_points, 2)
         Stroboscopic section ``(x, v / (2π ω))`` [m].
     noise : ndarray, shape (n_omega, n_attractors)
-        The largest of the responses on it [m].
+        Largest noise of the responses on the attractor [m].
     """
 
     n: Ints
@@ -77,25 +78,25 @@ class AttractorTable:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LawTable:
-    """Responses over frequency and start, and the attractors they are on.
+    """Responses over frequency and initial condition, and the attractors that they are on.
 
     Attributes
     ----------
     omega : ndarray, shape (n_omega,)
         Forcing frequency [Hz].
     fixed : ndarray of bool, shape (n_starts,)
-        Which starts are fixed states; the others are sweeps.
+        Whether an initial condition is a fixed state; otherwise it is a sweep.
     requested : ndarray of bool, shape (n_omega, n_starts)
-        Which cells are sweep points. The shape of all that follow, but for a last dimension.
+        Whether a cell is a sweep point. Further arrays have this shape, and some a last dimension.
     class_number : ndarray of int
-        Position in `CLASSES`, -1 where nothing was asked for.
+        Position in `CLASSES`, -1 for cells that were not requested.
     attractor : ndarray of int
     amplitude : ndarray
-        [m]; NaN where there is no response.
+        Amplitude [m]; NaN without a response.
     extrema : ndarray, shape (..., n_extrema)
-        [m], NaN-padded.
+        Extrema [m], padded with NaN.
     noise : ndarray
-        What scatters section points [m].
+        Numerical scatter of section points [m].
     host, cpu_time, n_contacts, t_simulated : ndarray
         As in ``responses.nc``.
     found : AttractorTable
@@ -117,7 +118,7 @@ class LawTable:
 
     @property
     def exists(self) -> Bools:
-        """Where there is a response, resolved or not."""
+        """Mask of points with a response, resolved or not."""
         return np.asarray(self.requested & np.isfinite(self.amplitude))
 
     @property
@@ -130,14 +131,14 @@ class LawTable:
 
 
 def law_table(responses: xr.Dataset, attractors: xr.Dataset, at: At) -> LawTable:
-    """Read one table.
+    """Read the results of one representation in one parameter set.
 
     Parameters
     ----------
     responses, attractors : Dataset
         As stored in ``responses.nc`` and ``attractors.nc``.
     at : mapping of str to int
-        Position along the representation and every dimension of scenes.
+        Position along the representation and the dimensions of parameter sets.
     """
     here = _read(responses, (*_KINDS, *_FIELDS), at)
     requested = here["status"] != Status.NOT_REQUESTED
@@ -166,7 +167,7 @@ def _found(attractors: xr.Dataset, at: At, responses: dict[str, Any]) -> Attract
 
 
 def _read(dataset: xr.Dataset, names: tuple[str, ...], at: At) -> dict[str, Any]:
-    """Some variables of one representation and scene, small integers widened."""
+    """Variables at a position as arrays by name; integers as int64."""
     here = {name: dataset.variables[name].isel(at).values for name in names}
     return {n: v.astype(np.int64) if v.dtype.kind == "i" else v for n, v in here.items()}
 

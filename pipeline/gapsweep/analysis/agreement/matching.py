@@ -1,4 +1,4 @@
-"""One-to-one matching: as many matches as possible, then the cheapest."""
+"""One-to-one matching with the largest number of matches, and then the least total cost."""
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
@@ -9,17 +9,17 @@ _LARGEST = 1e12
 
 
 def assignment(cost: Array, limit: float) -> tuple[Ints, Ints]:
-    """Pair the members of two sets, each at most once, until one set is used up.
+    """Pair the members of two sets, each at most once, until one set has no members left.
 
-    Of all ways to do so, the one with the most pairs of a cost within `limit`; of these, the
-    one of the least total cost (Kuhn 1955, the Hungarian method).
+    The assignment has the largest number of pairs with a cost within `limit`, and among these
+    assignments the least total cost (Kuhn 1955, the Hungarian method).
 
     Parameters
     ----------
     cost : ndarray, shape (n, m)
-        Not negative.
+        Cost of each pair, ``>= 0``.
     limit : float
-        Largest cost of a match; pairs beyond it are made too, but never instead of a match.
+        Largest cost of a match; pairs of larger cost are returned, but never replace a match.
 
     Returns
     -------
@@ -35,7 +35,7 @@ def assignment(cost: Array, limit: float) -> tuple[Ints, Ints]:
 
 
 def matches_on_line(a: Array, b: Array, limit: float) -> tuple[Ints, Ints]:
-    """Match numbers that are at most `limit` apart; see `assignment`."""
+    """Positions of matching numbers, which differ by at most `limit`; see `assignment`."""
     apart = np.abs(a[:, None] - b[None, :])
     rows, columns = assignment(apart, limit)
     kept = apart[rows, columns] <= limit

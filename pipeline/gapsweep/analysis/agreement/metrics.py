@@ -1,4 +1,4 @@
-"""What `agreement.nc` holds: every metric, its unit, its formula, and how it is summed up.
+"""Variables of `agreement.nc`: metrics with units, formulas and summaries.
 
 ``docs/reference/metrics.md`` explains them to readers. A4 to A14 are the numbers of the metrics
 there; A1 to A3 compare forces and need no responses.
@@ -30,21 +30,21 @@ STATISTICS = {
 
 @dataclass(frozen=True, slots=True)
 class Metric:
-    """One variable.
+    """A variable of ``agreement.nc``.
 
     Attributes
     ----------
     number : str
-        A4 to A14.
+        Number of the metric in the documentation, A4 to A14.
     dims : tuple of str
     units, long_name, definition : str
     statistics : tuple of str
-        How it is summed up over frequencies and starts: keys of `STATISTICS`.
+        Its summaries over frequencies and initial conditions: keys of `STATISTICS`.
     worst : str
-        Whether the ``max`` or the ``min`` of the exact-against-exact values is their worst;
-        empty where a floor has no meaning.
+        ``max`` or ``min``: which of the values of the exact law against itself is the worst, the
+        reproducibility limit; empty if the metric has none.
     interval : bool
-        Whether a pooled number has a confidence interval.
+        Whether a confidence interval is stored.
     dtype : str
     """
 
@@ -68,12 +68,12 @@ _MEAN = ("mean",)
 
 
 def _error(number: str, dims: tuple[str, ...], units: str, name: str, formula: str) -> Metric:
-    """Not negative, 0 for complete agreement."""
+    """A metric ``>= 0`` that is 0 for complete agreement."""
     return Metric(number, dims, units, name, formula, _SPREAD, "max", dtype="f4")
 
 
 def _share(number: str, dims: tuple[str, ...], name: str, formula: str) -> Metric:
-    """Within 0 and 1, 1 for complete agreement."""
+    """A metric from 0 to 1 that is 1 for complete agreement."""
     return Metric(number, dims, "1", name, formula, _MEAN, "min", dtype="f4")
 
 
@@ -178,7 +178,7 @@ METRICS: dict[str, Metric] = {
 
 
 def variables() -> Iterator[tuple[str, Metric]]:
-    """All variables of the file: metrics, summaries, confidence intervals and floors."""
+    """All variables of the file by name: metrics, summaries, intervals, reproducibility limits."""
     for name, metric in METRICS.items():
         yield from _with_companions(name, metric)
         for statistic in metric.statistics:

@@ -9,7 +9,10 @@ from gapsweep.response.attractors import NONE
 
 
 def start_metrics(ours: LawTable, theirs: LawTable, half_gap: float) -> dict[str, Array]:
-    """Metrics of every sweep point, shape (n_omega, n_starts); NaN where nothing is compared."""
+    """Amplitude error and class agreement of every sweep point, shape (n_omega, n_starts).
+
+    NaN for points without both responses.
+    """
     both = ours.exists & theirs.exists
     asked = (ours.class_number != NO_CLASS) & (theirs.class_number != NO_CLASS)
     error = np.abs(ours.amplitude - theirs.amplitude) / np.maximum(theirs.amplitude, half_gap)
@@ -23,11 +26,11 @@ def start_metrics(ours: LawTable, theirs: LawTable, half_gap: float) -> dict[str
 def cost_sums(ours: LawTable, theirs: LawTable) -> dict[str, Array]:
     """Numerators and denominators of cost ratios, shape (n_omega, n_starts, 2 or 4).
 
-    Four for a ratio of ratios: ours and the exact law's. Zero where a response is missing, and
-    for times where they come from different machines, or from sweeps if there are fixed starts.
+    Four for a ratio of ratios: of the law and of the exact law. Zero without both responses; times
+    are also zero on different machines, and for sweeps if there are fixed initial conditions.
     """
     both = ours.exists & theirs.exists
-    # The points of a sweep wait for each other: their time is that of calls with few motions.
+    # The points of a sweep are computed one by one, in calls with few motions.
     timed = both & (ours.host == theirs.host) & (ours.host != NONE)
     timed &= ours.fixed | ~ours.fixed.any()
     periods, their_periods = (table.t_simulated * table.omega[:, None] for table in (ours, theirs))

@@ -1,6 +1,6 @@
-"""Summaries of metrics over the points and frequencies of a scene, with confidence intervals.
+"""Summaries of metrics over the points and frequencies of a parameter set, with intervals.
 
-Periodic and chaotic motions have summaries of their own. A point has the regime of the exact
+Periodic and chaotic motions have separate summaries. A point has the regime of the exact
 response; a frequency is chaotic if any of its exact responses is, periodic if all are.
 """
 
@@ -21,7 +21,7 @@ _QUANTILES = {"median": 0.5, "p95": 0.95}
 
 
 def summaries(ours: LawTable, exact: LawTable, values: dict[str, Array]) -> Summaries:
-    """Pooled variables of one table.
+    """Summaries of one law in one parameter set, by name of the variable.
 
     Parameters
     ----------
@@ -98,7 +98,7 @@ def _counts(ours: LawTable, exact: LawTable, regimes: list[Bools]) -> Summaries:
 
 
 def _pooled(name: str, sums: Array, regimes: list[Bools], block: Ints) -> Summaries:
-    """The ratio of sums over all axes but the last, per regime."""
+    """Ratio of sums over all points of each regime, and its confidence interval."""
     found = []
     for regime in regimes:
         chosen = np.where(regime[..., None], sums, 0.0)

@@ -14,6 +14,7 @@ every metric; smaller differences between two laws are not significant.
 """
 
 import json
+from dataclasses import replace
 from typing import Any
 
 from gapsweep.integrate.problem import Solver
@@ -48,11 +49,7 @@ def floor_labels(study_json: str, labels: list[str]) -> list[str]:
 def _is_floor(plain: dict[str, Any], protocol: dict[str, Any]) -> bool:
     usual, usual_jitter = _solver(plain)
     other, jitter = _solver({**plain, **protocol})
-    same_method = (other.engine, other.controller, other.restart) == (
-        usual.engine,
-        usual.controller,
-        usual.restart,
-    )
+    same_method = replace(other, rtol=usual.rtol, atol=usual.atol) == usual
     # The default of atol is rtol times a length of about a millimetre.
     atols = [each.atol or 1e-3 * each.rtol for each in (other, usual)]
     not_looser = other.rtol <= usual.rtol and atols[0] <= atols[1]

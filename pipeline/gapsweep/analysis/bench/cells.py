@@ -97,7 +97,7 @@ VARIABLES: Described = {
 
 
 def sizes(scenarios: Sequence[Scenario], methods: Sequence[Method]) -> dict[str, int]:
-    """Sizes of the dimensions of a table."""
+    """Sizes of the dimensions scenario, method and tolerance of a table."""
     longest = max(len(method.rungs) for method in methods)
     return {"scene": len(scenarios), "method": len(methods), "tolerance": longest}
 
@@ -108,7 +108,7 @@ def cell_table(
     timeout: float,
     say: Say | None = None,
 ) -> dict[str, Any]:
-    """Arrays of `VARIABLES`, every cell computed.
+    """Compute every cell of a table; returns the arrays of `VARIABLES` by name.
 
     Several scenarios are computed in as many processes as there are processors; a single one in
     this process, user laws excepted.
@@ -149,7 +149,7 @@ def cell_dataset(
     attributes: dict[str, Any],
     more: Described | None = None,
 ) -> xr.Dataset:
-    """The dataset of some variables of a table, and of `more` variables."""
+    """Dataset of some `VARIABLES` and of `more` variables, from their arrays."""
     table = {**{name: VARIABLES[name] for name in variables}, **(more or {})}
     coords = coordinates(scenarios, methods) | tolerances(methods)
     return xr.Dataset(with_attributes(table, arrays), coords, attributes)
@@ -165,7 +165,7 @@ def is_of_user(method: Method) -> bool:
 
 
 def _groups(scenario: Scenario, methods: Sequence[Method]) -> Iterator[Group]:
-    """Methods of a scenario that share references in one process; every user law is alone."""
+    """Groups of a scenario's methods for one process each: all built-in laws, each user law."""
     asked = {m: method for m, method in enumerate(methods) if method.label not in scenario.without}
     ours = {m: method for m, method in asked.items() if not is_of_user(method)}
     yield from [ours] * bool(ours)
@@ -175,7 +175,7 @@ def _groups(scenario: Scenario, methods: Sequence[Method]) -> Iterator[Group]:
 def _computed(
     tasks: Sequence[Task], timeout: float, is_alone: bool, say: Say | None
 ) -> Iterator[Cells | Status]:
-    """Cells of every task in their order; the status of a process that returned nothing."""
+    """Cells of every task in order, or the status of the process that failed."""
     n_processes = min(len(tasks), os.cpu_count() or 1)
     idle: SimpleQueue[Isolated] = SimpleQueue()
 
@@ -203,7 +203,7 @@ def _computed(
 
 
 def scenario_cells(scenario: Scenario, group: Group) -> Cells:
-    """Values of all cells of some methods in one scenario, by method and rung."""
+    """Method, rung and values of all cells of some methods in one scenario."""
     judges: dict[str, Judge] = {EXACT: judge(scenario, EXACT, None)}
     found: Cells = []
     for m, method in group.items():
@@ -226,7 +226,7 @@ def scenario_cells(scenario: Scenario, group: Group) -> Cells:
 
 
 def predictors(scenario: Scenario, law: ContactLaw | None) -> dict[str, Any]:
-    """Static equilibria, in-gap frequency and stiffness ratio, which need no integration."""
+    """Variables that need no integration: equilibria, in-gap frequency, stiffness ratio."""
     exact = equilibria(scenario.oscillator, scenario.law(EXACT), scenario.fit_range)
     k = linear_stiffness(scenario.oscillator)
     found: dict[str, Any] = {

@@ -1,4 +1,4 @@
-"""Right answers that need no integration: linear motion, energy, and oscillators without walls."""
+"""Known solutions without integration: linear motion, energy, and oscillators without walls."""
 
 import math
 from collections.abc import Callable
@@ -16,7 +16,7 @@ from gapsweep.status import Status
 
 
 def plain_duffing(scenario: Scenario) -> Scenario:
-    """The scenario without walls: contact that is always engaged is one more linear spring."""
+    """The scenario without walls; without a gap the contact becomes a linear spring."""
     o = scenario.oscillator
     added = scenario.K_c if scenario.gap.j_1 == scenario.gap.j_2 == 0.0 else 0.0
     omega_n = math.sqrt((linear_stiffness(o) + added) / o.mass) / (2.0 * math.pi)
@@ -25,7 +25,7 @@ def plain_duffing(scenario: Scenario) -> Scenario:
 
 
 def closed_form(scenario: Scenario) -> ScenarioRun:
-    """ScenarioRun of the linear oscillator (``alpha = 0``) without walls, at its period ends."""
+    """Exact motion of the linear oscillator (``alpha = 0``) without walls, at its period ends."""
     o = plain_duffing(scenario).oscillator
     w_n, w, decay = o.omega_n_rad, 2.0 * math.pi * scenario.omega, o.decay_rate
     steady = (o.forcing / o.mass) / complex(w_n**2 - w**2, 2.0 * decay * w)
@@ -42,7 +42,7 @@ def closed_form(scenario: Scenario) -> ScenarioRun:
 
 
 def energy_drift(scenario: Scenario, law: ContactLaw) -> Callable[[Array], Array]:
-    """Relative change of energy since the start, as a function of states, shape (n, 2)."""
+    """Function of states, shape (n, 2), that returns the relative change of the initial energy."""
     o = scenario.oscillator
     start = np.array([[scenario.x_0, scenario.v_0]])
 

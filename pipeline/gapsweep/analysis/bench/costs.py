@@ -1,4 +1,4 @@
-"""Processor time of calls that advance a scenario and its neighbours in frequency."""
+"""CPU time of calls that integrate a scenario and its neighbours in frequency."""
 
 import time
 
@@ -15,9 +15,9 @@ _NEIGHBOUR = 1e-4
 def cost(
     scenario: Scenario, representation: str, solver: Solver, n_lanes: int
 ) -> tuple[float, float] | None:
-    """Processor time [s] of one call, and simulated time [s] of all its lanes.
+    """CPU time [s] of one call, and simulated time [s] of all its lanes together.
 
-    Models are prepared before the time is taken. None if the law cannot be built.
+    The preparation of the models is not timed. None if the law cannot be built.
     """
     law = law_or_none(scenario, representation)
     if law is None:

@@ -1,8 +1,8 @@
-"""Judge a run: its deviations from independent solutions, and its outcome.
+"""Judgement of runs: deviations from independent solutions, and outcome.
 
-A run fails with a status, is `right`, solves its own law whose answer is not the exact one
-(`model_error`), or reports ok although its own law is not solved (`silent_wrong`). Definitions:
-docs/reference/bench.md.
+A run fails with a status, is `right`, solves its own law with a result that differs from the exact
+law's (`model_error`), or reports ok although its own law is not solved (`silent_wrong`).
+Definitions: docs/reference/bench.md.
 """
 
 import math
@@ -36,7 +36,7 @@ from gapsweep.status import Status
 
 
 class CellOutcome(IntEnum):
-    """Outcome of a run; the order is part of the file."""
+    """Outcome of a method's run on a scenario; files store its number."""
 
     NOT_REQUESTED = -1
     RIGHT = 0
@@ -46,20 +46,20 @@ class CellOutcome(IntEnum):
     SILENT_WRONG = 4
 
 
-# A solver keeps its tolerance in every step; fewer steps than these count as many.
+# Least number of steps in the bound of the error: a solver meets its tolerance in every step.
 _FEW_STEPS = 100
-# Share of the displacement amplitude from which on a deviation is a wrong answer [-].
+# Deviation relative to the scale from which on a result is wrong [-].
 WRONG = 1e-2
-# Error of the references before disturbances grow [-].
+# Error of the references before the growth of disturbances [-].
 _REFERENCE_ERROR = 1e-9
 # Errors below this many distances of the two references cannot be measured.
 FLOOR = 10.0
-# Forcing periods by which the initial time is shifted in scenarios of `phase`.
+# Forcing periods by which scenarios of kind `phase` shift the initial time.
 LATER = 10**6
 
 
 def observed(scenario: Scenario, law: ContactLaw | None, solver: Solver) -> ScenarioRun:
-    """The motion, integrated as the scenario's known answer needs it."""
+    """The motion of a scenario; shifted in time for `phase`, mirrored and back for `mirror`."""
     if scenario.expected == "phase":
         return motion(scenario, law, solver, later=LATER)
     if scenario.expected == "mirror":
@@ -86,12 +86,12 @@ class Judge:
     law : ContactLaw or None
         None if the law cannot be built in this scenario.
     own, exact : References
-        Solutions of the law itself and of the exact one.
+        Reference solutions of the law and of the exact law.
     scale : Scale
     growth : float
         Largest growth of a disturbance [-].
     apart : float
-        Distance of the law's two references [-], also if one of them has been dropped.
+        Distance of the law's two references [-], before one may have been replaced.
     """
 
     scenario: Scenario
@@ -121,7 +121,7 @@ class Judge:
         } | {name: getattr(run, name) for name in COUNTED}
 
     def step_length(self, run: ScenarioRun) -> float:
-        """Mean displacement in a step [m]."""
+        """Mean displacement in a step [m], from the scale of speeds; NaN without steps."""
         if not run.n_steps:
             return math.nan
         period = self.scenario.n_periods / self.scenario.omega
@@ -144,7 +144,7 @@ class Judge:
         return own_drift, exact_drift
 
     def _allowed(self, run: ScenarioRun, solver: Solver) -> float:
-        """Largest error of a run that keeps its tolerance in every step."""
+        """Largest error of a run that meets its tolerance in every step."""
         steps = max(run.n_steps, _FEW_STEPS)
         tolerance = solver.rtol + (solver.atol or 0.0) / self.scale.length
         # Errors of energy do not grow; an error of both states counts about twice in energy.
@@ -164,10 +164,10 @@ class Judge:
         survived = [motion.status is Status.OK for motion in (self.own.compiled, self.own.scipy)]
         if survived[0] != survived[1]:
             return CellOutcome.UNDECIDED
-        # A law whose reference fails has no answer: a run that ends ok is wrong.
+        # A law whose reference fails has no solution: a run with status ok is wrong.
         if not solver_error <= allowed:
             return CellOutcome.SILENT_WRONG
-        # The error is large, and yet no larger than the tolerance times the growth.
+        # The error is large, but not larger than the tolerance times the growth.
         if solver_error > max(WRONG, 10.0 * rtol):
             return CellOutcome.UNDECIDED
         is_right = total_error <= max(WRONG, solver_error)
@@ -178,7 +178,7 @@ COUNTED = ("status", "n_contacts", "n_steps", "n_rejected", "nfev")
 
 
 def judge(scenario: Scenario, representation: str, exact: Judge | None) -> Judge:
-    """The judge of a law's runs; `exact` is that of the exact law, None for itself."""
+    """The judge of a law's runs; `exact` is the judge of the exact law (None: this is it)."""
     law = law_or_none(scenario, representation)
     answer = _references(scenario, representation, law)
     grown = math.nan
@@ -206,13 +206,13 @@ def judge(scenario: Scenario, representation: str, exact: Judge | None) -> Judge
 
 
 def _references(scenario: Scenario, representation: str, law: ContactLaw | None) -> References:
-    """Solutions of a law; of the exact law closed forms and symmetries where they are known."""
+    """Reference solutions of a law, from closed forms or symmetries if the scenario states them."""
     if scenario.expected == "energy":
-        # The compiled motion gives the scale; errors are those of the energy.
+        # The compiled motion gives the scale; errors are errors of the energy.
         run = motion(scenario, law, TIGHT["compiled"])
         return References(run, run)
     if representation != EXACT and scenario.expected == "mirror":
-        # A fit may be uneven: its mirror image is that of the mirrored scenario.
+        # A fit may be uneven: the reference is the mirror image of the mirrored scenario.
         there = references(_mirrored(scenario), representation)
         return References(_negated(there.compiled), _negated(there.scipy))
     if representation != EXACT or scenario.expected not in ("duffing", "linear"):

@@ -1,4 +1,4 @@
-"""The Pareto front of error and cost, and the cheapest method that meets an error."""
+"""The Pareto front of error and cost, and the cheapest method for a given error."""
 
 import numpy as np
 import xarray as xr
@@ -9,12 +9,12 @@ TARGETS = (1e-2, 1e-3, 1e-6, 1e-9)
 
 
 def on_front(error: ArrayLike, cost: ArrayLike) -> NDArray[np.bool_]:
-    """Points on the Pareto front: no other has less of one quantity and no more of the other.
+    """Mask of the Pareto front: no other point is better in one quantity and no worse in the other.
 
     Parameters
     ----------
     error, cost : array_like, one shape
-        NaN in either takes a point out of the comparison. Equal points are on the front together.
+        A point with NaN is not compared. Equal points are on the front together.
 
     Returns
     -------
@@ -27,15 +27,15 @@ def on_front(error: ArrayLike, cost: ArrayLike) -> NDArray[np.bool_]:
     points = points[np.lexsort((error.ravel()[points], cost.ravel()[points]))]
     best, best_cost = np.inf, np.nan
     for i in points.tolist():
-        here, price = error.flat[i], cost.flat[i]
-        if here < best or (here == best and price == best_cost):
-            best, best_cost = here, price
+        here, its_cost = error.flat[i], cost.flat[i]
+        if here < best or (here == best and its_cost == best_cost):
+            best, best_cost = here, its_cost
             is_front.flat[i] = True
     return is_front
 
 
 def cheapest(bench: xr.Dataset, target: float) -> xr.DataArray:
-    """Cost of each method at its cheapest tolerance that meets an error, per scene.
+    """Cost of each method at its cheapest tolerance that meets an error, per scenario.
 
     Parameters
     ----------
@@ -43,23 +43,23 @@ def cheapest(bench: xr.Dataset, target: float) -> xr.DataArray:
         As stored in ``work_precision.nc``.
     target : float
         Error against the exact law [-]. A point whose error is too small to be measured has
-        the largest error that it can have.
+        the upper bound of its error.
 
     Returns
     -------
     DataArray
-        `cpu_time` over scene and method; NaN where no tolerance meets the target.
+        `cpu_time` over `scene` and `method`; NaN if no tolerance meets the target.
     """
     return bench["cpu_time"].where(bench["bounded_error"] <= target).min("tolerance")
 
 
 def corners(bench: xr.Dataset, target: float) -> list[tuple[float, str, xr.DataArray]]:
-    """Geometric mean of `cheapest` over the scenes of each contact stiffness and gap.
+    """Geometric mean of `cheapest` over the scenarios of each contact stiffness and gap.
 
     Returns
     -------
     list of (K_c, gap, cost)
-        Cost over method; NaN if a method misses the target in one of the corner's scenes.
+        Cost over method; NaN if a method misses the target in a scenario of this stiffness and gap.
     """
     cost = cheapest(bench, target)
     pairs = list(zip(bench["K_c"].values.tolist(), bench["gap"].values.tolist(), strict=True))

@@ -1,9 +1,9 @@
 """Motions of benchmark scenarios, and the independent solutions that runs are compared with.
 
-Every law is solved tightly by two engines that share no line of their stepping: the compiled one
-(Taylor series or DOP853 in lanes) and scipy's DOP853, restarted at every contact of the exact law.
-A method is compared with the solution of the other engine. The distance of the two solutions is
-the smallest error that can be measured.
+Every law is solved with tight tolerances by two engines without common stepping code: the compiled
+one (Taylor series or DOP853 in lanes) and scipy's DOP853, restarted at every contact of the exact
+law. A method is compared with the solution of the other engine. The distance of the two solutions
+is the smallest error that can be measured.
 """
 
 import math
@@ -29,12 +29,12 @@ LARGEST_GROWTH = math.exp(3.0)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ScenarioRun:
-    """One motion at its period ends, with its contact times and counts."""
+    """The motion of a scenario: states at period ends, contact times and counts."""
 
     status: Status
-    # Shape (n, 2): ``(x, v)`` at the ends of the forcing periods that it lasted [m], [m/s].
+    # Shape (n, 2): ``(x, v)`` at the ends of the forcing periods that were computed [m], [m/s].
     section: Array
-    t_contacts: Array  # times of its wall crossings since its start [s]
+    t_contacts: Array  # times of wall crossings since the initial time [s]
     reach: float  # largest displacement [m], of both signs
     n_contacts: int = 0
     n_steps: int = 0
@@ -50,10 +50,10 @@ NONE = ScenarioRun(
 def motion(
     scenario: Scenario, law: ContactLaw | None, solver: Solver, later: int = 0
 ) -> ScenarioRun:
-    """The motion of a scenario, begun `later` forcing periods after time zero.
+    """The motion of a scenario, with its initial time `later` forcing periods after zero.
 
-    A motion that leaves the range of a fit is `out_of_fit_range`, as in a sweep; at a pole it is
-    `model_invalid`.
+    If it leaves the range of a fit, its status is `out_of_fit_range`, as in a sweep; at a pole it
+    is `model_invalid`.
     """
     if law is None:
         return NONE
@@ -70,7 +70,7 @@ def motion(
     )
     section = run.section
     if run.status is Status.OK:
-        # The last period end is the end, however t_end was rounded.
+        # The last period end is the end of the motion, regardless of rounding of t_end.
         section = np.vstack([section[: scenario.n_periods - 1], (run.x_end, run.v_end)])
     places = [scenario.x_0, run.x_end, *run.extrema, *section[:, 0]]
     at_pole = run.status is Status.MODEL_INVALID
@@ -91,28 +91,28 @@ def motion(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Scale:
-    """What a difference of states is divided by: a length [m] and a speed [m/s]."""
+    """Scale of differences of states: a length [m] and a speed [m/s]."""
 
     length: float
     speed: float
 
 
 def gap_scale(scenario: Scenario, reach: float) -> Scale:
-    """Gap width and its product with the angular frequency; see docs/reference/bench.md."""
+    """Scale of the gap: its width, and its width times the angular forcing frequency."""
     length = scenario.gap.j_1 + scenario.gap.j_2 or reach
     return Scale(length=length, speed=2.0 * math.pi * scenario.omega * length)
 
 
 def reach_scale(scenario: Scenario, run: ScenarioRun) -> Scale:
-    """The size of the motion itself, also where the gap is nothing and the forcing slow."""
+    """Scale of a motion: its largest displacement and speed, valid without a gap or forcing."""
     omega_rad = max(2.0 * math.pi * scenario.omega, scenario.oscillator.omega_n_rad)
-    # Stiff contact turns the mass round faster than either frequency.
-    seen = np.max(np.abs([scenario.v_0, *run.section[:, 1]]))
-    return Scale(length=run.reach, speed=max(omega_rad * run.reach, float(seen)))
+    # Stiff contact reverses the mass faster than either frequency.
+    fastest = np.max(np.abs([scenario.v_0, *run.section[:, 1]]))
+    return Scale(length=run.reach, speed=max(omega_rad * run.reach, float(fastest)))
 
 
 def distance(one: ScenarioRun, other: ScenarioRun, scale: Scale) -> float:
-    """Largest difference of two motions at period ends [-]; NaN unless both went all the way."""
+    """Largest scaled difference of two motions at period ends [-]; NaN unless both are ok."""
     if one.status is not Status.OK or other.status is not Status.OK:
         return math.nan
     apart = np.abs(one.section - other.section) / (scale.length, scale.speed)
@@ -120,7 +120,7 @@ def distance(one: ScenarioRun, other: ScenarioRun, scale: Scale) -> float:
 
 
 def event_time_distance(one: ScenarioRun, other: ScenarioRun) -> float:
-    """Largest difference of contact times [s]; NaN if the contacts are not as many."""
+    """Largest difference of contact times [s]; NaN if the numbers of contacts differ or are 0."""
     if one.t_contacts.size != other.t_contacts.size or not one.t_contacts.size:
         return math.nan
     return float(np.max(np.abs(one.t_contacts - other.t_contacts)))
@@ -128,13 +128,13 @@ def event_time_distance(one: ScenarioRun, other: ScenarioRun) -> float:
 
 @dataclass(frozen=True, slots=True)
 class References:
-    """Two independent tight solutions of one law; `distance` relates them [-]."""
+    """Two independent solutions of one law with tight tolerances."""
 
     compiled: ScenarioRun
     scipy: ScenarioRun
 
     def for_engine(self, engine: str) -> ScenarioRun:
-        """The solution that an engine is measured against: the other engine's."""
+        """The solution that runs of an engine are compared with: that of the other engine."""
         found: ScenarioRun = getattr(self, _OTHER[engine])
         return found
 
@@ -147,20 +147,20 @@ class References:
 
 
 def references(scenario: Scenario, representation: str) -> References:
-    """Both tight solutions of a law in a scenario."""
+    """Both reference solutions of a law in a scenario."""
     law = law_or_none(scenario, representation)
     return References(*(motion(scenario, law, TIGHT[name]) for name in ("compiled", "scipy")))
 
 
 def _looser(solver: Solver) -> list[Solver]:
-    """Tolerances ten and a hundred times looser: a single one could agree by chance."""
+    """Solvers with tolerances 10 and 100 times looser; with one, agreement could be chance."""
     return [solver.with_rtol(f * solver.rtol) for f in (10.0, 100.0)]
 
 
 def settled(
     scenario: Scenario, representation: str, found: References, scale: Scale, promise: float
 ) -> References:
-    """The references, or of two that disagree the one that converges, for both engines.
+    """The references; if they disagree, the one that converges is returned for both engines.
 
     Steps without event location may pass over a thin layer, as scipy's do near grazing; such a
     solution changes with its tolerance. If both solutions converge, they contradict each other,
@@ -169,7 +169,7 @@ def settled(
     Parameters
     ----------
     promise : float
-        Largest distance [-] of references that agree.
+        Largest distance [-] at which references agree.
     """
     if not found.distance(scale) > promise:
         return found
@@ -187,18 +187,18 @@ def settled(
 
 
 def growth(scenario: Scenario, law: ContactLaw, section: Array) -> Array:
-    """Largest factor by which a disturbance of the start has grown, per period end.
+    """Largest growth factor of a disturbance of the initial state, at every period end.
 
     Parameters
     ----------
     section : ndarray, shape (n, 2)
-        The motion's period ends, from which every period starts in a lane of its own.
+        States at the motion's period ends, from which each period is integrated in its lane.
 
     Returns
     -------
     ndarray, shape (n,)
-        The largest so far, 1 or more; in states scaled by the forcing's angular frequency, or
-        the oscillator's if that is higher.
+        The largest factor so far, ``>= 1``; velocities are divided by the angular frequency of the
+        forcing, or of the oscillator if that is higher.
     """
     starts = np.vstack([[scenario.x_0, scenario.v_0], section[:-1]])
     omega = np.full(len(starts), scenario.omega)

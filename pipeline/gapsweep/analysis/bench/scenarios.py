@@ -25,7 +25,7 @@ _GAP = COORDINATES["gap"][1]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Scenario:
-    """One motion that every method computes."""
+    """A benchmark scenario: one motion that all methods compute."""
 
     name: str
     oscillator: Oscillator
@@ -35,7 +35,7 @@ class Scenario:
     x_0: float  # initial state [m], [m/s]
     v_0: float
     n_periods: int  # forcing periods of the motion
-    expected: str | None  # how the right answer is known; None for work-precision
+    expected: str | None  # kind of the known solution; None for work-precision
     fit_range: float  # half-width of the range of fits [m]
     without: tuple[str, ...]  # labels of methods that do not compute it
     own: Mapping[str, OwnLaw] = field(default_factory=dict, compare=False)  # user laws by label
@@ -55,7 +55,7 @@ class Scenario:
 
 @dataclass(frozen=True, slots=True)
 class Method:
-    """A representation and its solver at every rung of a ladder of tolerances."""
+    """A representation and its solvers, one for each of its tolerances (rungs)."""
 
     label: str
     rungs: tuple[Solver, ...]
@@ -66,12 +66,12 @@ class Method:
 
     @property
     def own(self) -> str:
-        """The law that it solves: the exact one also without located contacts."""
+        """Label of the law that the method solves: the exact law also for piecewise-noevents."""
         return EXACT if self.representation == "piecewise-noevents" else self.representation
 
 
 def scenarios(study: Study, *, with_answer: bool) -> list[Scenario]:
-    """The scenarios of a study whose right answer is stated, or those in which it is not."""
+    """The scenarios of a study that state a known solution, or those that do not."""
     bench = study.spec.bench
     tables = bench.scene if bench else []
     wanted = [table for table in tables if (table.expected is not None) == with_answer]
@@ -100,7 +100,7 @@ def _scenario(study: Study, table: BenchSceneTable) -> Scenario:
 
 
 def _own_laws(study: Study) -> Iterator[tuple[str, OwnLaw]]:
-    """The user's own laws that can be read, by label."""
+    """Label and law of the user laws of a study that can be loaded."""
     for label in study.own_laws:
         with suppress(ModelError):
             if (own := study.own_law(label)) is not None:
@@ -108,7 +108,7 @@ def _own_laws(study: Study) -> Iterator[tuple[str, OwnLaw]]:
 
 
 def methods(study: Study) -> list[Method]:
-    """The methods of a study, each with its solvers from the loosest tolerance on."""
+    """The methods of a study, each with its solvers, the loosest tolerance first."""
     tables = study.spec.bench.method if study.spec.bench else []
     return [
         Method(
@@ -120,7 +120,7 @@ def methods(study: Study) -> list[Method]:
 
 
 def law_or_none(scenario: Scenario, representation: str) -> ContactLaw | None:
-    """The law, None if there is none in this scenario."""
+    """The contact law of a label; None if it cannot be built for this scenario."""
     try:
         return scenario.law(representation)
     except ModelError:
@@ -128,7 +128,7 @@ def law_or_none(scenario: Scenario, representation: str) -> ContactLaw | None:
 
 
 def coordinates(scenarios: Sequence[Scenario], methods: Sequence[Method]) -> dict[str, Any]:
-    """Coordinates that every dataset over scenarios and methods has."""
+    """Coordinates of a dataset over scenarios and methods."""
     gaps = [scenario.gap for scenario in scenarios]
     columns = {
         "K_c": [scenario.K_c for scenario in scenarios],
@@ -149,7 +149,7 @@ def coordinates(scenarios: Sequence[Scenario], methods: Sequence[Method]) -> dic
 
 
 def tolerances(methods: Sequence[Method]) -> dict[str, Any]:
-    """Tolerances of all rungs, NaN where a method's ladder has ended."""
+    """Coordinates ``rtol`` and ``atol`` over method and rung; NaN beyond a method's last rung."""
     n_rungs = max(len(method.rungs) for method in methods)
     found = {}
     for name, units in (("rtol", "1"), ("atol", "m")):

@@ -1,4 +1,4 @@
-"""The failure atlas ``stability.nc``: all methods on hard scenarios whose right answer is known.
+"""The failure atlas ``stability.nc``: all methods on hard scenarios with a known solution.
 
 Definitions: docs/reference/bench.md.
 """
@@ -12,7 +12,7 @@ from gapsweep.analysis.bench.scenarios import methods, scenarios, tolerances
 from gapsweep.execution.progress import DEFAULT_TIMEOUT
 from gapsweep.study.study import Study
 
-# Tolerances from which on a silent wrong answer is a fault.
+# Largest rtol at which a wrong result with status ok counts as a fault.
 TIGHT_RTOL = 1e-6
 VARIABLES = (
     *("outcome", "status", "solver_error", "total_error", "allowed_error", "n_contacts"),
@@ -24,7 +24,7 @@ VARIABLES = (
 def stability(
     study: Study, say: Say | None = None, timeout: float = DEFAULT_TIMEOUT
 ) -> xr.Dataset | None:
-    """Outcomes of every method on every scenario whose right answer is stated.
+    """Outcomes of every method on every scenario with a stated solution.
 
     Parameters
     ----------
@@ -36,8 +36,8 @@ def stability(
     -------
     Dataset
         Over `scene`, `method` and `tolerance` (the rung of a method's ladder), `expected` over
-        `scene`; None if the study has no such scenario. Attribute `n_silent_wrong` counts those
-        at rtol 1e-6 or tighter.
+        `scene`; None if the study has no such scenario. Attribute `n_silent_wrong` counts wrong
+        results with status ok at rtol 1e-6 or tighter.
     """
     found, ladder = scenarios(study, with_answer=True), methods(study)
     if not found:

@@ -52,7 +52,7 @@ from gapsweep.variables import Variable, empty
 Cell = tuple[int, int, int]
 Result = TypeVar("Result")
 
-# A call that takes longer than this [s] is repeated so many times only: its spread is small.
+# A call that takes longer than this [s] is repeated only 3 times: its spread is small.
 _SLOW, _FEW = 0.1, 3
 _RESPONSE_TIGHT = Solver(engine="compiled", rtol=1e-12, atol=1e-15)
 
@@ -90,7 +90,7 @@ ERROR_SCALE = "gap width; for velocities, times the angular forcing frequency"
 def work_precision(
     study: Study, say: Say | None = None, timeout: float = DEFAULT_TIMEOUT
 ) -> xr.Dataset | None:
-    """Error, cost and status of every method on every scenario without a stated answer.
+    """Error, cost and status of every method on every scenario without a stated solution.
 
     Parameters
     ----------
@@ -110,16 +110,16 @@ def work_precision(
     if not found:
         return None
     assert study.spec.bench is not None
-    # The load of the machine before this analysis adds to it.
+    # The load of other processes, before the measurements.
     load = os.getloadavg()[0] if hasattr(os, "getloadavg") else math.nan
     repeats = study.spec.bench.repeats
-    tell = say or (lambda _: None)
+    report = say or (lambda _: None)
     with Isolated(timeout) as isolated:
         bench = Measurements(found, ladder, study.spec.bench.lanes, study.steady, isolated)
         # Costs first: their first calls are the first ones of the process.
-        tell(f"work-precision: measuring costs of {len(found)} scenarios, {len(ladder)} methods")
+        report(f"work-precision: measuring costs of {len(found)} scenarios, {len(ladder)} methods")
         bench.measure_costs(repeats)
-        tell("work-precision: computing steady responses")
+        report("work-precision: computing steady responses")
         bench.measure_responses()
     compared = [followed(bench.without_lost(s)) for s in range(len(found))]
     arrays = cell_table(compared, ladder, timeout, say) | bench.arrays
@@ -140,7 +140,7 @@ def work_precision(
 
 
 def processor() -> str:
-    """Name of the processor as the system gives it."""
+    """Name of the processor, as the operating system reports it."""
     with suppress(OSError):
         for line in Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines():
             if line.startswith("model name"):
@@ -149,7 +149,7 @@ def processor() -> str:
 
 
 def followed(scenario: Scenario) -> Scenario:
-    """The scenario, cut where disturbances have grown too far to tell right from wrong."""
+    """The scenario, cut at the period where disturbances have grown by `LARGEST_GROWTH`."""
     law = scenario.law(EXACT)
     exact = motion(scenario, law, TIGHT["compiled"])
     if exact.status is not Status.OK:
@@ -161,7 +161,7 @@ def followed(scenario: Scenario) -> Scenario:
 def amplitudes(
     scenarios: Sequence[Scenario], representation: str, solver: Solver, steady: Steady
 ) -> Array:
-    """Steady amplitudes [m] of a law, shape (n_scenarios,); NaN where there is none."""
+    """Steady amplitudes [m] of a law, shape (n_scenarios,); NaN without a steady response."""
     laws = {s: law_or_none(scenario, representation) for s, scenario in enumerate(scenarios)}
     known = {s: law for s, law in laws.items() if law is not None}
     cases = [
@@ -178,7 +178,7 @@ def amplitudes(
 
 
 class Measurements:
-    """Costs and steady amplitudes of scenarios and methods; user laws run in `isolated`."""
+    """Measured costs and steady amplitudes of methods; user laws run in the process `isolated`."""
 
     def __init__(
         self,
@@ -190,7 +190,7 @@ class Measurements:
     ) -> None:
         self.scenarios, self.methods = list(scenarios), list(methods)
         self.steady, self.isolated = steady, isolated
-        # Status of user laws that returned nothing, by scenario and representation.
+        # Status of failed calls of user laws, by scenario and representation.
         self.lost: dict[tuple[int, str], Status] = {}
         self.arrays = empty(MEASURED, sizes(scenarios, methods))
         # scipy solves one point after the other.
@@ -198,13 +198,13 @@ class Measurements:
         self.arrays["n_lanes"][:] = self.n_lanes
 
     def without_lost(self, s: int) -> Scenario:
-        """A scenario without the user laws that returned nothing in it."""
+        """A scenario without the user laws whose calls failed in it."""
         lost = (m.label for m in self.methods if (s, m.representation) in self.lost)
         scenario = self.scenarios[s]
         return replace(scenario, without=(*scenario.without, *lost))
 
     def cells(self) -> Iterator[tuple[Cell, Scenario, Method, Solver]]:
-        """All cells; methods take turns within a scenario and rung."""
+        """Indices, scenario, method and solver of all cells; methods alternate within a rung."""
         n_rungs = self.arrays["cpu_time"].shape[2]
         for s, scenario in enumerate(self.scenarios):
             for r in range(n_rungs):
@@ -213,7 +213,7 @@ class Measurements:
                         yield (s, m, r), scenario, method, method.rungs[r]
 
     def measure_costs(self, repeats: int) -> None:
-        """Median and quartiles of repeated calls; all methods take turns, round by round."""
+        """Measure medians and quartiles of the cost in rounds over all methods."""
         times = np.full((repeats, *self.arrays["cpu_time"].shape), np.nan)
         first = np.full(self.arrays["cpu_time"].shape, np.nan)
         for cell, scenario, method, solver in self.cells():
@@ -229,7 +229,7 @@ class Measurements:
                     seconds, simulated = found
                     times[(n, *cell)] = seconds / simulated
         with warnings.catch_warnings():
-            warnings.filterwarnings("ignore", "All-NaN slice")  # no such rung, no such law
+            warnings.filterwarnings("ignore", "All-NaN slice")  # cells without a rung or a law
             for name, share in (("cpu_time_q25", 0.25), ("cpu_time", 0.5), ("cpu_time_q75", 0.75)):
                 self.arrays[name] = np.nanquantile(times, share, axis=0)
             self.arrays["first_call_time"] = np.nanmax(first, axis=(0, 2))
@@ -244,7 +244,7 @@ class Measurements:
     def _call(
         self, s: int, method: Method, function: Callable[..., Result], *arguments: Any
     ) -> Result | None:
-        """The result of a call that may run a user law; None if that returned nothing here."""
+        """Result of a call, isolated for user laws; None if it failed now or before."""
         if not is_of_user(method):
             return function(*arguments)
         if (s, method.representation) in self.lost:
@@ -256,18 +256,18 @@ class Measurements:
             return None
 
     def measure_responses(self) -> None:
-        """Error of the steady amplitude of every cell of the compiled engine."""
+        """Measure the error of the steady amplitude in every cell of the compiled engine."""
         own: dict[str, Array] = {}
         for m, method in enumerate(self.methods):
             if method.rungs[0].engine == "scipy":
                 continue
             if method.own not in own:
                 own[method.own] = self._amplitudes(method, method.own, _RESPONSE_TIGHT)
-            true = own[method.own]
+            reference = own[method.own]
             asked = [method.label not in scenario.without for scenario in self.scenarios]
             for r, solver in enumerate(method.rungs):
                 found = self._amplitudes(method, method.representation, solver)
-                error = np.abs(found - true) / true
+                error = np.abs(found - reference) / reference
                 self.arrays["amplitude_error"][:, m, r] = np.where(asked, error, np.nan)
 
     def _amplitudes(self, method: Method, representation: str, solver: Solver) -> Array:
@@ -282,8 +282,8 @@ class Measurements:
 
 
 def find_fronts(arrays: dict[str, Any]) -> None:
-    """Mark the Pareto fronts of total error and processor time, scenario by scenario."""
-    # A point whose error is too small to be measured still beats those that are worse.
+    """Set ``on_front``: the Pareto front of total error and CPU time in each scenario."""
+    # Points with an error too small to be measured still exclude worse points from the front.
     error = np.where(arrays["status"] == Status.OK, arrays["bounded_error"], np.nan)
     for s, measurable in enumerate(arrays["at_reference_floor"] == 0):
         arrays["on_front"][s] = on_front(error[s], arrays["cpu_time"][s]) & measurable

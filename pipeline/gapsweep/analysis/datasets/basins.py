@@ -1,4 +1,4 @@
-"""Basins of attraction: which attractor a grid of starts ends on."""
+"""Basins of attraction: the attractor of every initial condition on a grid."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from gapsweep.execution.cluster import check_workers
 from gapsweep.integrate.problem import DEFAULT_ENGINE, Solver
 from gapsweep.model.contact import ContactLaw
 from gapsweep.model.doubts import doubts, warn_of
-from gapsweep.model.oscillator import Oscillator, checked
+from gapsweep.model.oscillator import Oscillator, called_as, checked
 from gapsweep.model.system import floats
 from gapsweep.model.user_law import UserLaw
 from gapsweep.response.attractors import Attractors, Grouping
@@ -25,7 +25,7 @@ from gapsweep.response.scene import Scene
 from gapsweep.response.section import unit_of
 
 _MAX_STARTS = 10**6
-_PART = 4096  # starts that are answered together
+_PART = 4096  # initial conditions computed in one call
 _ATTRIBUTES = {
     "attractor": ("1", "number of the attractor, -1: none"),
     "x_max": ("m", "peak displacement of the attractor"),
@@ -38,6 +38,7 @@ _ATTRIBUTES = {
 }
 
 
+@called_as("gs.basins(oscillator, law, 9.0, x=[0.0, 1e-3], v=[0.0]), in Hz, m and m/s")
 def basins(
     oscillator: Oscillator,
     law: ContactLaw,
@@ -126,7 +127,7 @@ def basins(
 
 
 def _dataset(found: Attractors, scene: Scene, starts_x: Array, starts_v: Array) -> xr.Dataset:
-    """What `basins` returns."""
+    """The dataset that `basins` returns, from the grouped attractors."""
     (law,), columns = scene.laws, found.leaders.columns
     dataset = xr.Dataset(
         {
@@ -156,7 +157,7 @@ def _dataset(found: Attractors, scene: Scene, starts_x: Array, starts_v: Array) 
 def _answers(
     parts: list[tuple[Array, Array]], scene: Scene, steady: Steady, client: Any
 ) -> Iterator[Responses]:
-    """Responses of all parts in their order, each let go as it is taken."""
+    """Responses of all parts in order; each is released when the next is requested."""
     if client is None:
         yield from (_answer(part, scene, steady) for part in parts)
         return

@@ -1,8 +1,8 @@
-"""Branches of periodic orbits in all scenes of a study: ``branches.nc``.
+"""Branches of periodic orbits in all cases of a study: ``branches.nc``.
 
-A scene is all that is swept but the parameter of the branches and the initial states. Its branches
-start from its periodic attractors. They are stored next to the cache by content, one file a scene,
-so that a run that was interrupted computes only the scenes that it lacks.
+A case has one value of every swept parameter, except the parameter of the branches and the initial
+states. Its branches begin at its periodic attractors. Each case has a file next to the cache, by
+content key, so that an interrupted run computes only the missing cases.
 """
 
 from collections.abc import Callable, Iterator, Mapping
@@ -53,10 +53,10 @@ OF_STUDY = {
 
 @dataclass(slots=True, kw_only=True)
 class _SceneBranches:
-    """A scene of a study."""
+    """A case of a study: its position, the inputs of its branches, and the result."""
 
-    at: Mapping[str, int]  # its place on the axes
-    # Shape (n, 2): of its n attractors, numbers along the parameter and in ``attractors.nc``.
+    at: Mapping[str, int]  # its position on the axes
+    # Shape (n, 2): positions of its n attractors along the parameter and in ``attractors.nc``.
     numbers: NDArray[np.intp]
     scene: BranchScene
     found: Followed
@@ -90,7 +90,7 @@ def branches(
     parts = [part for part in _parts(study, attractors) if part.scene.attractors]
     missing = []
     for part in parts:
-        # In a folder for each scene: SHA256SUMS has one writer.
+        # Each case has its folder, so that SHA256SUMS has one writer.
         path = cache / FOLDER / part.scene.key / "scene.nc"
         with suppress(StoreError):
             part.found = Followed(Status.OK, branches=netcdf.read(path))
@@ -110,7 +110,7 @@ def branches(
 
 
 def _parts(study: Study, attractors: xr.Dataset) -> Iterator[_SceneBranches]:
-    """The scenes of a study."""
+    """The computed cases of a study whose branches can be followed, with their attractors."""
     table, grid = study.spec.branches, study.grid
     assert table is not None
     along, axes = table.along, grid.axes
@@ -141,7 +141,7 @@ def _parts(study: Study, attractors: xr.Dataset) -> Iterator[_SceneBranches]:
 
 
 def _attractors(here: xr.Dataset, along: str, numbers: NDArray[np.intp]) -> Iterator[Attractor]:
-    """The periodic attractors of a scene."""
+    """The periodic attractors of a case."""
     sections = [name for name in ("section_x", "section_v", "section_z") if name in here]
     names = [name for name in (*sections, "period_multiple", "period") if name in here]
     here = here[names].load()
@@ -158,7 +158,7 @@ def _attractors(here: xr.Dataset, along: str, numbers: NDArray[np.intp]) -> Iter
 
 
 def _assembled(study: Study, parts: list[_SceneBranches]) -> xr.Dataset:
-    """One dataset of the branches of all scenes."""
+    """The dataset ``branches.nc``, of the branches of all cases."""
     table, grid = study.spec.branches, study.grid
     assert table is not None
     columns: dict[str, list[Any]] = {name: [] for name in OF_STUDY}
@@ -207,7 +207,7 @@ def _assembled(study: Study, parts: list[_SceneBranches]) -> xr.Dataset:
 
 
 def _joined(several: list[xr.Dataset]) -> xr.Dataset:
-    """Branches one after the other; missing values behind the ends of shorter ones."""
+    """Concatenated branches of all cases; shorter branches are padded with missing values."""
     if not several:
         return xr.Dataset({"stable": ((BRANCH, "step"), np.zeros((0, 0), np.int8))})
     missing = {name: each.missing for name, each in (VARIABLES | OF_BRANCH).items()}

@@ -22,7 +22,7 @@ from gapsweep.model.equilibria import (
     sign_changes,
 )
 from gapsweep.model.fit import MAX_DEGREE
-from gapsweep.model.oscillator import Gap, Oscillator, checked
+from gapsweep.model.oscillator import Gap, Oscillator, called_as, checked
 
 Array = NDArray[np.float64]
 
@@ -77,6 +77,7 @@ class StaticError(NamedTuple):
     needed: float = math.nan
 
 
+@called_as("gs.static_error(law)")
 def static_error(
     law: ContactLaw,
     visited: float | Sequence[float] = FIT_RANGE,
@@ -203,7 +204,7 @@ def error_of_parts(law: ContactLaw, x_max: float) -> tuple[float, float]:
     """RMSE [N] in the gap and in the rest of ``±x_max`` [m]; NaN for a part that does not exist."""
     nodes, _, weights, error = _sampled(law, -x_max, x_max)
     low, high = in_gap(law.gap, x_max)
-    # No panel straddles a wall: the walls are search points.
+    # No panel extends over a wall: the walls are search points.
     inside = (nodes[:, 2] > low) & (nodes[:, 2] < high)
     squares, lengths = (error**2 * weights).sum(axis=1), weights.sum(axis=1)
     within, rest = (
@@ -277,10 +278,10 @@ def tanh_threshold(
     if not predicted > 0.0:
         return float("nan")
 
-    points = search_points(Tanh(K_c, gap, predicted), x_max)  # of any sharpness and ratio
+    points = search_points(Tanh(K_c, gap, predicted), x_max)  # the same for any sharpness and ratio
 
     def single(epsilon: float) -> bool:
-        """Whether the force rises through zero once; where, and at which energy, is not asked."""
+        """Whether the restoring force has one rising zero, that is, one stable equilibrium."""
         law = Tanh(K_c, gap, epsilon, K_ratio=K_ratio)
         turns, _ = sign_changes(lambda x: restoring_slope(oscillator, law, x), points)
         sign = np.sign(restoring_force(oscillator, law, np.union1d(points, turns)))

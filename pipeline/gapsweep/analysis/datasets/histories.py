@@ -1,9 +1,9 @@
-"""Time histories and amplitude spectra of the motions that a study asks to keep.
+"""Time histories and amplitude spectra of the motions in ``[[history]]`` of a study.
 
-Every motion is stored twice, its first and its last forcing periods, sampled at equal phases of
-the forcing. The spectrum is that of the last ones: a Hann window over whole forcing periods,
-scaled so that a sinusoid on a bin shows its amplitude. Their number has many divisors, so that
-the harmonics of period-2 to period-6 motions, too, lie on bins.
+The first and the last forcing periods of every motion are stored, sampled at equal phases of the
+forcing. The spectrum is of the last periods: a Hann window over whole forcing periods,
+scaled so that a sinusoid on a bin shows its amplitude. The number of periods has many
+divisors, so that the harmonics of period-2 to period-6 motions, too, lie on bins.
 """
 
 from collections.abc import Callable
@@ -33,7 +33,7 @@ from gapsweep.user_code.package_digest import numerics_fingerprint
 from gapsweep.variables import STATUS_FLAGS, Variable, empty, with_attributes
 
 PARTS = ("start", "steady")
-# Section points closer than this share of the reach are taken for one.
+# Section points closer than this share of the largest displacement count as one.
 _SAME_POINT = 1e-4
 
 _DIMS = ("history", "representation")
@@ -78,8 +78,8 @@ def histories(study: Study, timeout: float = DEFAULT_TIMEOUT) -> xr.Dataset | No
     Returns
     -------
     Dataset
-        Over `history` (the tables in their order) and `representation` (the union of theirs;
-        what a table does not ask for is `not_requested`). `x` and `v` over `part` (``start``,
+        Over `history` (the tables in their order) and `representation` (of all tables;
+        motions that no table requests are `not_requested`). `x` and `v` over `part` (``start``,
         ``steady``) and `sample`, at times `t`; `spectrum` over `frequency_bin`, at `frequency`.
         Padded with NaN where a motion is shorter than `N_PERIODS` or has failed.
     """
@@ -135,7 +135,7 @@ def sampled(omega: float, t_end: float) -> tuple[Array, Array]:
 
 
 def _leading(value: Any) -> Any:
-    """Where a value lies in an array that is padded along its last axis."""
+    """Index of a value in an array that is padded along its last axis."""
     return (..., slice(np.shape(value)[-1])) if np.ndim(value) else ...
 
 
@@ -144,7 +144,7 @@ def _whole_periods(omega: float, t_end: float) -> int:
 
 
 def _described(study: Study) -> dict[str, dict[str, Any]]:
-    """Attributes of the coordinates of histories, of numbers of the oscillator if they differ."""
+    """Attributes of the coordinates of histories, with oscillator parameters that are given."""
     given = {x for table in study.spec.history for x in (*table.parameter, *table.model_fields_set)}
     others = [x for x in (*study.spec.model, "K_ratio") if x in given.union(study.grid.axes)]
     described = SCENE | {name: COORDINATES[name][1] for name in others}
@@ -152,7 +152,7 @@ def _described(study: Study) -> dict[str, dict[str, Any]]:
 
 
 def _scene(study: Study, table: HistoryTable) -> dict[str, Any]:
-    """The coordinates of a history."""
+    """Values of the coordinates of a history, by name."""
     gap = _gap(table)
     return study.setting(table) | {
         "K_c": table.K_c,
@@ -173,7 +173,7 @@ def _gap(table: HistoryTable) -> Gap:
 
 
 def _history(study: Study, table: HistoryTable, label: str, process: Isolated) -> dict[str, Any]:
-    """The variables of one motion; its status alone if it has failed."""
+    """The variables of one motion by name; only its status if it has failed."""
     x_0, v_0 = table.start
     try:
         numbers = study.setting(table)

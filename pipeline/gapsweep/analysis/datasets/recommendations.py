@@ -1,4 +1,4 @@
-"""The least model that each scene of a study needs: ``advice.nc``.
+"""The simplest adequate model for each parameter set of a study: ``advice.nc``.
 
 `gapsweep.study.least_model` derives it; smooth laws are chosen by `contact_errors.ADEQUATE`.
 """
@@ -32,7 +32,7 @@ from gapsweep.variables import Variable
 MODEL_FLAGS = (("none", -1), *((model.name.lower(), int(model)) for model in Model))
 APPROXIMATION = "approximation"
 
-# Over every dimension but the representation; over those of scenes, and the smooth law.
+# Over all dimensions but representation; `SCREENED` over parameter sets and smooth laws.
 VARIABLES = {
     "model": Variable("i1", "1", "simplest adequate model", -1, MODEL_FLAGS),
     "rtol": Variable("f8", "1", "relative tolerance of the solver"),
@@ -48,12 +48,12 @@ SCREENED = {
 _SEEDS = {name: f"{name}-1e4" for name, law in FAMILIES.items() if law.is_sharpened}
 _FITTED = {"poly": "poly-13"}
 _SYMBOLS = {"tanh": "epsilon", "arctan": "epsilon", "logarctan": "gamma", "poly": "degree"}
-_MOST_STARTS = 3  # that are named one by one
+_MOST_STARTS = 3  # initial conditions that are named one by one
 _PART = 65_536  # points whose numbers are in memory at a time
 
 
 def advice(study: Study, error: float | None = None, share: float = 0.95) -> xr.Dataset:
-    """Advice for every scene and start of a study, and static screening of smooth laws.
+    """Advice for every point of a study, and static screening of smooth laws.
 
     Parameters
     ----------
@@ -66,10 +66,10 @@ def advice(study: Study, error: float | None = None, share: float = 0.95) -> xr.
     Returns
     -------
     Dataset
-        `VARIABLES` over every dimension but the representation, -1 where none is asked for;
-        `SCREENED` over the dimensions of scenes and `approximation`: the study's own smooth laws
-        and, per family, the one with the smallest adequate parameter, in the displacements of
-        `expected_range`. Attributes `error`, `share` and `allowed_force_error`.
+        `VARIABLES` over every dimension but the representation, -1 for cells without a point;
+        `SCREENED` over the dimensions of parameter sets and `approximation`: the study's smooth
+        laws and, per family, the one with the smallest adequate parameter, in the displacements
+        of `expected_range`. Attributes `error`, `share` and `allowed_force_error`.
     """
     if not study.model.is_oscillator:
         raise StudyError(
@@ -86,7 +86,7 @@ def advice(study: Study, error: float | None = None, share: float = 0.95) -> xr.
     cells = np.flatnonzero(asked)
     for first in range(0, len(cells), _PART):
         part = cells[first : first + _PART]
-        found = study.advice(part, error)  # cells of the first representation, which says nothing
+        found = study.advice(part, error)  # cells of the first representation; it has no effect
         model.flat[part] = [one.model for one in found]
         rtol.flat[part] = [one.rtol for one in found]
         bound.flat[part] = [one.bound for one in found]
@@ -118,7 +118,10 @@ def advice(study: Study, error: float | None = None, share: float = 0.95) -> xr.
 
 
 def _screened(study: Study, share: float) -> tuple[list[str], dict[str, Any]]:
-    """The study's smooth laws and the least adequate ones, and how they do in every scene."""
+    """Labels of smooth laws, and their force error and adequacy in every parameter set.
+
+    They are the study's smooth laws and, per family, the one with the smallest adequate parameter.
+    """
     grid = study.grid
     own = dict.fromkeys(law_of(label) for label in grid.representations)
     smooth = [r for r in own if family(r) not in (None, Piecewise)]
@@ -162,14 +165,14 @@ def _placed(
 
 
 def sentences(found: xr.Dataset) -> list[dict[str, Any]]:
-    """What `advice` found, by scene and start, in words.
+    """The results of `advice` in words, by parameter set and initial condition.
 
     Returns
     -------
     list of dict
-        ``K_c``, ``gap``, what else is swept by name, ``starts``, a list of ``start``, which says
-        those that need the same models, and ``advice``, a list of ``from``, ``to`` [Hz], ``model``
-        and ``reason``; ``approximations``, a sentence.
+        ``K_c``, ``gap``, further swept parameters by name, ``starts``, a list of ``start``, the
+        initial conditions that need the same models, and ``advice``, a list of ``from``,
+        ``to`` [Hz], ``model`` and ``reason``; ``approximations``, a sentence.
     """
     scenes = []
     dims = found["force_error"].dims[:-1]
@@ -192,7 +195,7 @@ def sentences(found: xr.Dataset) -> list[dict[str, Any]]:
 
 
 def _alike(here: xr.Dataset) -> Iterator[xr.Dataset]:
-    """The starts of a scene, those together that need the same model at every frequency."""
+    """Groups of initial conditions that need the same model at every frequency."""
     groups: dict[bytes, list[int]] = {}
     for i, models in enumerate(here["model"].transpose(START, "omega").values):
         if (models >= 0).any():
@@ -221,7 +224,7 @@ def _start(one: xr.Dataset) -> str:
 
 
 def _ranges(some: xr.Dataset) -> list[dict[str, Any]]:
-    """Neighbouring frequencies at which starts need the same model, together."""
+    """Intervals of frequency with the same model, each with its rtol and reason."""
     one = some.isel({START: 0})
     asked = np.flatnonzero(one["model"].values >= 0)
     omega, model, rtol = (one[name].values[asked] for name in ("omega", "model", "rtol"))

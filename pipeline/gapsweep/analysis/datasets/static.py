@@ -1,9 +1,9 @@
-"""The static part of a study: what its contact laws are worth before anything is integrated.
+"""The static analysis of a study: properties of its contact laws without integration.
 
-For every representation, stiffness and gap, and whatever else of the spring, the mass and the walls
-is swept: force curve and force error (A1 of the metrics), frequency of small motions in the gap
-(A2), static equilibria and their barriers (A3); for every contact the sharpness from which tanh has
-no false equilibrium; and the RMS force error over the visited displacements as a share of the
+For every representation, stiffness and gap, and for other swept parameters of spring, mass and
+walls: force curve and force error (A1 of the metrics), frequency of small motions in the gap (A2),
+static equilibria and their barriers (A3); for every stiffness and gap the sharpness from which tanh
+has no false equilibrium; and the RMS force error over the visited displacements as a share of the
 forcing, by which a law is chosen (docs/explanation/rule.md).
 """
 
@@ -41,7 +41,7 @@ from gapsweep.variables import Variable
 Values = dict[str, Any]
 
 EQUILIBRIUM = "equilibrium"
-# What is no wall's: force curves do not depend on it.
+# Parameters other than those of the walls: force curves do not depend on them.
 _SPRING = ("omega_n", "mass", "alpha", "mean_load")
 _N_UNIFORM = 801
 # Distances from a wall [m]: from the layer of tanh-1e9 on, 6 per decade.
@@ -100,21 +100,21 @@ LIST_VARIABLES = {
 def static(
     study: Study, responses: xr.Dataset | None = None, *, with_own_laws: bool = True
 ) -> xr.Dataset:
-    """Force, errors, frequencies and equilibria over representation, K_c, gap and what is swept.
+    """Force, errors, frequencies and equilibria of laws over all swept parameters.
 
     A law that cannot be built or evaluated leaves NaN and its reason in ``refusal``.
 
     Parameters
     ----------
     study : Study
-        Labels lose their protocol here, and each is there once.
+        Its representations are evaluated without protocols, each once.
     responses : Dataset, optional
         Responses of the study, for the displacements that the exact law visits. Without them, or
         without the exact law, the range is that of `expected_range`; attribute `visited` of
         ``force_error_ratio`` says which.
     with_own_laws : bool
-        Whether to evaluate laws of the user's own here, in this process, which they could hang
-        or end; they are refused otherwise.
+        Whether to evaluate user laws in this process, which they could hang or end; otherwise
+        they are refused.
 
     Returns
     -------
@@ -176,7 +176,7 @@ def static(
 def _model(
     oscillator: Oscillator, setting: Mapping[str, Any]
 ) -> tuple[Oscillator, *tuple[Any, ...]]:
-    """The oscillator of a setting, its stiffness, gap and ratio of the walls' stiffnesses."""
+    """Oscillator, stiffness, gap and stiffness ratio of a setting of swept parameters."""
     spring = {name: setting[name] for name in _SPRING if name in setting}
     walls = setting["K_c"], setting["gap"], setting.get("K_ratio", 1.0)
     return replace(oscillator, **spring), *walls
@@ -265,19 +265,19 @@ def displacements(gaps: tuple[Gap, ...], x_max: float) -> Array:
 
 
 def _unless_refused(label: str, measured: Callable[..., Values], *given: Any) -> Values:
-    """What is measured of a law, or why it is refused."""
+    """The values that a function measures for a law, or else the reason of its refusal."""
     try:
         return measured(*given)
     except ModelError as error:
         return {"refusal": str(error)}
-    except Exception as error:  # raised by the user's own law, which is then told as refused
+    except Exception as error:  # raised by a user law, which then counts as refused
         if ":" not in label:
             raise
         return {"refusal": f"{type(error).__name__}: {error}"}
 
 
 def _of_walls(x: Array, study: Study, label: str, K_c: float, gap: Gap, K_ratio: float) -> Values:
-    """A law and what depends on nothing else."""
+    """The law, and the values that depend on the law only, not on the oscillator."""
     law, x_max = study.law(label, K_c, gap, K_ratio), study.spec.fit.range
     force = law.force(x)
     return {
@@ -291,7 +291,7 @@ def _of_walls(x: Array, study: Study, label: str, K_c: float, gap: Gap, K_ratio:
 
 
 def _of_spring(oscillator: Oscillator, of_walls: Values, x_max: float) -> Values:
-    """With what a law does to an oscillator."""
+    """The values of `of_walls`, and those that depend on law and oscillator."""
     if "law" not in of_walls:
         return of_walls
     law = of_walls["law"]
@@ -311,7 +311,10 @@ def _errors(law: ContactLaw, x_max: float) -> Values:
 
 
 def _in_gap(oscillator: Oscillator, law: ContactLaw, x_max: float) -> Values:
-    """A2. The cubic spring is left out, so that the exact law has omega_n everywhere."""
+    """Metric A2: frequencies of small motions in the gap and at x = 0.
+
+    The cubic spring is left out, so that the exact law has omega_n everywhere.
+    """
     values = {}
     low, high = in_gap(law.gap, x_max)
     middle = 0.5 * (low + high) if high > low else np.nan
@@ -324,7 +327,7 @@ def _in_gap(oscillator: Oscillator, law: ContactLaw, x_max: float) -> Values:
 
 
 def _wells(oscillator: Oscillator, law: ContactLaw, x_max: float) -> Values:
-    """A3."""
+    """Metric A3: static equilibria, with their stability, energy, frequency and barrier."""
     found = equilibria(oscillator, law, x_max)
     slope = restoring_slope(oscillator, law, found.x)
     barriers = found.barrier[np.isfinite(found.barrier)]
@@ -349,7 +352,7 @@ def _frequency(oscillator: Oscillator, stiffness: Array) -> Array:
 def _filled(
     variable: Variable, name: str, found: Sequence[Values], over: Mapping[str, int]
 ) -> NDArray[Any]:
-    """The values of all settings in one array, padded with the value for missing ones."""
+    """One array of a variable's values in all settings, padded with its missing value."""
     shape = tuple(over.values())
     if variable.dtype == "str":
         return np.reshape(np.array([values.get(name, "") for values in found], dtype=str), shape)

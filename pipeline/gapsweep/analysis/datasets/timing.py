@@ -23,7 +23,7 @@ COSTS = {
 
 
 def timing(responses: xr.Dataset) -> xr.Dataset:
-    """Mean and median cost per point of every representation and scene.
+    """Mean and median cost per point of every representation and parameter set.
 
     Parameters
     ----------
@@ -56,15 +56,15 @@ def _busiest(host: xr.DataArray) -> int:
 
 
 def quantile(values: xr.DataArray, q: float) -> xr.DataArray:
-    """Quantile over frequencies and starts; NaN entries do not count."""
+    """Quantile over frequencies and initial conditions, without NaN entries."""
     with warnings.catch_warnings():
-        # numpy warns if no entry is left; the result NaN is right.
+        # numpy warns if no entry is left; the result NaN is correct.
         warnings.simplefilter("ignore", RuntimeWarning)
         return values.quantile(q, swept(values)).drop_vars("quantile")
 
 
 def mean(values: xr.DataArray) -> xr.DataArray:
-    """Mean over frequencies and starts; NaN entries do not count."""
+    """Mean over frequencies and initial conditions, without NaN entries."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)
         return values.mean(swept(values))
@@ -76,7 +76,7 @@ def repeatability(ratios: Array) -> float:
     Parameters
     ----------
     ratios : ndarray
-        As measured; NaN if none was.
+        Measured ratios; NaN if not measured.
     """
     known = np.log(ratios[np.isfinite(ratios) & (ratios > 0.0)])
     if not known.size:
@@ -85,7 +85,7 @@ def repeatability(ratios: Array) -> float:
 
 
 def widened(ratio: float, interval: Array, noise: float) -> tuple[float, float]:
-    """The interval of a ratio and its `repeatability`, both in quadrature."""
+    """Interval of a ratio that combines `interval` and its `repeatability` in quadrature."""
     with np.errstate(divide="ignore", invalid="ignore"):
         below, above = np.exp(np.hypot(np.log(ratio / np.asarray(interval)), noise))
         return float(ratio / below), float(ratio * above)

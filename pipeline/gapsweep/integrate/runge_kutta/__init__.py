@@ -1,1 +1,1 @@
-"""All other laws: explicit Runge–Kutta pairs with dense output, points in SIMD lanes."""
+"""Explicit Runge–Kutta pairs with dense output in SIMD lanes, for laws without Taylor series."""

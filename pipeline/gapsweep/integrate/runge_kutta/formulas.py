@@ -1,7 +1,7 @@
 """Formulas of contact laws in vectors: ``F_c / m`` and its slope, for all lanes at once.
 
-What differs from point to point they read from the parameter block `q` of the contact; what a batch
-shares is in `law`.
+Numbers that differ between points are in the parameter block `q` of the contact; numbers that a
+batch shares are in `law`.
 """
 
 from numba import njit
@@ -209,7 +209,7 @@ def rational_denominator(law, q, x):
 
 @internal
 def _piece(points, x):
-    """How many points are not above x; 0 of NaN."""
+    """Number of points that are not above x; 0 for NaN."""
     low, high = 0, points.size
     while low < high:
         middle = (low + high) // 2
@@ -222,7 +222,7 @@ def _piece(points, x):
 
 @internal
 def _table_terms(law, x):
-    """Distance from where the piece of every lane begins, and the piece's coefficients."""
+    """Distance of every lane's x from the left end of its piece, and the piece's coefficients."""
     d = c_3 = c_2 = c_1 = c_0 = simd.splat(0.0)
     for lane in range(simd.WIDTH):
         at = simd.lane_value(x, lane)

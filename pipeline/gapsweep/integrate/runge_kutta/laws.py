@@ -1,12 +1,12 @@
 """Compiled contact laws: acceleration ``F_c(x) / m`` and its slope, for all lanes at once.
 
-The laws of this package are one type, `Formula`, which says by a number which it is: the stepping
-loop is compiled once for them all, and looks at the number where it needs a force. (All lanes have
-the same law: the branch is foreseen.) A user's function is part of its type, `User`: the loop is
-compiled with it.
+The laws of this package are one type, `Formula`, with a number that selects the formula: the
+stepping loop is compiled once for all of them and branches on the number where it needs a force.
+(All lanes have the same law: the branch is predicted.) A user's function is part of its type,
+`User`: the loop is compiled with it.
 
-What differs from point to point sits in the rows of a parameter block `q`, for every contact of
-shape (N_PARAMETERS, WIDTH); what a batch shares (fit coefficients) sits in the named tuple.
+Numbers that differ between points are in the rows of a parameter block `q` of every contact, shape
+(N_PARAMETERS, WIDTH); numbers that a batch shares (fit coefficients) are in the named tuple.
 """
 
 from dataclasses import dataclass
@@ -25,7 +25,7 @@ from .parameters import N_PARAMETERS, STIFFNESS
 
 @dataclass(frozen=True, slots=True)
 class Law:
-    """A law with its numbers, ready for the loop; see the constructors in `representations`."""
+    """A compiled law with the parameters of its points; constructors are in `representations`."""
 
     kind: Any
     q: NDArray[np.float64]
@@ -44,16 +44,16 @@ _NONE = np.zeros(1)
 
 
 class Formula(NamedTuple):
-    """A law of this package.
+    """A contact law of this package.
 
     Attributes
     ----------
     number : int
-        Which one.
+        Number of the formula, as `TANH`.
     numerator, denominator : ndarray
-        Chebyshev series in x / range [N], of fits; the denominator is positive in the range.
+        Fits: Chebyshev series in x / range [N]; the denominator is positive in the range.
     points, pieces : ndarray
-        Of a table: where its pieces begin [m], and `gapsweep.ForceTable.pieces`.
+        Tables: left ends of the pieces [m], and `gapsweep.ForceTable.pieces`.
     """
 
     number: int
@@ -89,7 +89,7 @@ def denominator(law, q, x):
 
 
 def _by_number(tanh, arctan, log_arctan, piecewise, located, polynomial, rational, table):
-    """One function of all formulas: it calls that of the law's number."""
+    """Return a compiled function that calls the one of these that belongs to the law's number."""
 
     @inlined
     def chosen(law, q, x):
@@ -156,10 +156,10 @@ def _denominator(law, q, x):
 
 
 def _of_every_contact(one):
-    """Have a function of a law called for every contact, whose laws may differ.
+    """Return a function that calls `one` for every contact, whose laws may differ.
 
-    It is given the gap in row `source`, that of the next contact in the next row, and so on; what
-    it says goes into rows from `target` on.
+    The gaps of the contacts are read from rows `source`, `source + 1`, ..., and the results are
+    stored in rows `target`, `target + 1`, ....
     """
 
     def every(kinds, q, lane, source, target):

@@ -1,4 +1,4 @@
-"""A Runge-Kutta method, with all that its steps have in common."""
+"""A Runge-Kutta method with its settings and work space."""
 
 from typing import Any, NamedTuple
 
@@ -18,22 +18,22 @@ class RungeKutta(NamedTuple):
     kinds : tuple of named tuples of `laws`
         The law of every contact.
     q : array, shape (n_contacts, N_PARAMETERS, WIDTH)
-        Their parameters, as they stand in the rows of the lanes.
+        Parameters of the laws, a view of the rows of the lanes.
     tableau : Tableau
     k, k_tangent : array, shapes (n_all * n_rates, WIDTH) and (n_states times that, WIDTH)
-        Derivatives of all stages, and of the tangents'.
+        Derivatives of all stages, and those of the tangent columns.
     is_ode45 : bool
-        Whether errors are measured and steps chosen as MATLAB's ode45 does.
+        Whether error norm and step-size control are those of MATLAB's ode45.
     restarts : bool
-        Whether the step is chosen at a located contact as at a start.
+        Whether the step size is chosen at a located contact as at the beginning of a motion.
     cuts_at_layers : bool
         Whether steps are cut at the edges of smoothing layers.
     has_range : bool
-        Whether a law is a fit, which holds within a range.
+        Whether a law is valid only within a range (fits, tables).
     tangent : bool
-        Whether the variational equation is integrated along.
+        Whether the variational equation is integrated too.
     dense, contacts : bool
-        Whether every step is recorded; whether walls passed are.
+        Whether every step is recorded; whether wall crossings are.
     is_users : bool
         Whether a law is a user's function.
     """
@@ -62,7 +62,7 @@ def with_work_space(
     dense: bool,
     contacts: bool,
 ) -> RungeKutta:
-    """A method for one run in these lanes."""
+    """Return the method with work space and options for one run in these lanes."""
     law = lanes[at.law : at.law + at.blocks["law"]]
     n_rows = method.tableau.c.size * (at.n + at.m)
     return method._replace(

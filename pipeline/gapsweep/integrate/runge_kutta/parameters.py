@@ -1,4 +1,4 @@
-"""Rows of the parameter block of a contact, shape (N_PARAMETERS, WIDTH), and what fills them."""
+"""Rows of the parameter block of a contact, shape (N_PARAMETERS, WIDTH), and their meaning."""
 
 # Rows of the parameter block.
 STIFFNESS = 0  # K_c / m of the upper wall [1/s^2]; 1 / m for a fit or a user's law
@@ -6,7 +6,7 @@ WALL_LOW, WALL_HIGH = 1, 2  # -j_1 and j_2 [m]
 SHARPNESS = 3  # epsilon or gamma [1/m]
 CENTRE, HALF_GAP, DECAY = 4, 5, 6  # tanh: of the gap [m, m, -]; tables: centre of the range
 OFFSET = 4  # log-arctan: A_c [m]
-# Located contact: of the present mode.
+# Located contact: stiffness and wall of the present mode.
 ACTIVE_STIFFNESS, ACTIVE_WALL = 3, 4
 OWN = 3  # a user's law: its named numbers, up to the next row
 LAYER = 7  # half-width of the smoothing layer around each wall [m]; 0: none

@@ -1,4 +1,4 @@
-"""Contact laws with their numbers, or arrays over points, as the compiled loop wants them."""
+"""Constructors of compiled contact laws, from numbers or from arrays over points."""
 
 from collections.abc import Callable, Sequence
 from functools import lru_cache
@@ -28,7 +28,7 @@ def _rows(
     K_ratio: ArrayLike = 1.0,
     **extra: ArrayLike,
 ) -> tuple[Array, Sequence[Array]]:
-    """Parameter rows, and the numbers in `extra` as their walls are: one, or one a point."""
+    """Parameter rows with the walls set, and `extra` broadcast to them: one row, or one a point."""
     given = K_c, -np.asarray(j_1), j_2, K_ratio, *extra.values()
     values = np.broadcast_arrays(*(np.asarray(a, dtype=float) for a in given))
     q = np.zeros((*values[0].shape, parameters.N_PARAMETERS))
@@ -46,7 +46,7 @@ def tanh(
     """Freeplay smoothed with tanh; K_c [N/m], j_1, j_2 [m], epsilon [1/m], K_ratio [-]."""
     q, (sharpness,) = _rows(K_c, j_1, j_2, K_ratio, epsilon=epsilon)
     high = q[..., parameters.WALL_HIGH]
-    # A lower wall without stiffness stands out of reach: the gap's centre would lose digits there.
+    # A lower wall without stiffness is far away: the gap's centre would lose digits with it.
     low = np.where(q[..., parameters.RATIO] == 0.0, high, q[..., parameters.WALL_LOW])
     half_gap = 0.5 * (high - low)
     q[..., parameters.SHARPNESS], q[..., parameters.HALF_GAP] = sharpness, half_gap
@@ -99,7 +99,7 @@ def piecewise(
 
 
 def polynomial(coefficients: ArrayLike, fit_range: float, j_1: float, j_2: float) -> Law:
-    """Chebyshev coefficients [N] in x / fit_range; the walls only serve to count passings."""
+    """Polynomial of Chebyshev coefficients [N] in x / fit_range; walls only count contacts."""
     q, _ = _rows(1.0, j_1, j_2)
     q[parameters.RANGE] = fit_range
     series = np.ascontiguousarray(coefficients, dtype=float)
@@ -113,13 +113,13 @@ def rational_polynomial(
     q, _ = _rows(1.0, j_1, j_2)
     q[parameters.RANGE] = fit_range
     top, bottom = np.array(numerator, dtype=float), np.array(denominator, dtype=float)
-    # The loop takes a denominator that is not positive for a pole passed.
+    # To the loop a denominator that is not positive means that a pole was passed.
     sign = np.sign(np.polynomial.chebyshev.chebval(0.0, bottom))
     return Law(Formula(laws.RATIONAL, numerator=sign * top, denominator=sign * bottom), q)
 
 
 def table(points: ArrayLike, pieces: ArrayLike, j_1: float, j_2: float) -> Law:
-    """Piecewise cubic, as `gapsweep.ForceTable` has it; the walls only serve to count passings."""
+    """Piecewise cubic curve of a `gapsweep.ForceTable`; walls only count contacts."""
     points = np.ascontiguousarray(points, dtype=float)
     q, _ = _rows(1.0, j_1, j_2)
     q[parameters.CENTRE] = 0.5 * (points[0] + points[-1])
@@ -134,13 +134,13 @@ def user(
     j_2: ArrayLike = np.inf,
     named: ArrayLike = (),
 ) -> Law:
-    """A function F(x, ...) [N], compiled once in every process, and its numbers, along the last
-    axis of `named`. The tangent equations use central differences.
+    """User law F(x, ...) [N], compiled once per process; `named` has the values of its other
+    arguments along the last axis. The tangent equations use central differences.
 
     Raises
     ------
     NumbaError
-        If it cannot be compiled.
+        If the function cannot be compiled.
     """
     q, _ = _rows(1.0, j_1, j_2)
     n = np.shape(named)[-1]
@@ -148,8 +148,8 @@ def user(
     return Law(_user_kind(function, n), q)
 
 
-# The dispatchers are part of the kernel's type: new ones would compile the kernel anew. A function
-# that numba refuses is not kept: the user may have mended it.
+# The dispatchers are part of the kernel's type: new ones would recompile the kernel. A function
+# that numba refuses is not cached: the user may correct it.
 @lru_cache(maxsize=64)
 def _user_kind(function: Any, n: int) -> laws.User:
     called = _compiled(function, {})
@@ -171,7 +171,7 @@ def _user_kind(function: Any, n: int) -> laws.User:
 
 
 def _compiled(function: Any, known: dict[Any, Any]) -> Any:
-    """A function with the plain functions that it calls by name, compiled."""
+    """Compile a function, and the plain Python functions that it calls by name."""
     if not isinstance(function, FunctionType):
         return function
     if function not in known:
@@ -179,7 +179,7 @@ def _compiled(function: Any, known: dict[Any, Any]) -> Any:
         cells = [CellType(cell.cell_contents) for cell in function.__closure__ or ()]
         defaults = function.__defaults__
         copy = FunctionType(code, names, function.__name__, defaults, tuple(cells))
-        known[function] = njit(copy)  # before what it calls, which may be itself
+        known[function] = njit(copy)  # before its callees: it may call itself
         for name in names.keys() & {*code.co_names}:
             names[name] = _compiled(names[name], known)
         for cell in cells:

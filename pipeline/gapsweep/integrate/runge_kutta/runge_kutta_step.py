@@ -1,8 +1,8 @@
-"""One attempted Runge-Kutta step of all lanes: stages, error, step control, what needs attention.
+"""One attempted Runge-Kutta step of all lanes: stages, error, step control, lanes to attend to.
 
 Everything here is branch-free over lanes. The outcome is one word of lane bits per question
-(`StepOutcome`); only lanes with a bit set are looked at one by one afterwards, with the polynomials
-of the step as they are with those of a Taylor series.
+(`StepOutcome`); only lanes with a bit set are treated one by one afterwards, with the polynomials
+of the step, as in a Taylor step.
 """
 
 from typing import Any, NamedTuple
@@ -33,7 +33,7 @@ SAFETY = 0.75
 GROW_LIMIT, SHRINK_LIMIT = 3.0, 0.2
 # An attempt within 10 % of the end is stretched to it (ode45's rule, kept for both controllers).
 STRETCH = 1.1
-# A tangent need not be better than this; nor a coordinate of it that moves by less than this share.
+# Smallest tolerance of a tangent, and the share of its largest coordinate added to each scale.
 TANGENT_RTOL, FAINT = 1e-8, 1e-3
 # In the row `failed`: the last step was too long, or is to be repeated up to the edge of a layer.
 _FAILED, _CUT = 1.0, 2.0
@@ -41,7 +41,7 @@ _FAILED, _CUT = 1.0, 2.0
 
 @inlined
 def _error(at, method, lane, h, rtol):
-    """Error estimate over tolerance; up to 1: accepted. Largest for ode45, else mean square."""
+    """Error estimate over tolerance (accepted if <= 1): maximum norm for ode45, else rms norm."""
     tableau, k, atol = method.tableau, method.k, load(lane, at.atol)
     worst, lost = simd.splat(0.0), simd.splat(0.0)
     e5, e3, other = simd.splat(0.0), simd.splat(0.0), simd.splat(0.0)
@@ -66,10 +66,10 @@ def _error(at, method, lane, h, rtol):
 
 @inlined
 def _joint(at, e5, e3, other):
-    """Error of order 8 over tolerance, from the squares of what formulas of order 5 and 3 miss.
+    """Error of order 8 over tolerance, from the squared error estimates of order 5 and 3.
 
-    The former passes zero in steps that are much too long. The other formula of order 5 seldom does
-    so in the same ones (docs/decisions/0025-estimates-that-pass-zero.md).
+    The estimate of order 5 may vanish in steps that are much too long. The other one of order 5
+    seldom vanishes in the same steps (docs/decisions/0025-estimates-that-pass-zero.md).
     """
     e5 = maximum(e5, other)
     return e5 / simd.sqrt(maximum(float(at.n_states) * fma(0.01, e3, e5), 1e-300))
@@ -77,9 +77,10 @@ def _joint(at, e5, e3, other):
 
 @inlined
 def _missed(at, tableau, k, formula, first, i):
-    """What a formula of the tableau misses of place i, over h squared, and of its rate, over h.
+    """Error estimates of displacement i over h squared, and of its velocity over h.
 
-    Of the derivatives in rows of `k` from `first` on. What is no speed has no place: zero.
+    They follow from the derivatives in rows of `k` from `first` on. A first-order state (i >= n)
+    has only the second one.
     """
     ex, ev = simd.splat(0.0), simd.splat(0.0)
     for j in range(tableau.n_stages):
@@ -92,7 +93,7 @@ def _missed(at, tableau, k, formula, first, i):
 
 @inlined
 def _squared(at, tableau, k, formula, first, i, wx, wv):
-    """Squares of what `_missed` tells, of place and rate in units of these weights, added."""
+    """Sum of the squares of both errors of `_missed`, multiplied by the weights `wx` and `wv`."""
     ex, ev = _missed(at, tableau, k, formula, first, i)
     rx, rv = ex * wx, ev * wv
     return fma(rx, rx, rv * rv)
@@ -100,10 +101,10 @@ def _squared(at, tableau, k, formula, first, i, wx, wv):
 
 @inlined
 def _tangent_error(at, method, lane, h, rtol):
-    """The same of the tangent's columns: the largest of them, each beside its own size.
+    """Error estimate of the tangent over its tolerance: the largest over the tangent's columns.
 
-    A tangent swings on where its motion has come to rest against a wall, and is damped by steps
-    that are too long for it. Zero where it has overflowed: that is no fault of the motion.
+    Each column has its own scale. A tangent still oscillates when its motion has come to rest
+    against a wall; too long steps would damp it. An overflowed column counts as zero error.
     """
     tableau, k = method.tableau, method.k_tangent
     tol, worst = max(rtol, TANGENT_RTOL), simd.splat(0.0)
@@ -130,7 +131,7 @@ def _tangent_error(at, method, lane, h, rtol):
 
 @inlined
 def _tangent_size(at, lane, before, after, i, h):
-    """How far a column leads in a step: the place alone may be passing zero."""
+    """Scale of coordinate i of a column: displacement plus h times velocity; either may be 0."""
     return fma(
         h, _size(lane, before + at.n + i, after + at.n + i), _size(lane, before + i, after + i)
     )
@@ -143,7 +144,7 @@ def _size(lane, before, after):
 
 @inlined
 def _next_step(method, error, h, after_failure, accepted):
-    """The controller's next step length."""
+    """Next step size of the controller [s]."""
     scaled = vecmath.power(maximum(error, 1e-16), -method.tableau.exponent)
     if method.is_ode45:
         grown = select(after_failure, h, h * minimum(0.8 * scaled, 5.0))
@@ -158,7 +159,7 @@ def _next_step(method, error, h, after_failure, accepted):
 
 @inlined
 def ends(at, which):
-    """Rows of place, speed and acceleration of a coordinate or a gap, at both ends of the step."""
+    """Rows of displacement, velocity and acceleration of a coordinate or gap, at both step ends."""
     if which < at.n:
         return (
             at.q + which,
@@ -174,7 +175,7 @@ def ends(at, which):
 
 @inlined
 def _gap(at, contact):
-    """Number of a contact's gap among coordinates and gaps; of an oscillator, its coordinate's."""
+    """Number of a contact's gap among coordinates and gaps; 0, the coordinate, of an oscillator."""
     return contact if at.is_plain else at.n + contact
 
 
@@ -218,10 +219,10 @@ def _horner(c, s):
 
 @inlined
 def _first_beyond(hull, target, at_end):
-    """Part of the step after which its interpolant is first beyond a target; above 1: never.
+    """Fraction of the step after which its interpolant is first beyond a target; above 1: never.
 
-    It is looked for at the end, of steps that end there, in `at_end`, and at eighths of the step of
-    those that do or may turn back; from there by the rule of false position.
+    A bracket is searched at the end of steps that end beyond it (`at_end`), and at eighths of steps
+    that do so or may turn back; the rule of false position refines it.
     """
     b1, b2, b3, b4 = hull.inner
     c0, c1, c2 = hull.x - target, 5.0 * (b1 - hull.x), 10.0 * (b2 - 2.0 * b1 + hull.x)
@@ -246,12 +247,12 @@ def _first_beyond(hull, target, at_end):
 
 
 class _LayerCheck(NamedTuple):
-    """What smoothing layers ask of a step."""
+    """Limits of a step due to smoothing layers."""
 
-    cut: Any  # it jumps over one, and has to be repeated
-    part: Any  # up to this part of it
-    leaves: Any  # it leaves one
-    limit: Any  # longest next step inside one [s]; infinity outside
+    cut: Any  # the step jumps over a layer and has to be repeated
+    part: Any  # up to this fraction of it
+    leaves: Any  # the step leaves a layer
+    limit: Any  # longest next step inside a layer [s]; infinity outside
 
 
 @inlined
@@ -289,7 +290,7 @@ def _layers(q, hull, v, accepted, before):
 
 @inlined
 def _passings(q, x, x_1):
-    """How many walls lie between both ends, as a float vector."""
+    """Number of walls between both ends of the step, as a float vector."""
     total = simd.splat(0.0)
     for row in (parameters.WALL_LOW, parameters.WALL_HIGH):
         wall, sign = load(q, row), -1.0 if row == parameters.WALL_LOW else 1.0
@@ -299,11 +300,11 @@ def _passings(q, x, x_1):
 
 
 class _Contacts(NamedTuple):
-    """What contacts ask of a step."""
+    """Lanes whose step needs attention because of contacts, and limits due to layers."""
 
     turns_back: Any  # a gap may turn back
     miscounted: (
-        Any  # ... and its ends do not tell how often it has passed a wall, or left a fit's range
+        Any  # ... and its ends do not show how often it has passed a wall, or left a fit's range
     )
     leaves_mode: Any  # a located contact may leave its mode
     layers: Any
@@ -311,7 +312,7 @@ class _Contacts(NamedTuple):
 
 @inlined
 def _contacts(at, method, q, lane, accepted, h):
-    """Look at the gap of every contact."""
+    """Check the gaps of all contacts over the step."""
     none = accepted & (h < 0.0)
     turns_back, miscounted, leaves_mode = none, none, none
     layers = _LayerCheck(none, simd.splat(1.0), none, simd.splat(np.inf))
@@ -342,7 +343,7 @@ def _contacts(at, method, q, lane, accepted, h):
 
 @inlined
 def _count_passings(at, method, q, lane, commit):
-    """Count the walls that committed steps have passed by their ends; where any was."""
+    """Count the walls between the ends of committed steps; return the lanes that passed any."""
     total = simd.splat(0.0)
     for i in range(at.contacts):
         rows, q_i = ends(at, _gap(at, i)), q[i]
@@ -359,7 +360,7 @@ def _count_passings(at, method, q, lane, commit):
 
 @inlined
 def _take_back_starts(at, q, lane, starts):
-    """Take back the passing that a start on a wall, which heads out, will count: it is none."""
+    """Subtract the crossing that an initial state on a wall, heading outwards, will count."""
     for i in range(at.contacts):
         rows, q_i = ends(at, _gap(at, i)), q[i]
         x, v, a = load(lane, rows[0]), load(lane, rows[1]), load(lane, rows[5])
@@ -372,7 +373,7 @@ def _take_back_starts(at, q, lane, starts):
 
 @inlined
 def _may_turn(at, lane, h, found):
-    """Lanes where an extremum of a coordinate may lie in the step, or of a gap as `found`."""
+    """Lanes whose step may have an extremum of a coordinate, or of a gap (those in `found`)."""
     if not at.is_plain:
         for i in range(at.n):
             found = found | _hull(at, lane, i, h).turns_back
@@ -381,7 +382,7 @@ def _may_turn(at, lane, h, found):
 
 @inlined
 def _is_within(at, lane, first, bound):
-    """Lanes whose coordinates in rows from `first` on are where a motion may be."""
+    """Lanes whose coordinates, in rows from `first` on, have moduli up to `bound`."""
     within = simd.absolute(load(lane, first)) <= bound
     for i in range(1, at.n):
         within = within & (simd.absolute(load(lane, first + i)) <= bound)
@@ -402,8 +403,8 @@ def _has_pole(at, method, q, lane, none):
 
 @inlined
 def _begin(at, method, lane, rtol, left):
-    """The next step where the derivative has become known: at a start by ode45's rule, from rest by
-    the size of y' alone; at a wall as before, or by the same rule.
+    """Step size after the derivative was evaluated: initially by ode45's rule, from y and y';
+    at a wall the previous step size, or the same rule if the method restarts.
     """
     threshold, rate = load(lane, at.atol) / rtol, simd.splat(0.0)
     chosen = load(lane, at.is_fresh) >= (AT_WALL if method.restarts else AT_START)
@@ -424,7 +425,7 @@ def _begin(at, method, lane, rtol, left):
 
 @inlined
 def _set_active(at, q, lane):
-    """Put the contact mode where the located law looks for it."""
+    """Write stiffness and wall of the contact modes to the parameters of the located law."""
     for i in range(at.contacts):
         mode, none = load(lane, at.mode + i), simd.splat(0.0)
         upper, lower = load(lane, at.upper_stiffness + i), load(lane, at.lower_stiffness + i)
@@ -460,13 +461,13 @@ def _commit(at, method, lane, commit, fresh):
 
 @inlined
 def _add(lane, row, lanes):
-    """Count some lanes."""
+    """Add 1 to a row of counts in the lanes of a mask."""
     store(lane, row, load(lane, row) + select(lanes, simd.splat(1.0), 0.0))
 
 
 @internal
 def _polynomials(at, method, q, lane, coefficients, h):
-    """The polynomials of the step, of coordinates, first-order states and gaps, and of tangents."""
+    """Compute the step's polynomials of coordinates, first-order states, gaps and tangents."""
     tableau, row = method.tableau, at.n_series * at.n_terms
     for stage in range(tableau.n_stages, tableau.c.size):
         stage_derivative(at, method.kinds, q, lane, tableau, method.k, h, stage)
@@ -493,19 +494,19 @@ def _polynomials(at, method, q, lane, coefficients, h):
 def runge_kutta_step(at, method, lane, coefficients, limits):
     """Attempt a step of every lane.
 
-    One function: what a step decides, with wide values in registers that no call would keep there.
+    One function, because calls would not keep the wide values of a step in registers.
 
     Parameters
     ----------
     at : RowLayout
-        With the types of the laws it decides the specialisation.
+        The code is specialised to it and to the types of the laws.
     method : RungeKutta
     lane : ndarray, shape (n_rows, WIDTH)
         State of the lanes, updated.
     coefficients : ndarray
-        Receives the polynomials of the step where a lane is named in the outcome.
+        Receives the polynomials of the step if the outcome names a lane.
     limits : tuple of float
-        As of `advance`.
+        As in `advance`.
 
     Returns
     -------
@@ -514,14 +515,14 @@ def runge_kutta_step(at, method, lane, coefficients, limits):
     rtol, bound, _ = limits
     tableau, k, kinds, q = method.tableau, method.k, method.kinds, method.q
     fresh = load(lane, at.is_fresh) > 0.0
-    h_asked = select(fresh, simd.splat(0.0), load(lane, at.h))
+    h_wanted = select(fresh, simd.splat(0.0), load(lane, at.h))
     period, tau, cycle = load(lane, at.period), load(lane, at.tau), load(lane, at.cycle)
     left = (load(lane, at.end_cycle) - cycle) + (load(lane, at.end_tau) - tau)
     left = maximum((left - load(lane, at.tau_low)) * period, simd.splat(0.0))
     failed = load(lane, at.failed)
-    stretched = h_asked * select(failed == _CUT, simd.splat(1.0), STRETCH)
+    stretched = h_wanted * select(failed == _CUT, simd.splat(1.0), STRETCH)
     to_end = ~fresh & (stretched >= left)
-    h = select(to_end, left, h_asked)
+    h = select(to_end, left, h_wanted)
     if at.is_located:
         _set_active(at, q, lane)
 
@@ -590,7 +591,7 @@ def runge_kutta_step(at, method, lane, coefficients, limits):
     needed = recording | unclear | miscounted
     if simd.bits(needed) != 0:
         _polynomials(at, method, q, lane, coefficients, h)
-        # Where a wall is located they belong to the motion; for what is recorded they do not.
+        # Right-hand sides to locate a wall count as cost of the motion, those for records do not.
         n_more = select(unclear, float(tableau.c.size - tableau.n_stages), simd.splat(0.0))
         store(lane, at.n_extra, load(lane, at.n_extra) + n_more)
         store(lane, at.step, h)

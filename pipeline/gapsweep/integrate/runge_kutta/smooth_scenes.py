@@ -1,4 +1,4 @@
-"""Systems with laws that a Runge-Kutta method integrates, as the stepping loop takes them."""
+"""Tables of systems whose laws a Runge-Kutta method integrates, for the stepping loop."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -7,41 +7,43 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gapsweep.integrate import simd
+from gapsweep.integrate.problem import Solver
 from gapsweep.integrate.stepping.outcome import AT_START
 from gapsweep.integrate.stepping.row_layout import known
 from gapsweep.integrate.stepping.scene_table import SceneTable
 
 from . import laws, parameters, tableaux
-from .laws import Law
+from .laws import Formula, Law
 from .method import RungeKutta
 
 Array = NDArray[np.float64]
 
-# At this tolerance and tighter the order-8 method is the cheaper one on the benchmark's scenes.
+# At this tolerance and tighter the order-8 method is the cheaper one in the benchmark.
 _HIGH_ORDER_FROM = 1e-2
 _MIN_STEP = 1e-17  # of a period: stiff laws need far shorter steps than a Taylor series
 
 
 def runge_kutta_scenes(
-    exact: SceneTable, kernel_laws: Sequence[Law], mass: Array, *, controller: str, restart: bool
+    exact: SceneTable, kernel_laws: Sequence[Law], mass: Array, solver: Solver
 ) -> SceneTable:
-    """The same systems with other laws.
+    """Return the table of the same systems with other laws, for a Runge-Kutta method.
 
     Parameters
     ----------
     exact : SceneTable
         n systems for the Taylor method: the equation of motion is the same.
     kernel_laws : sequence of Law
-        Of every contact; its parameters may be arrays, shape (n,).
+        Law of every contact; its parameters may be arrays, shape (n,).
     mass : ndarray, shape (n,)
-        What a contact's force is divided by [kg]; 1 where the equation says it.
-    controller : {"native", "ode45"}
-        "ode45" is Dormand-Prince 5(4) with the step control of MATLAB's ode45.
-    restart : bool
-        Whether the step size is chosen anew at every located contact.
+        Mass by which contact forces are divided [kg]; 1 if `exact` contains the division.
+    solver : Solver
+        Settings of the method; the tolerances are those of `exact`.
     """
-    is_low = controller == "ode45" or exact.rtol > _HIGH_ORDER_FROM
-    located = any(getattr(each.kind, "number", None) == laws.LOCATED for each in kernel_laws)
+    is_ode45 = solver.controller == "ode45"
+    kinds = tuple(law.kind for law in kernel_laws)
+    located = any(getattr(kind, "number", None) == laws.LOCATED for kind in kinds)
+    if located and solver.contact_force == "as_written":
+        kinds = (Formula(laws.PIECEWISE),) * len(kinds)  # the loop still ends steps at walls
     at = known(
         replace(
             exact.at,
@@ -69,20 +71,20 @@ def runge_kutta_scenes(
     for name in ("multiple", "depth_multiple"):
         block = slice(at.first[name], at.first[name] + at.blocks[name])
         highest = np.maximum(highest, points[:, block].max(axis=1, initial=1.0))
-    # A tenth of the time span for ode45, as is known at the start.
-    points[:, at.h_max] = np.inf if controller == "ode45" else points[:, at.period] / highest
+    # A tenth of the time span for ode45, as is known initially.
+    points[:, at.h_max] = np.inf if is_ode45 else points[:, at.period] / highest
     fastest = points[:, at.stiffness] if at.is_plain else points[:, at.fastest]
     points[:, at.min_step] = _MIN_STEP / np.maximum(points[:, at.omega], np.sqrt(fastest))
     points[:, at.is_fresh] = AT_START
     method = RungeKutta(
-        kinds=tuple(law.kind for law in kernel_laws),
-        tableau=tableaux.DP5 if is_low else tableaux.DOP853,
+        kinds=kinds,
+        tableau=tableaux.DP5 if is_ode45 or exact.rtol > _HIGH_ORDER_FROM else tableaux.DOP853,
         q=np.empty((0, 0, 0)),
         k=np.empty((0, 0)),
         k_tangent=np.empty((0, 0)),
-        is_ode45=controller == "ode45",
-        restarts=restart,
-        cuts_at_layers=has_layer and controller != "ode45",
+        is_ode45=is_ode45,
+        restarts=solver.restart,
+        cuts_at_layers=has_layer and not is_ode45,
         has_range=has_range,
         tangent=False,
         dense=False,

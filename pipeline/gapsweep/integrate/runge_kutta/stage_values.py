@@ -1,6 +1,6 @@
-"""The stages of a Runge-Kutta step of all lanes, and of its tangents: an oscillator's, where
-everything stays in registers, and a system's, whose stage stands in rows of the lane. Of them all,
-the polynomials between steps.
+"""Stages of a Runge-Kutta step of all lanes and of its tangents, and polynomials between steps.
+
+The stages of an oscillator stay in registers; those of a system are stored in rows of the lane.
 """
 
 from gapsweep.integrate import simd
@@ -11,18 +11,18 @@ from . import laws, vecmath
 
 
 def stages(at, kinds, q, lane, tableau, k, h):
-    """Derivatives of a step's stages into `k`; end state and its derivative into the lane."""
+    """Compute a step's stages: derivatives into `k`, end state and its derivative into the lane."""
     raise NotImplementedError("compiled code only")
 
 
 def stage_derivative(at, kinds, q, lane, tableau, k, h, stage):
-    """The derivative of one more stage into `k`."""
+    """Compute the derivative of one more stage into `k`."""
     raise NotImplementedError("compiled code only")
 
 
 def tangent_stages(at, kinds, q, lane, tableau, k, k_tangent, h, some):
-    """Some stages of the columns of the variational equation, along those in `k`; where the last
-    one of a step is among them, the columns' ends into the lane.
+    """Compute stages ``some[0] <= i < some[1]`` of the tangent's columns (variational equation),
+    along the motion's stages in `k`; with the last stage, store the columns' ends in the lane.
     """
     raise NotImplementedError("compiled code only")
 
@@ -51,10 +51,10 @@ def _tangent_stages(at, kinds, q, lane, tableau, k, k_tangent, h, some):
 
 @inlined
 def polynomials(at, tableau, lane, state, k, first, h, coefficients, row):
-    """Coefficients by powers of time of a motion, or a tangent, within a step, from `row` on.
+    """Compute the coefficients, by powers of time, of a motion or a tangent within a step.
 
-    Its state at the beginning stands in rows from `state` on, its derivatives in `k` from `first`
-    on.
+    They are stored from `row` on. The state at the beginning is in rows from `state` on, the
+    stages' derivatives are in `k` from `first` on.
     """
     for i in range(at.n_rates):
         is_place = i < at.n
@@ -96,7 +96,7 @@ def _oscillator_stages(at, kinds, q, lane, tableau, k, h):
         x_i = fma(h2, sx, fma(h * tableau.c[i], v, x))
         v_i = fma(h, sv, v)
         phase = vecmath.cos_turns(fma(turns, tableau.c[i], tau))
-        # The law depends on x_i alone, which does not wait for the previous stage: the processor
+        # The law depends on x_i only, which does not wait for the previous stage: the processor
         # overlaps this law with the previous one.
         restoring = fma(
             x_i, fma(cubic * x_i, x_i, stiffness), laws.acceleration(kinds[0], q[0], x_i)
@@ -193,7 +193,7 @@ def _system_tangents(at, kinds, q, lane, tableau, k, k_tangent, h, some):
         project(at, lane, at.stage, at.stage_gap)
         laws.slopes(kinds, q, lane, at.stage_gap, at.force)
         for i in range(at.contacts):
-            # From here on in the place of the factor: what a contact's force grows by with its gap.
+            # The factor's row now holds the derivative of the contact's force by its gap.
             slope = load(lane, at.force + i) * load(lane, at.modulation + i)
             store(lane, at.modulation + i, slope)
         for i in range(at.cubics):
@@ -218,7 +218,7 @@ def _system_tangents(at, kinds, q, lane, tableau, k, k_tangent, h, some):
 
 @inlined
 def _set_stage(at, lane, state, tableau, k, first, h, stage):
-    """State at a stage, from that in rows from `state` on and derivatives in rows of `k`."""
+    """Compute the state at a stage from the state in rows from `state` on and rows of `k`."""
     h2, c = h * h, h * tableau.c[stage]
     for i in range(at.n_rates):
         sx, sv = simd.splat(0.0), simd.splat(0.0)
@@ -235,7 +235,7 @@ def _set_stage(at, lane, state, tableau, k, first, h, stage):
 
 @inlined
 def _set_clock(at, lane, c, h):
-    """Cosines of the loads at a stage, and by what the contacts' stiffness is multiplied."""
+    """Compute the cosines of the loads and the factors of the contacts' stiffness at a stage."""
     turn = fma(h * load(lane, at.omega), c, load(lane, at.tau))
     for i in range(at.harmonics):
         if at.in_step:
@@ -255,13 +255,13 @@ def _set_clock(at, lane, c, h):
 
 @inlined
 def _along(at, lane, i):
-    """How far the stage has gone along a cubic spring."""
+    """Displacement of the stage along cubic spring i."""
     return _dot(lane, at.along + i * at.n, at.stage, at.n, simd.splat(0.0))
 
 
 @inlined
 def project(at, lane, source, target):
-    """Gaps of the contacts, or their rates, of coordinates or theirs."""
+    """Project coordinates on the contacts' directions: their gaps; likewise for rates."""
     for i in range(at.contacts):
         direction = at.direction + i * at.n
         store(lane, target + i, _dot(lane, direction, source, at.n, simd.splat(0.0)))
@@ -269,7 +269,7 @@ def project(at, lane, source, target):
 
 @inlined
 def _dot(lane, first, second, n, total):
-    """`total` plus a product of two vectors of n rows."""
+    """`total` plus the scalar product of two vectors of n rows."""
     for i in range(n):
         total = fma(load(lane, first + i), load(lane, second + i), total)
     return total
@@ -277,7 +277,7 @@ def _dot(lane, first, second, n, total):
 
 @inlined
 def _derivative(at, lane, n_harmonics, out, row):
-    """Accelerations and rates of first-order states at a stage, into rows of `out`."""
+    """Compute accelerations and rates of first-order states at a stage, into rows of `out`."""
     n, m, v, z = at.n, at.m, at.stage + at.n, at.stage + 2 * at.n
     for i in range(n):
         total = _dot(lane, at.stiffness + i * n, at.stage, n, simd.splat(0.0))

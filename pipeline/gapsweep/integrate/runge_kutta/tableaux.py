@@ -1,4 +1,4 @@
-"""Coefficients of the two explicit Runge-Kutta methods, in the form the stepping loop wants.
+"""Coefficients of the two explicit Runge-Kutta methods, in the form that the stepping loop uses.
 
 Both end with a stage at the new point ("first same as last"). For x' = v, v' = f the position sums
 are eliminated: with K_j the accelerations,
@@ -29,19 +29,19 @@ class Tableau(NamedTuple):
     Attributes
     ----------
     n_stages : int
-        Stages of a step; those that follow serve the polynomials between steps alone.
+        Stages of a step; the stages after them only serve the polynomials between steps.
     a, abar : ndarray, shape (n_all, n_all)
         Weights of the stage velocities and of the stage displacements (`a @ a`) [-].
     c : ndarray, shape (n_all,)
         Nodes [-].
     e, ebar : ndarray, shape (3, n_stages)
-        Weights of the error estimates of v and x, in the rows `E5`, `E3` and `OTHER_E5`; of a plain
-        pair all but the first are zero.
+        Weights of the error estimates of v and x, in the rows `E5`, `E3` and `OTHER_E5`; the last
+        two are zero for a pair with one estimate.
     dense, dense_bar : ndarray, shape (n_all, DEGREE + 1)
         Coefficients, by powers of the part of the step, of the weights of ``h K_j`` in a rate's
         integral within the step, and of ``h^2 K_j`` in x.
     exponent : float
-        Step factors go with error ** -exponent: one over (order of the estimate + 1).
+        Step factors grow as error ** -exponent: one over (order of the estimate + 1).
     order : int
         Order of the advancing formula.
     """
@@ -59,7 +59,7 @@ class Tableau(NamedTuple):
 
 
 def _rows(*parts: Array) -> Array:
-    """Rows of all stages, the shorter ones filled up with zeros."""
+    """Join the rows of all stages in one matrix; shorter rows are padded with zeros."""
     rows = [row for part in parts for row in np.atleast_2d(part)]
     return np.array([np.pad(row, (0, len(rows) - len(row))) for row in rows])
 
@@ -74,8 +74,8 @@ def _tableau(
 ) -> Tableau:
     e = np.zeros((3, n_stages))
     e[: len(estimates)] = estimates
-    # x is the integral of v within the step. What that misses at the end, a matter of the step's
-    # error, is spread over the step so that both ends keep the step's own x, v and acceleration.
+    # x is the integral of v within the step. Its difference from x at the end, of the size of the
+    # step's error, is spread over the step so that x, v and acceleration at both ends are kept.
     dense[:, 1] = np.eye(len(a))[0]  # it is, but for rounding
     dense_bar = np.zeros_like(dense)
     dense_bar[:, 1:] = dense[:, :-1] / np.arange(1, DEGREE + 1)
@@ -111,9 +111,9 @@ _DENSE_5 = np.pad(_RK45.P, ((0, 0), (1, DEGREE - _RK45.P.shape[1])))
 # Hairer, Norsett & Wanner, Solving Ordinary Differential Equations I (2nd ed.), section II.5:
 # order 8 with estimates of order 5 and 3, combined as e5^2 / sqrt(e5^2 + 0.01 e3^2).
 _A_8 = _rows(_DOP853.A, _DOP853.B, _DOP853.A_EXTRA)
-# Of the combinations of stages that vanish up to order 5, the one whose errors of order 6 are as
+# Among combinations of stages that vanish up to order 5, the one whose errors of order 6 are as
 # large as those of the first estimate and orthogonal to them, as sums over the 20 rooted trees:
-# nearly half of what the two derivatives at the end of a step differ by.
+# nearly half of the difference of the two derivatives at the end of a step.
 _OTHER_E5 = np.zeros(13)
 _OTHER_E5[[0, *range(5, 13)]] = [
     -0.0039411232413551152,

@@ -1,1 +1,1 @@
-"""Many points at once in SIMD lanes: the stepping loop of both methods, and what it records."""
+"""Stepping loop for many points at once in SIMD lanes, for both methods, and its records."""

@@ -1,10 +1,11 @@
-"""Many points of systems at once: arrays in, arrays and event lists out.
+"""Integration of many points at once: arrays in, arrays and event lists out.
 
 The compiled engine behind ``simulate(..., engine="compiled")``. `scenes` prepares one table row per
-system, `run` puts starts into copies of the rows, runs `loop.advance` on them and drains
+system, `run` writes initial states into copies of the rows, runs `loop.advance` on them and empties
 its buffers.
 """
 
+import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -38,11 +39,13 @@ Array = NDArray[np.float64]
 
 # Crossings in a row, each within 1e-6 rad of the fastest oscillation, that end a point as chatter.
 _MOST_SHORT = 100.0
-_LOG_VALUES = 1 << 16  # of a log: it stays in the cache until it is drained
-_MOST_PLACED = 1 << 22  # section points that are given places before any motion has passed one
-# What a motion comes to that has left a fit's range, as if nothing else had happened to it.
+_LOG_VALUES = 1 << 16  # of a log: it stays in the cache until it is emptied
+_MOST_PLACED = 1 << 22  # section points for which rows are reserved before the motions begin
+# Outcomes that become OUT_OF_FIT_RANGE if the motion has left the range of a fit.
 _OF_MOTIONS = (Status.OK, Status.DIVERGED, Status.STEP_UNDERFLOW)
-_BUDGET = 1 << 16  # vector steps per call of the kernel, about 20 ms: Ctrl-C is answered in between
+# Vector steps per call of the kernel, about 20 ms, between which time limits and Ctrl-C are
+# answered. Users' laws may be slow: their calls grow while they are short.
+_BUDGET, _USERS_BUDGET, _SHORT_CALL = 1 << 16, 1 << 10, 0.1  # s
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,20 +56,20 @@ class Batch:
     ----------
     at : RowLayout
     state : ndarray, shape (n, n_states)
-        (q, v, z) at the end; of a failed point, where it failed.
+        (q, v, z) at the end; of a failed point, at the failure.
     t : ndarray
         Time reached [s]; `t_end` where status is OK.
     status : ndarray of int
         `gapsweep.status.Status` values.
     n_contacts, n_steps, n_rejected, nfev : ndarray of int
-        Wall crossings, in and out, each counted once; steps, and those that were too long;
-        right-hand sides of the motion itself (of a Taylor series, expansions).
+        Wall crossings, in and out, each counted once; accepted and rejected steps; right-hand sides
+        of the motion itself (of a Taylor series, expansions).
     reach : ndarray, shape (n, n_coordinates)
-        Largest modulus of q at the start and at the ends of steps.
+        Largest modulus of q initially and at the ends of steps.
     contact_time : ndarray, shape (n, n_contacts)
         Time spent beyond the walls of every located contact [s], where all events are recorded.
     monodromy : ndarray, shape (n, n_states, n_states), or None
-        Derivative of the state at the end by that at the start.
+        Derivative of the end state with respect to the initial state.
     turns, contacts, sections : ndarray, shape (n_events, number of columns)
         Recorded events as in `record`, sorted by point, then in time for each `which`.
     steps : ndarray, shape (n_rows, DENSE_HEAD + (n + m) * n_terms), or None
@@ -104,7 +107,7 @@ class Batch:
         Raises
         ------
         ValueError
-            If dense output was not asked for, or a time lies outside the recorded part.
+            If the run has no dense output, or a time lies outside the recorded part.
         """
         if self.steps is None:
             raise ValueError("nothing to sample: needs dense_output=True")
@@ -150,10 +153,10 @@ def run(
         Time from which extrema, contacts and section points are recorded [s]. The initial
         state is not an event: only events after `t_0` are recorded.
     queue : ndarray of int, optional
-        The points that follow none in the order in which lanes take them; default as they stand.
+        Points that follow no other, in the order in which lanes take them; default ascending.
     follows : ndarray of bool, shape (n,), optional
-        Which points begin where those before them end; default none. Their `start` is not read.
-        What follows a failure has failed.
+        Points that begin in the end state of the one before; default none. Their `start` is not
+        read. A point that follows a failed point has failed.
     section_only : bool
         Record section points only: a search for extrema in every step costs as much as the step.
     tangent : bool
@@ -164,7 +167,7 @@ def run(
     sampled : bool
         Take the steps that a run with `dense_output` takes.
     contacts : bool
-        Record the walls passed.
+        Record wall crossings.
     """
     at = prepared.at.of_tangent if tangent else prepared.at
     method, lanes = prepared.method, aligned(at.n_rows, at.width)
@@ -186,12 +189,12 @@ def run(
     if at.is_tanh and (dense_output or sampled):
         points[:-1, at.layer] = (
             np.inf
-        )  # no layer is crossed at once: the motion within it is wanted
+        )  # no layer is crossed in one step: the motion within it is recorded
     statuses = np.full(len(which), RUNNING)
     limits = prepared.rtol, DIVERGED_AT, _MOST_SHORT
     queue = np.flatnonzero(~follows[:-1]) if queue is None else queue
     is_recording = bool(np.isfinite(record_from).any())
-    # Where nothing forces the motion the section is passed at turns, whatever else is wanted.
+    # The section of an unforced motion is at extrema, which are then always searched for.
     has_events = is_recording and (not section_only or dense_output or at.is_free)
     kept = has_events, has_events and contacts, is_recording, dense_output
     mode, contact_time = (
@@ -207,8 +210,11 @@ def run(
     if not at.is_taylor:
         left_range = ended[:, at.out_of_range] > 0.0
         has_failed = np.append(False, statuses[:-1] != OK) & follows[:-1]
+        if method.is_users:  # not far away: the force is no number beyond the last step
+            is_far = np.abs(ended[:, at.q : at.q + at.n]).max(axis=1) > DIVERGED_AT
+            statuses[(statuses == Status.DIVERGED) & ~is_far] = Status.MODEL_INVALID
         statuses[left_range & np.isin(statuses, _OF_MOTIONS)] = Status.OUT_OF_FIT_RANGE
-        # What follows a failure has failed, and as it did.
+        # A point that follows a failed point has failed with the same status.
         source = np.maximum.accumulate(np.where(has_failed, 0, np.arange(len(statuses))))
         statuses = statuses[source]
     n_stages = 0 if at.is_taylor else method.tableau.n_stages
@@ -229,7 +235,7 @@ def _drained(
     kept: Sequence[bool],
     turns: bool,
 ) -> list[Array]:
-    """Call the kernel until all points have ended; returns the logs that are kept, by point."""
+    """Call the kernel until all points have ended; return the logs, sorted by point."""
     n_kept = at.n_series + at.tangent * at.n_states * (at.n + at.m)
     per_step, widths = record.rows_per_step.py_func(at), _log_columns(at)
     capacities = [
@@ -263,9 +269,13 @@ def _drained(
     )
     pieces: list[list[Array]] = [[] for _ in kept]
     LOADED.add(at.of_motion)
-    outcome, step_on = BUDGET_SPENT, advance_users if method.is_users else advance
+    users, ours = (advance_users, _USERS_BUDGET), (advance, _BUDGET)
+    outcome, (step_on, budget) = BUDGET_SPENT, users if method.is_users else ours
     while outcome != FINISHED:
-        outcome = step_on(layout, run, limits, _BUDGET)
+        began = time.monotonic()
+        outcome = step_on(layout, run, limits, budget)
+        if time.monotonic() - began < _SHORT_CALL:
+            budget = min(2 * budget, _BUDGET)
         if outcome != FINISHED and is_late():
             held = run.lane_point >= 0
             points[run.lane_point[held]] = lanes[:, held].T
@@ -284,16 +294,16 @@ def _drained(
 
 
 def _log_columns(at: RowLayout) -> tuple[int, ...]:
-    """How wide the logs of `record` are."""
+    """Numbers of columns of the logs of `record`."""
     turns, contacts = record.VALUE + 1, record.VALUE
     steps = record.DENSE_HEAD + (at.n + at.m) * at.n_terms
     return turns, contacts, record.STATE + at.n_states, steps
 
 
 def _section_rows(at: RowLayout, points: Array) -> NDArray[np.int64]:
-    """Where the rows of each forced motion's section points begin and end, shape (n, 2).
+    """First row and end of the rows reserved for each motion's section points, shape (n, 2).
 
-    None, and no place for any, if they are too many to be waited for, or nothing forces them.
+    Empty if the rows would be too many, or the motions are unforced.
     """
     first = np.maximum(1.0, np.ceil(points[:, at.record_clock] - CLOCK_SLACK))  # `first_section`
     counts = np.maximum(points[:, at.end_cycle] - first + 1.0, 0.0)
@@ -304,14 +314,14 @@ def _section_rows(at: RowLayout, points: Array) -> NDArray[np.int64]:
 
 
 def _written(rows: Array, first: NDArray[np.int64], end: NDArray[np.int64]) -> Array:
-    """What was written of rows from `first` to `end` of each point: not all, if one has failed."""
+    """Return the rows from `first` to `end` of each point: all that were written."""
     if (end - first).sum() == len(rows):
         return rows
     return np.concatenate([rows[i:j] for i, j in zip(first.tolist(), end.tolist(), strict=True)])
 
 
 def _by_point(pieces: list[Array], n_points: int) -> Array:
-    """All rows in the order of their points; rows of one point keep theirs."""
+    """Join all rows, sorted by point; rows of one point keep their order."""
     if not any(map(len, pieces)):
         return pieces[0]
     points = [piece[:, record.POINT].astype(np.int64) for piece in pieces]
@@ -361,13 +371,13 @@ def _outcome(
 
 
 def _counts(at: RowLayout, points: Array, n_stages: int) -> dict[str, NDArray[np.int64]]:
-    """What motions passed and cost, by a method of so many stages (0: Taylor)."""
+    """Counts of contacts, steps and right-hand sides; `n_stages` of the method, 0 for Taylor."""
     n_steps = points[:, at.n_steps]
     n_rejected = points[:, at.n_rejected] if n_stages else np.zeros_like(n_steps)
     nfev = n_steps
     if n_stages:
         nfev = (n_steps + n_rejected) * (n_stages - 1) + points[:, at.n_extra]
-    # Below zero: the start lies on a wall and has not left it.
+    # Below zero: the motion began on a wall and has not left it.
     n_contacts = np.maximum(points[:, at.n_contacts], 0.0)
     given = {"n_contacts": n_contacts, "n_steps": n_steps, "n_rejected": n_rejected, "nfev": nfev}
     return {name: values.astype(np.int64) for name, values in given.items()}

@@ -1,9 +1,9 @@
 """The stepping loop: vector steps of a method, and the scalar work for single lanes.
 
-`advance` moves all lanes with a step of the method and looks after the lanes that it names: an
-unclear crossing, the end of a point, a failure, something to record. Of the step it needs nothing
-but the polynomial of the motion within it. All state lives in the arrays that are passed in, so the
-loop can stop at any step (full buffer, step budget) and go on when called again.
+`advance` moves all lanes with a step of the method and treats the lanes that the step reports: an
+unclear crossing, the end of a point, a failure, something to record. For these it needs only the
+polynomial of the motion within the step. All state is in the arrays that are passed in, so the loop
+can stop at any step (full buffer, step budget) and go on when called again.
 """
 
 import math
@@ -33,12 +33,12 @@ FINISHED, BUFFER_FULL, BUDGET_SPENT = 0, 1, 2
 IDLE = -1
 LARGEST = np.finfo(float).max
 HALVED = 2.0**MAX_HALVINGS
-_ROUNDING = 2.0**-40  # share of its reach by which the rounding of many steps moves a motion
+_ROUNDING = 2.0**-40  # of the largest displacement: rounding error of a motion over many steps
 
 
 @internal
 def _interval(at, lanes, k, contact):
-    """The part of its gap that a contact's mode allows in lane k."""
+    """Interval of the gap that a contact's mode allows in lane k."""
     mode = lanes[at.mode + contact, k]
     lower, upper = lanes[at.lower + contact, k], lanes[at.upper + contact, k]
     lo = -np.inf if mode < 0.0 else (upper if mode > 0.0 else lower)
@@ -62,7 +62,7 @@ def _commit_clock(at, lanes, k, step, is_done):
 
 @internal
 def _pass_wall(at, lanes, k, contact, side):
-    """Flip the mode of a contact at its wall on `side`, count."""
+    """Change the mode of a contact that passes its wall on `side`, and count the crossing."""
     lanes[at.side + contact, k] = side
     is_touching = lanes[at.mode + contact, k] != 0.0
     has_gap = lanes[at.lower + contact, k] < lanes[at.upper + contact, k]
@@ -72,7 +72,7 @@ def _pass_wall(at, lanes, k, contact, side):
 
 @internal
 def _find_exits(at, lanes, k, coefficients, work):
-    """First exit of every contact from its mode, into `work.exits`; the time of the earliest."""
+    """Find the first exit of every contact from its mode, for `work.exits`; return the earliest."""
     h = lanes[at.step, k]
     earliest = h
     for contact in range(at.contacts):
@@ -88,7 +88,7 @@ def _find_exits(at, lanes, k, coefficients, work):
 
 @internal
 def _advance_state(at, lanes, k, first, kept, step, coefficients, work):
-    """Put a state, from row `first` on, to where its series, from `kept` on, lead it. If finite."""
+    """Set the state in rows from `first` on to its series at time `step`; True if finite."""
     is_finite = True
     for i in range(at.n + at.m):
         load_series(coefficients, kept + i * at.n_terms, k, work.reduced)
@@ -103,7 +103,7 @@ def _advance_state(at, lanes, k, first, kept, step, coefficients, work):
 
 @internal
 def _commit_contacts(at, lanes, k, step, work):
-    """Flip what is left after `step`, and put the gaps where they are; whether a wall is passed."""
+    """Change modes that end within `step`, and set the gaps; True if a wall is passed."""
     has_passed = False
     for contact in range(at.contacts):
         lo, hi = _interval(at, lanes, k, contact)
@@ -160,7 +160,7 @@ def _resolve(at, lanes, k, coefficients, work):
 
 @internal
 def _failure(at, lanes, k, x_bound, max_short):
-    """Status of lane k: RUNNING, or why it cannot go on."""
+    """Return the status of lane k: RUNNING, or the reason of its failure."""
     for i in range(at.n_states):
         if not abs(lanes[at.q + i, k]) <= (x_bound if i < at.n else LARGEST):
             return DIVERGED
@@ -176,11 +176,11 @@ def _failure(at, lanes, k, x_bound, max_short):
 
 @internal
 def _part(at, lanes, k):
-    """Move walls out of the way of a motion that stays on them but for rounding. Whether any was.
+    """Move walls away from a motion that only rounding takes across them. True if any was moved.
 
-    Two masses that move alike neither leave the wall between them nor press on it. Where rounding
-    alone passes it, on and on, it is put back by as little, for the rest of this run: by
-    `_ROUNDING` of the largest displacement so far, each time.
+    Two masses that move together neither leave the wall between them nor press on it. A wall that
+    only rounding errors pass again and again is moved by `_ROUNDING` of the largest displacement so
+    far, each time, for the rest of this run.
     """
     is_parted = False
     for contact in range(at.contacts):
@@ -216,7 +216,7 @@ def _part(at, lanes, k):
 
 @internal
 def _settle(at, unclear, lanes, coefficients, work):
-    """Commit the steps of the lanes whose crossing was unclear. The lanes that end with it."""
+    """Commit the steps of lanes whose crossing was unclear; return those whose point ends."""
     done = 0
     while unclear != 0:
         k = lowest_bit(unclear)
@@ -228,7 +228,7 @@ def _settle(at, unclear, lanes, coefficients, work):
 
 @internal
 def _judged(at, suspects, lanes, x_bound, max_short):
-    """Those of some lanes whose last step is no motion, and those that chatter and may go on."""
+    """Among `suspects`, the lanes that have failed, and chattering ones whose walls were moved."""
     failed = parted = 0
     while suspects != 0:
         k = lowest_bit(suspects)
@@ -243,7 +243,7 @@ def _judged(at, suspects, lanes, x_bound, max_short):
 
 @internal
 def _attend(layout, named, run, limits):
-    """See to the lanes that a step has named."""
+    """Do the scalar work for lanes that a step has reported: crossings, records, ends."""
     _, x_bound, max_short = limits
     at, lanes = run.at, run.lanes
     done, bad, recording = named.done, named.bad, named.recording
@@ -267,7 +267,7 @@ def _attend(layout, named, run, limits):
 
 @internal
 def _load_next(at, run, k):
-    """Put the next waiting point into lane k, or idle motion if none waits."""
+    """Load the next point of the queue into lane k, or the idle point if none is left."""
     p = len(run.statuses)  # the table's last row is a point at rest without an end
     run.lane_point[k] = IDLE
     if run.progress[0] < len(run.queue):
@@ -279,9 +279,9 @@ def _load_next(at, run, k):
 
 @internal
 def _finish(at, run, k, status, limits):
-    """Hand lane k's state back to the table of points and load the next one.
+    """Copy lane k back to the table of points and load the next point.
 
-    That is the one that follows; what follows a failure has failed.
+    A point that follows this one is loaded first; if this one has failed, so have its followers.
     """
     rtol, _, _ = limits
     p = run.lane_point[k]
@@ -303,13 +303,13 @@ def _finish(at, run, k, status, limits):
 
 
 class Taylor(NamedTuple):
-    """The method whose polynomials are Taylor series; a `RowLayout` says of which degree."""
+    """The Taylor series method; its degree is the `order` of the `RowLayout`."""
 
     is_users: bool = False
 
 
 class LoopState(NamedTuple):
-    """All that the loop works on; it can stop at any step and go on when called again.
+    """State of the loop, which can stop at any step and go on when called again.
 
     Attributes
     ----------
@@ -323,26 +323,26 @@ class LoopState(NamedTuple):
     points : array, shape (n_points + 1, n_rows)
         One row per point: start on entry, end on return. The last row is the idle point.
     queue : int array
-        The points that follow none in the order in which they are loaded.
+        Points that follow no other, in the order in which they are loaded.
     follows : bool array, shape (n_points + 1,)
-        Which points begin where those before them end; not the idle one.
+        Points that begin in the end state of the one before; False for the idle point.
     statuses : int array, shape (n_points,)
         Outcome of each point, `RUNNING` while it is under way.
     progress : int array, shape (2,)
-        How many points of the queue are loaded; how many have ended.
+        Numbers of points loaded from the queue, and of points that have ended.
     coefficients : array
-        Polynomials of the last step, as of `taylor_step`.
+        Polynomials of the last step, as in `taylor_step`.
     logs : tuple of arrays
-        Buffers of `record_steps`; with no rows: not wanted.
+        Buffers of `record_steps`; without rows: nothing is recorded.
     fill : int array, shape (4,)
-        Rows used in each. The caller drains the buffers and sets them to zero.
+        Rows used in each. The caller empties the buffers and sets the numbers to zero.
     sections : int array, shape (n_points, 2)
-        The row of each motion's next section point, and where its rows end: they have places, and
-        stay there. Empty: they are drained as all others are.
+        Row of each motion's next section point, and end of the rows reserved for it. Empty: no rows
+        are reserved, and section points are buffered as all other events.
     work : roots.Work
         Work space for this degree.
     turns, contacts : bool
-        Whether extrema are searched for; whether walls passed are recorded.
+        Whether extrema are searched for; whether wall crossings are recorded.
     """
 
     at: np.record
@@ -364,7 +364,7 @@ class LoopState(NamedTuple):
 
 
 def method_step(layout, method, lanes, coefficients, limits):
-    """Advance every lane by one step of a method: an `StepOutcome`."""
+    """Advance every lane by one step of a method; return its `StepOutcome`."""
     raise NotImplementedError("compiled code only")
 
 
@@ -391,7 +391,7 @@ def _taylor(layout, method, lanes, coefficients, limits):
 
 
 def _advance(layout, run, limits, budget):
-    """Advance until every point has ended, a buffer is full, or `budget` vector steps are made.
+    """Advance all lanes until every point has ended, a buffer is full or `budget` is used up.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""What a step of all lanes comes to."""
+"""Outcome of a step of all lanes, as masks of lanes."""
 
 from typing import NamedTuple
 
@@ -6,25 +6,25 @@ CLOCK_SLACK = 1e-9  # of a period: a record_from meant as a whole period include
 MAX_HALVINGS = 3  # of a step in search of a crossing
 SHORT_STEP = 1e-6  # rad of the fastest frequency: contact steps shorter than this count as chatter
 # Why the derivative must be evaluated before the next Runge-Kutta step, in the row `is_fresh`: the
-# last step ended short of its own end, on a wall, or the motion begins.
+# last step was cut short, ended on a wall, or the motion begins.
 AT_NEW_STATE, AT_WALL, AT_START = 0.5, 1.0, 2.0
 # Why a lane cannot go on, in its row `n_short`.
 STEP_UNDERFLOW, MODEL_INVALID, DIVERGED = -1.0, -2.0, -3.0
 
 
 class StepOutcome(NamedTuple):
-    """Bit i of each word answers for lane i.
+    """Masks of lanes after a step; bit i of each integer stands for lane i.
 
     Attributes
     ----------
     unclear : int
-        Its step is not committed, as it may have to end at a contact.
+        The step is not committed, as it may have to end at a contact.
     done, bad : int
-        It has reached its end; it cannot go on.
+        The point has reached its end; it cannot go on.
     recording : int
-        Its step may hold something to record.
+        The step may contain an event to record.
     miscounted : int
-        A gap may have passed a wall that is not located and come back within its step.
+        A gap may have passed a wall that is not located and come back within the step.
     """
 
     unclear: int

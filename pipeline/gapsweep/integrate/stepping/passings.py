@@ -1,4 +1,4 @@
-"""Walls passed within the steps of a law whose contacts are not located."""
+"""Wall crossings within the steps of laws whose contacts are not located."""
 
 from gapsweep.integrate.jit import chosen_by_type, internal
 from gapsweep.integrate.runge_kutta.parameters import CENTRE, N_PARAMETERS, RANGE
@@ -14,7 +14,7 @@ def count_passings(layout, among, run):
 
 
 def record_passings(layout, among, run):
-    """Rows of the walls that lanes have passed in their last steps, in the order of time."""
+    """Record the wall crossings of lanes within their last steps, in the order of time."""
     raise NotImplementedError("compiled code only")
 
 
@@ -32,7 +32,7 @@ def _chosen_record(layout, among, run):
 
 @internal
 def _none(among, run):
-    """The loop itself counts and records located contacts."""
+    """Do nothing: the loop itself counts and records located contacts."""
 
 
 @internal
@@ -53,15 +53,15 @@ def _record_all(among, run):
 
 @internal
 def _passings(at, run, k, end, wall, outward):
-    """How often the series in `work.series` passes a wall up to `end`; when, in `work.roots`.
+    """Find the times, into `work.roots`, at which the gap `work.series` passes a wall in a step.
 
-    A motion that starts on the wall and heads out passes it too, but has no time of it.
+    A motion that starts on the wall and moves outwards passes it too, but without a time.
 
     Returns
     -------
     n_times, n_by_ends, heads_out : int
-        The times; passings that both ends of the step tell of, which is what steps count;
-        1 where it starts on the wall and heads out.
+        Number of times; number of crossings between both ends of the step, which steps count; 1 if
+        the motion starts on the wall and moves outwards.
     """
     work, h = run.work, run.lanes[at.step, k]
     series, gap = work.series, work.reduced
@@ -118,7 +118,7 @@ def _record(at, run, k):
             for i in range(n_times):
                 if work.roots[i] >= -begun * lanes[at.period, k]:
                     write_row(run, CONTACTS, k, lanes[at.start_time, k] + work.roots[i], contact)
-        # Those of both walls, in the order of time.
+        # Sort the crossings of both walls by time.
         for i in range(first + 1, run.fill[CONTACTS]):
             j = i
             while j > first and rows[j - 1, TIME] > rows[j, TIME]:

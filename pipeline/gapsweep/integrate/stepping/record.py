@@ -1,12 +1,17 @@
-"""What a step leaves behind when recording is on: extrema, section points, contacts, the series.
+"""Records of steps: extrema, section points, wall crossings, and series for dense output.
 
 A section point is a row (point, t, q, v, z) of its log, in the order of time. An extremum is a row
 (point, t, which, value), in the order of time for each `which`: a coordinate, or a contact's gap
-after all coordinates. A wall passed is a row (point, t, contact).
+after all coordinates. A wall crossing is a row (point, t, contact).
 
 Extrema are all zeros of a velocity polynomial. Vector code proves by Descartes' rule, for all lanes
-at once, that there is none or one, and finds it (`turns`). That leaves one step in some
+<<<<<<< HEAD
+at once, that there is none or one, and finds it (`turns`). In one step of some
+hundreds this fails: its zeros are isolated by the same rule on parts of the step (`roots`).
+=======
+at once, that there is none or one, and finds it (`turns`). This leaves one step in some
 hundreds: its zeros are isolated by the same rule on parts of the step (`roots`).
+>>>>>>> h-lang1
 """
 
 import math
@@ -34,15 +39,15 @@ POINT, TIME, WHICH, VALUE = range(4)
 STATE = 2  # of a section point
 DENSE_HEAD = 3  # of a step: point, start time, length; then the coefficients of q and z
 
-# A turn and its return that differ by less than this part of the displacement are rounding's
-# picture of one inflection (v = 0 and a = 0).
+# Two successive extrema that differ by less than this part of the displacement are one inflection
+# (v = 0 and a = 0) with rounding errors.
 _SAME_DISPLACEMENT = 4e-16
 _FLANK = 1e-5  # of the step
 
 
 @internal
 def rows_per_step(at):
-    """Most rows that a step of all lanes writes to each log."""
+    """Largest numbers of rows that a step of all lanes writes to the logs."""
     n_turns = at.n_turning * (at.order + 1)
     n_sections = at.order + 1 if at.is_free else 1
     n_passings = 2 * at.contacts * (1 if at.is_located else at.order + 1)
@@ -51,7 +56,7 @@ def rows_per_step(at):
 
 @internal
 def has_room(at, run):
-    """Whether the logs that are kept take another step of all lanes."""
+    """Whether the logs in use have room for another step of all lanes."""
     needed, fits = rows_per_step(at), True
     for log in range(4):
         n_rows, is_placed = len(run.logs[log]), log == SECTIONS and len(run.sections) > 0
@@ -61,7 +66,7 @@ def has_room(at, run):
 
 @internal
 def write_row(run, log, k, t, which):
-    """Add a row to a log: its number."""
+    """Add a row to a log; return its number."""
     i, rows = run.fill[log], run.logs[log]
     rows[i, POINT], rows[i, TIME], rows[i, WHICH] = run.lane_point[k], t, which
     run.fill[log] += 1
@@ -76,7 +81,7 @@ def _write_turn(run, k, t, which, value):
 
 @internal
 def load_series(coefficients, first, k, series):
-    """Copy lane k's coefficients out of the lane-major array, from row `first` on."""
+    """Copy lane k's coefficients, in rows from `first` on, to the array `series`."""
     for n in range(len(series)):
         series[n] = coefficients[first + n, k]
 
@@ -97,7 +102,7 @@ def _write_state(at, run, k, rows, i, elapsed):
 
 @internal
 def _write_section(at, run, k, i, t, elapsed):
-    """Section point i, from the series of the last step: t is the time, `elapsed` within it."""
+    """Write section point i at time t, from the last step's series at time `elapsed` in it."""
     rows = run.logs[SECTIONS]
     rows[i, POINT], rows[i, TIME] = run.lane_point[k], t
     _write_state(at, run, k, rows, i, elapsed)
@@ -105,7 +110,7 @@ def _write_section(at, run, k, i, t, elapsed):
 
 @internal
 def _write_return(at, run, k, start, t):
-    """A section point at a maximum of the first coordinate."""
+    """Record a section point of an unforced motion: a maximum of the first coordinate."""
     i = run.fill[SECTIONS]
     run.fill[SECTIONS] += 1
     _write_section(at, run, k, i, start + t, t)
@@ -114,13 +119,13 @@ def _write_return(at, run, k, start, t):
 
 @internal
 def first_section(record_clock):
-    """Whole period from which on section points are recorded."""
+    """Number of the first whole period at which a section point is recorded."""
     return max(1.0, np.ceil(record_clock - CLOCK_SLACK))
 
 
 @internal
 def _record_sections(at, among, run):
-    """The section points that forced motions have passed in their last step or ended on."""
+    """Record the section points that forced motions have passed or reached in their last step."""
     lanes = run.lanes
     while among != 0:
         k = lowest_bit(among)
@@ -133,12 +138,12 @@ def _record_sections(at, among, run):
 
 @internal
 def _record_section(at, run, k, whole):
-    """The section point after so many periods, at its place where the motion has some."""
+    """Record the section point after `whole` periods, in the reserved rows if there are any."""
     lanes = run.lanes
     if len(run.sections) > 0:
         places = run.sections[run.lane_point[k]]
         i = places[0]
-        if i == places[1]:  # rounding alone would have it pass more
+        if i == places[1]:  # more points are due to rounding
             return
         places[0] += 1
     else:
@@ -155,7 +160,7 @@ def _record_section(at, run, k, whole):
 
 @internal
 def _noise(degree, step, work):
-    """Rounding error to expect in the velocity polynomial."""
+    """Expected rounding error of the velocity polynomial."""
     size, power = 0.0, 1.0
     for n in range(degree + 1):
         size += abs(work.reduced[n]) * power
@@ -165,7 +170,7 @@ def _noise(degree, step, work):
 
 @internal
 def _without_echoes(n_roots, step, work):
-    """Drop touches next to a simple root or to the step's ends: they are the root's own flank."""
+    """Drop double roots due to rounding, next to a simple root or a step end; return the number."""
     roots, multiplicity, kept = work.roots, work.multiplicity, 0
     for i in range(n_roots):
         t = roots[i]
@@ -185,11 +190,11 @@ def _without_echoes(n_roots, step, work):
 
 @internal
 def _velocity_roots(step, v_1, work):
-    """Zeros of v on (0, step], left in ``work.roots``: their number."""
+    """Find the zeros of v on (0, step], into ``work.roots``; return their number."""
     series, degree = work.series, len(work.series) - 1
     skipped = 1
     while skipped <= degree and series[skipped] == 0.0:
-        skipped += 1  # an extremum at the start belongs to the step before
+        skipped += 1  # an extremum at the beginning belongs to the step before
     if skipped > degree or step <= 0.0:
         return 0
     for n in range(skipped, degree + 1):
@@ -210,7 +215,7 @@ def _velocity_roots(step, v_1, work):
 
 @internal
 def _record_extrema(at, run, k, which, first):
-    """The zeros of a velocity within a step that `turns` left undecided."""
+    """Record the extrema of a quantity in a step for which vector code (`turns`) was undecided."""
     lanes, work = run.lanes, run.work
     load_series(run.coefficients, first, k, work.series)
     n_roots = _velocity_roots(lanes[at.step, k], lanes[at.turn_v, k], work)
@@ -221,7 +226,7 @@ def _record_extrema(at, run, k, which, first):
     first = -begun * lanes[at.period, k]  # within the step; negative once recording is fully on
     series, degree = work.series, len(work.series) - 1
     roots, multiplicity = work.roots, work.multiplicity
-    rising = work.reduced[0] > 0.0  # sign of v right after the start; each simple root flips it
+    rising = work.reduced[0] > 0.0  # sign of v right after the beginning; each simple root flips it
     halt = math.nan  # displacement of the last inflection: rounding may show one as several
     i = 0
     while i < n_roots:
@@ -250,7 +255,7 @@ def _record_extrema(at, run, k, which, first):
 
 @internal
 def _record_contact(at, run, k, contact):
-    """A wall passed, or both where no gap lies between them: the time, and rows if wanted."""
+    """Record a wall crossing, two if the gap is zero: contact time, and rows if kept."""
     lanes = run.lanes
     end = lanes[at.start_time, k] + lanes[at.step, k]
     if at.is_tanh:
@@ -269,7 +274,7 @@ def _record_contact(at, run, k, contact):
 
 @internal
 def _record_dense(at, run, k):
-    """The whole step's series of coordinates and first-order states."""
+    """Record the step's series of coordinates and first-order states for dense output."""
     lanes, steps, i = run.lanes, run.logs[STEPS], run.fill[STEPS]
     steps[i, 0], steps[i, 1] = run.lane_point[k], lanes[at.start_time, k]
     steps[i, 2] = lanes[at.step, k]
@@ -297,13 +302,12 @@ def _emit_passed(builder, lanes, among):
 
 @intrinsic
 def find_passed(typingctx, at, lanes, among):
-    """What was passed within the last step of the lanes in `among`, for all lanes at once.
+    """Find which lanes in `among` ended on a wall, and which record events, in their last step.
 
     Parameters
     ----------
     at, lanes
-        As `taylor_step`, after it; the lanes whose crossing was unclear are at their end too.
-        `start_time` is set.
+        As in `taylor_step`, after the step; unclear crossings are resolved. Sets `start_time`.
     among : int64
         The lanes that record, one bit each.
 
@@ -324,7 +328,7 @@ def find_passed(typingctx, at, lanes, among):
 
 @internal
 def _write_turns(at, run, events, which, series):
-    """Rows of what `find_coordinate_turns` or `find_gap_turns` found."""
+    """Record the extrema that `find_coordinate_turns` or `find_gap_turns` found."""
     first = series * at.n_terms
     turns = events & at.all_lanes
     unclear = (events >> at.width) & at.all_lanes
@@ -349,7 +353,7 @@ def record_steps(layout, among, run):
     at = run.at
     if not at.is_free:
         _record_sections(at, among, run)
-    if len(run.logs[TURNS]) == 0:  # sections alone are wanted
+    if len(run.logs[TURNS]) == 0:  # only sections are recorded
         return
     passed = find_passed(layout, run.lanes, among)
     contacts = passed & at.all_lanes
@@ -377,15 +381,15 @@ def record_steps(layout, among, run):
 
 @entry
 def place(rows, next_row, placed):
-    """Copy rows of a log, in the order of time, to where those of their points go on.
+    """Copy rows of a log, in the order of time, behind the earlier rows of the same points.
 
     Parameters
     ----------
     rows : array, shape (n_rows, n_columns)
     next_row : int array, shape (n_points,)
-        Row of `placed` that each point's next one comes to; it is moved on.
+        Row of `placed` for the next row of each point; incremented.
     placed : array, shape (at least n_rows, n_columns)
-        Receives them.
+        Receives the rows.
     """
     for i in range(len(rows)):
         point = int(rows[i, POINT])

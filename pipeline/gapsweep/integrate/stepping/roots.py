@@ -16,7 +16,7 @@ from gapsweep.integrate.jit import internal
 # Two roots closer than this part of the step differ by less than rounding in the polynomial's
 # value (2**-26 squared is 2**-52): they count as one double root, a touch.
 MAX_DEPTH = 26
-TOUCH_WIDTH = 2.0**-19  # where a touch is looked for: there a value of 1e-12 is reached
+TOUCH_WIDTH = 2.0**-19  # of intervals in which a touch is searched: values of 1e-12 are reached
 MAX_DEGREE = 32
 SIMPLE, DOUBLE = 1, 2
 _CLOSE = 1e-9  # of the bracket: the error of Newton's next iterate is about its square
@@ -33,15 +33,15 @@ class Work(NamedTuple):
 
     series: np.ndarray  # shape (degree + 1,): the step's Taylor coefficients of x
     reduced: np.ndarray  # the polynomial whose roots are wanted
-    bernstein: np.ndarray  # of the intervals in waiting, one row each
+    bernstein: np.ndarray  # of the waiting intervals, one row each
     ends: np.ndarray  # of the same intervals, as parts of the step
     roots: np.ndarray
     multiplicity: np.ndarray
-    exits: np.ndarray  # shape (n_contacts, 2): when and over which end each leaves its mode
+    exits: np.ndarray  # shape (n_contacts, 2): time and side at which each leaves its mode
 
 
 def work_space(degree: int, n_contacts: int) -> Work:
-    """Work space for polynomials up to `degree`."""
+    """Return work space for polynomials up to `degree`."""
     n, depth = degree + 1, MAX_DEPTH + 3
     return Work(
         np.empty(n),
@@ -89,7 +89,7 @@ def _sign_changes(bernstein, degree):
 
 @internal
 def _split(whole, left, right, degree, part):
-    """Bernstein coefficients of both pieces of an interval that is cut at `part` of it."""
+    """Compute the Bernstein coefficients of both parts of an interval that is cut at `part`."""
     for j in range(degree + 1):
         left[j] = whole[j]
     right[degree] = left[degree]
@@ -101,7 +101,7 @@ def _split(whole, left, right, degree, part):
 
 @internal
 def _refine(series, degree, a, b, value_a, value_b):
-    """The one root within [a, b] by Newton's method, with bisection as safeguard."""
+    """Return the single root in [a, b] by Newton's method, with bisection as safeguard."""
     is_positive_before = value_a > 0.0
     close = _CLOSE * (b - a)
     t = a + (b - a) * (value_a / (value_a - value_b))
@@ -142,7 +142,7 @@ def isolate(degree, h, end_value, slack, work):
     Parameters
     ----------
     degree : int
-        Its degree. ``work.reduced[0]`` must not be zero (divide by t before).
+        Degree of the series. ``work.reduced[0]`` must not be zero (divide by t before).
     h : float
         End of the interval.
     end_value : float
@@ -192,7 +192,7 @@ def isolate(degree, h, end_value, slack, work):
 
 @internal
 def _halve(coefficients, ends, top, degree, a, b):
-    """Replace entry `top` by its right and left part, the left one uppermost."""
+    """Replace interval `top` of the stack by its halves, the left one on top; return the size."""
     left, right, whole = (
         coefficients[top + 1],
         coefficients[top],
@@ -214,7 +214,7 @@ def _halve(coefficients, ends, top, degree, a, b):
 
 @internal
 def first_exit(h, lo, hi, x_1, work):
-    """When and where x(t), the series `work.series`, first leaves [lo, hi] on (0, h].
+    """Time and side at which x(t), the series `work.series`, first leaves [lo, hi] on (0, h].
 
     Parameters
     ----------

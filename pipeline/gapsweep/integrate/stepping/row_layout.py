@@ -1,14 +1,13 @@
-"""RowLayout of the lane-major arrays that the stepping code shares.
+"""Layout of the arrays that the stepping code shares: one row per quantity, one column per lane.
 
-``lanes`` has one row per quantity and one column per lane, so that a row is one vector load. How
-many rows there are depends on the system: a `RowLayout` names them. It is a compile-time value: its
-numbers are part of its numba type, so that a step is compiled once for every size of system,
-and a row's number is a constant in its code. What looks after single lanes takes the same numbers
-from a record (`RowLayout.numbers`) and is compiled once for all sizes.
+A row of ``lanes`` is one vector load. The number of rows depends on the system; a `RowLayout` names
+them. It is a compile-time value: its numbers are part of its numba type, so that a step is compiled
+once for every size of system, and the number of a row is a constant in its code. Code for single
+lanes reads the same numbers from a record (`RowLayout.numbers`) and is compiled once for all sizes.
 
-Clocks count forcing periods: a time is the pair (whole periods since the start of the point's
-first period, fraction of a period in [0, 1)). The fraction *is* the forcing phase, hence time and
-phase cannot drift apart however long the run.
+Clocks count forcing periods: a time is the pair (whole periods since the beginning of the
+point's first period, fraction of a period in [0, 1)). The fraction *is* the forcing phase, hence
+time and phase cannot drift apart however long the run.
 """
 
 import math
@@ -33,7 +32,7 @@ from numpy.typing import NDArray
 from gapsweep.integrate.runge_kutta.parameters import N_PARAMETERS
 from gapsweep.integrate.simd import WIDTH
 
-# Lanes of a table of so few scenes: a lone one takes half the time that it takes among idle lanes.
+# Lanes of a table with at most so many rows: one point takes half the time of one in a wide vector.
 NARROW = 4
 
 # Names of the blocks of rows and, by the counts of a `RowLayout`, how many rows each has.
@@ -51,14 +50,14 @@ _ONE = (
     "min_step",  # [s]: a shorter step, unless it ends on a wall or at the end, is an underflow
     *("n_steps", "n_contacts", "n_short"),
     "is_fresh",  # why the derivative is missing, or 0 (of Runge-Kutta methods)
-    # what the recording of the last step found: when it began [s], zero of a velocity
+    # results of recording the last step: its initial time [s], zero of a velocity
     *("start_time", "turn_time", "turn_x", "turn_v"),
 )
 
 
 @dataclass(frozen=True)
 class RowLayout:
-    """Sizes of a system, and the first row of everything that is kept of a point.
+    """Sizes of a system, and the first row of every quantity that is stored for a point.
 
     Attributes
     ----------
@@ -70,14 +69,13 @@ class RowLayout:
         Contacts, cubic springs, harmonics of the forcing (a constant load is one), and of the
         contacts' stiffness.
     is_plain : bool
-        Whether it is an oscillator: one coordinate, which one contact and one cubic spring act on.
+        Whether the system is an oscillator: one coordinate with one contact and one cubic spring.
     in_step : bool
         Whether the only harmonic has the frequency and the phase of the clock.
     is_tanh : bool
         Whether the contact of an oscillator is smoothed by tanh.
     is_free : bool
-        Whether nothing repeats with the clock: the section is then passed where the first
-        coordinate has a maximum.
+        Whether the system is unforced: its section is then at the maxima of the first coordinate.
     is_located : bool
         Whether steps end where a contact passes a wall.
     is_taylor : bool
@@ -85,7 +83,7 @@ class RowLayout:
     order : int
         Degree of the polynomials of a step.
     tangent : int
-        1 if the variational equation is integrated along, else 0.
+        1 if the variational equation is integrated too, else 0.
     width : int
         Lanes.
     """
@@ -118,12 +116,12 @@ class RowLayout:
 
     @cached_property
     def of_motion(self) -> "RowLayout":
-        """The same without the tangent, whose rows no other code looks at."""
+        """The layout without the tangent, whose rows no other code reads."""
         return known(replace(self, tangent=0))
 
     @cached_property
     def of_tangent(self) -> "RowLayout":
-        """The same with the tangent."""
+        """The layout with the tangent."""
         return known(replace(self, tangent=1))
 
     @property
@@ -133,17 +131,17 @@ class RowLayout:
 
     @property
     def n_terms(self) -> int:
-        """Coefficients of one series."""
+        """Number of coefficients of a series."""
         return self.order + 1
 
     @property
     def n_series(self) -> int:
-        """Series of a step that are kept: of q and z, then of the contacts' gaps."""
+        """Number of series of a step: those of q and z, then those of the contacts' gaps."""
         return 1 if self.is_plain else self.n + self.m + self.contacts
 
     @property
     def n_rates(self) -> int:
-        """Derivatives of a stage that are kept: of speeds, and of first-order states."""
+        """Number of derivatives of a stage: accelerations, then rates of first-order states."""
         return self.n + self.m
 
     @property
@@ -153,7 +151,7 @@ class RowLayout:
 
     @property
     def n_turning(self) -> int:
-        """What extrema are recorded of: coordinates, then the gaps of contacts."""
+        """Number of quantities whose extrema are recorded: coordinates, then gaps of contacts."""
         return 1 if self.is_plain else self.n + self.contacts
 
     @cached_property
@@ -188,25 +186,25 @@ class RowLayout:
             # forcing: amplitudes, multiples of the frequency, phases in periods
             **{"push": h * n, "multiple": h * (not self.in_step), "phase": h * (not self.in_step)},
             **{"depth": k * s, "depth_multiple": s, "depth_phase": s},
-            # what steps are measured by: roots of the matrices of masses and springs, square of
-            # the fastest rate [1/s^2] and rate of decay [1/s] of the linear parts, speed of a metre
-            # [1/s], sizes of lags beside a metre
+            # scales of step errors: roots of the matrices of masses and springs, square of the
+            # fastest rate [1/s^2] and rate of decay [1/s] of the linear parts, speed of a metre
+            # [1/s], sizes of lags relative to a metre
             **{"mass_root": n * n * several, "spring_root": n * n * several},
             **{"fastest": 1 * several, "decay": 1 * several, "slow": 1 * several, "lag_floor": m},
             **self._runge_kutta_blocks(),
         }
 
     def _runge_kutta_blocks(self) -> dict[str, int]:
-        """Blocks that a Taylor series does not need."""
+        """Number of rows of every block that only Runge-Kutta methods need."""
         n, m, k, s = self.n, self.m, self.contacts, self.n_states
         several = not self.is_plain
         sizes = {
-            # derivatives at the start of the next step: of speeds, and of first-order states
+            # derivatives at the beginning of the next step: of speeds, and of first-order states
             **{"a": n, "w": m},
             # the next step and the longest one [s], the step before a smoothing layer, why the last
             # one is repeated if it is, whether the motion has left the range of a fit
             **dict.fromkeys(("h", "h_max", "h_saved", "failed", "out_of_range"), 1),
-            # `n_extra`: right-hand sides at starts and on walls
+            # `n_extra`: right-hand sides at initial states and on walls
             **{"n_rejected": 1, "n_extra": 1},
             # parameters of the contacts' laws
             "law": k * N_PARAMETERS,
@@ -215,8 +213,8 @@ class RowLayout:
             # gaps of several contacts, their speeds and accelerations, at both ends of it
             **{"gap_0": 3 * k * several, "gap_1": 3 * k * several},
             # of a stage of a system: state, cosines of loads; of every contact its gap, its force
-            # (or slope, or denominator) and by what its stiffness is multiplied; of every cubic
-            # spring the cube, and three squares
+            # (or slope, or denominator) and the factor of its stiffness; of every cubic spring the
+            # cube, and three squares
             **{"stage": s * several, "cosine": self.harmonics * several},
             **{"stage_gap": k, "force": k, "modulation": k * several},
             **{"cube": self.cubics * several, "bend": self.cubics * several},
@@ -234,14 +232,14 @@ class RowLayout:
 
     @cached_property
     def numbers(self) -> np.record:
-        """All of them, with the same names, as a record for code that is compiled once."""
+        """All sizes and first rows, by name, as a record for code compiled once for all layouts."""
         names = [*(field.name for field in fields(self)), *self.derived, *self.blocks]
         values = tuple(int(getattr(self, name)) for name in names)
         found: np.record = np.rec.array([values], dtype=[(name, np.int64) for name in names])[0]
         return found
 
     def __getattr__(self, name: str) -> int:
-        """First row of a block; from then on an attribute like any other."""
+        """Return the first row of a block, and store it as an attribute."""
         if name.startswith("_") or name not in self.blocks:
             raise AttributeError(name)
         self.__dict__[name] = self.first[name]
@@ -252,7 +250,7 @@ _KNOWN: dict[RowLayout, RowLayout] = {}
 
 
 def known(layout: RowLayout) -> RowLayout:
-    """The first of all layouts that equal this one: its rows are looked up once."""
+    """Return the first layout that equals this one, so that rows are computed only once."""
     return _KNOWN.setdefault(layout, layout)
 
 
@@ -261,17 +259,17 @@ LOADED: set[RowLayout] = set()
 
 
 def of_width(n: int, layout: RowLayout) -> RowLayout:
-    """A layout for n scenes: narrow for few, unless the code for many alone is loaded.
+    """Return a layout for n models: narrow for few, unless only the wide one's code is loaded.
 
-    To load or compile machine code takes longer than to move a thousand idle lanes, and lanes give
-    the same bits in any company.
+    Loading or compiling machine code takes longer than stepping a thousand idle lanes, and results
+    do not depend on the number of lanes.
     """
     wide, narrow = (known(replace(layout, width=width)) for width in (WIDTH, NARROW))
     return narrow if n <= NARROW and (narrow in LOADED or wide not in LOADED) else wide
 
 
 def aligned(*shape: int) -> NDArray[np.float64]:
-    """A zeroed array whose rows of one vector start on cache lines."""
+    """Return an array of zeros whose rows of one vector start on cache lines."""
     size = math.prod(shape)
     raw = np.zeros(size + 8)
     skip = (-raw.__array_interface__["data"][0] // 8) % 8
@@ -289,7 +287,7 @@ class LayoutType(types.Opaque):
 register_model(LayoutType)(models.OpaqueModel)
 
 
-_typed = cache(LayoutType)  # every call from Python asks
+_typed = cache(LayoutType)  # needed in every call from Python
 
 
 @typeof_impl.register(RowLayout)

@@ -10,7 +10,7 @@ from .roots import polynomial
 
 @entry
 def sample_steps(at, steps, first, last, times):
-    """Evaluate recorded steps.
+    """Return the states at some times, from the series of recorded steps.
 
     Parameters
     ----------
@@ -28,7 +28,7 @@ def sample_steps(at, steps, first, last, times):
     states : ndarray, shape (n_states, n_points, n_t)
         (q, v, z).
     outside : int
-        A point asked for a time outside its recorded part (beyond a rounding of the clock), or -1.
+        A point with a time outside its recorded part (beyond a rounding of the clock), or -1.
     """
     states = np.empty((at.n_states, *times.shape))
     outside = -1

@@ -1,4 +1,4 @@
-"""Tables of what moves: a row for every scene, as the kernel reads it."""
+"""Tables of models for the kernel: a row has a model with its walls, forcing and tolerances."""
 
 import math
 from collections.abc import Iterator
@@ -15,8 +15,8 @@ from .start_rows import FLOOR_SHARE
 
 Array = NDArray[np.float64]
 
-# Degree of the Taylor polynomial by relative tolerance: the cheapest measured on the benchmark
-# scenes. (smallest rtol it is used for, degree)
+# Degree of the Taylor polynomial by relative tolerance: the cheapest measured in the
+# benchmark. (smallest rtol it is used for, degree)
 ORDERS = ((2e-5, 8), (2e-8, 12), (2e-11, 16), (0.0, 20))
 # Shortest step that makes progress, in rad of the natural or forcing frequency: a stiffness of 1e9
 # N/m takes steps a million times longer, and a run of shorter ones would never end.
@@ -37,18 +37,18 @@ _TAYLOR = Taylor()
 
 @dataclass(frozen=True, slots=True)
 class SceneTable:
-    """Systems between walls as the kernel takes them: all of a point but its start and end.
+    """Table of models for the kernel: all numbers of a point except initial state and times.
 
     Attributes
     ----------
     at : RowLayout
     table : ndarray, shape (n + 1, n_rows)
-        Rows as the kernel reads them, the idle point last. ``at.floor`` holds the size of the
-        motion that the forcing keeps up against all springs.
+        Rows as the kernel reads them, the idle point last. Row `floor` of `at` is the size of the
+        motion that the forcing maintains against all springs.
     rtol : float
         As in `scenes`.
     method : Taylor or RungeKutta
-        The latter without its work space.
+        A RungeKutta has no work space yet.
     """
 
     at: RowLayout
@@ -73,7 +73,7 @@ def scenes(
     rtol: float,
     atol: Array | float,
 ) -> SceneTable:
-    """Prepare oscillators; `run` then starts them as often as wanted.
+    """Return the table of n oscillators, which `batch.run` integrates from initial states.
 
     Parameters
     ----------
@@ -88,9 +88,9 @@ def scenes(
         Convergence parameter [1/m] of contacts that are smoothed by tanh.
     rtol, atol : float, or of the latter an array, shape (n,)
         A step's error in velocity is kept below about `rtol` times the speed that the state's
-        energy amounts to, in the gap or beside the wall, whichever springs hold it; that of a
-        disturbance below a part of `rtol` of its own size. `atol` [m] can only tighten: it is
-        limited to ``1e-3 * rtol`` of the motion's natural size.
+        energy amounts to, in the gap or in contact, whichever springs hold it; that of a
+        disturbance below a part of `rtol` of its size. `atol` [m] can only tighten: it is limited
+        to ``1e-3 * rtol`` of the motion's natural size.
     """
     check_tolerances(rtol, atol)
     check(zeta=zeta, omega_n=omega_n, mass=mass, alpha=alpha, forcing=forcing, omega=omega)
@@ -111,7 +111,8 @@ def scenes(
     stiffnesses = table[at.lower_stiffness], table[at.upper_stiffness]
     table[at.floor] = np.minimum(*map(partial(_forced_size, at, table), (j_1, j_2), stiffnesses))
     if epsilon is not None:
-        # A tighter atol than that of steps: what the tail left out holds up must stay below it.
+        # An atol tighter than that of steps: the displacement due to the tail that is left out must
+        # stay below it.
         least, stiffest = FLOOR_SHARE * rtol * table[at.floor], np.maximum(*stiffnesses)
         held = 2.0 * table[at.layer] * stiffest / (n_rad**2 * np.maximum(table[at.atol], 1e-300))
         wider = np.log(np.maximum(held, 1.0)) / table[at.sharpness]
@@ -132,7 +133,7 @@ def check_tolerances(rtol: float, atol: Array | float) -> None:
 
 
 def empty_table(at: RowLayout, n: int) -> tuple[Array, Array]:
-    """A table of n scenes and the idle point; the same without that, as columns."""
+    """Return a table for n models and the idle point, and a view of the models as columns."""
     points = np.zeros((n + 1, at.n_rows))
     table = points[:-1].T
     for i in range(at.n_states):
@@ -142,7 +143,7 @@ def empty_table(at: RowLayout, n: int) -> tuple[Array, Array]:
 
 
 def set_clock(at: RowLayout, table: Array, omega: Array) -> None:
-    """Forcing frequency [Hz] of every column."""
+    """Write frequency [Hz], angular frequency [rad/s] and period [s] into every column."""
     table[at.omega], table[at.omega_rad], table[at.period] = omega, 2 * np.pi * omega, 1.0 / omega
 
 
@@ -152,7 +153,7 @@ _MAY_BE_INFINITE = ("j_1", "j_2", "record_from")
 
 
 def check(**values: Array) -> None:
-    """Refuse what would make the kernel's arithmetic meaningless; names the offending value."""
+    """Refuse values that are not finite or out of range; the error names the value."""
     for name, array in values.items():
         is_bad = np.isnan(array) if name in _MAY_BE_INFINITE else ~np.isfinite(array)
         rule = "a number" if name in _MAY_BE_INFINITE else "finite"
@@ -165,9 +166,9 @@ def check(**values: Array) -> None:
 
 
 def _forced_size(at: RowLayout, table: Array, to_wall: Array, contact: Array) -> Array:
-    """Displacement [m] that the forcing keeps up against the springs, and a wall if it is met.
+    """Displacement [m] that the forcing maintains against the springs, and the wall if reached.
 
-    The smoothing of a wall pushes too: without it a start at rest has no size, and no step.
+    A smoothed wall pushes too: without that a motion from rest would have no scale, and no step.
     """
     push = np.abs(table[at.push])
     if at.is_tanh:
@@ -180,11 +181,11 @@ def _forced_size(at: RowLayout, table: Array, to_wall: Array, contact: Array) ->
 
 
 def set_modes_on_walls(at: RowLayout, points: Array) -> None:
-    """Contact modes of points that start on a wall.
+    """Set the contact modes of points that start on a wall.
 
-    The first derivative of the gap that is not zero decides. None depends on that contact's mode as
-    long as the lower ones are zero, and if as many are zero as there are states, it stays there:
-    in the gap, if there is one.
+    The first nonzero time derivative of the gap decides. It does not depend on this contact's mode
+    as long as the lower ones are zero. If as many are zero as there are states, the contact stays
+    on the wall, with the mode of the gap if there is one.
 
     Parameters
     ----------
@@ -207,14 +208,14 @@ def set_modes_on_walls(at: RowLayout, points: Array) -> None:
 
 
 def _slopes(at: RowLayout, points: Array, contact: int) -> Iterator[Array]:
-    """Taylor coefficients of a contact's gap from the first on, that contact left out."""
+    """Yield the Taylor coefficients of a contact's gap from degree 1 on, as if out of contact."""
 
     def matrix(name: str, *shape: int) -> Array:
         block = slice(at.first[name], at.first[name] + at.blocks[name])
         return points[:, block].reshape(len(points), *shape)
 
     def series(name: str, size: int, multiple: str, phase: str, k: int) -> Array:
-        """Coefficient k of the sum of some harmonics, of which block `name` holds amplitudes."""
+        """Taylor coefficient k of a sum of harmonics, with amplitudes in block `name`."""
         amplitudes = matrix(name, -1, size)
         multiples = matrix(multiple, -1) if at.blocks[multiple] else np.ones(amplitudes.shape[:2])
         turns = multiples * points[:, [at.tau]]
@@ -238,7 +239,7 @@ def _slopes(at: RowLayout, points: Array, contact: int) -> Iterator[Array]:
     q, z = [matrix("q", n), matrix("v", n)], [matrix("z", m)]
     yield _along(direction, q[1])[:, contact]
     depths, bends, rates = [], [], []
-    with np.errstate(over="ignore", invalid="ignore"):  # such a start diverges in the kernel
+    with np.errstate(over="ignore", invalid="ignore"):  # such a motion diverges in the kernel
         for k in range(2 * at.n_states - 1):
             depths.append(_along(direction, q[k]) - (wall if k == 0 else 0.0))
             bends.append(_along(along, q[k]))
@@ -260,7 +261,7 @@ def _slopes(at: RowLayout, points: Array, contact: int) -> Iterator[Array]:
 
 
 def _convolved(a: list[Array], b: list[Array], k: int, *, whole: bool = False) -> list[Array]:
-    """Coefficient k of a product of series; all up to it with `whole`."""
+    """List of coefficient k of a product of series; with `whole`, of all coefficients up to k."""
     wanted = range(k + 1) if whole else (k,)
     return [np.sum([a[i] * b[j - i] for i in range(j + 1)], axis=0) for j in wanted]
 
@@ -279,7 +280,7 @@ def _cos_sin_of_period(tau: Array) -> tuple[Array, Array]:
 
 
 def _set_idle(at: RowLayout, point: Array) -> None:
-    """Rest without forcing, walls or end: what a lane does when no point waits for it."""
+    """Set the idle point, at rest without forcing or end, for lanes without a point."""
     point[[at.omega, at.period, at.floor, at.rate, at.atol]] = 1.0
     point[at.lower : at.lower + at.contacts] = -1.0
     point[at.upper : at.upper + at.contacts] = 1.0

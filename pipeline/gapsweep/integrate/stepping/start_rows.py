@@ -1,6 +1,6 @@
-"""Points made ready for the kernel: a scene's row, its start, its clocks.
+"""Preparation of points for the kernel: row of the model, initial state, clocks.
 
-Compiled, because calls of few points would otherwise spend more on this than on their motion.
+Compiled, because calls of few points would otherwise spend more time on it than on their motion.
 """
 
 import math
@@ -13,18 +13,18 @@ from gapsweep.integrate.jit import entry, internal
 # The absolute part of a step's tolerance never exceeds rtol times this part of the motion's
 # natural size: a step at high order costs so little more that a generous atol buys nothing, and
 # would only spoil motions much smaller than a metre. It is never zero in motion, so that a
-# start at rest, without an amplitude of its own, gets a finite step.
+# start at rest, without an amplitude, gets a finite step.
 FLOOR_SHARE = 1e-3
 READY, ON_WALL, NOT_FINITE, BACKWARD = range(4)
 CLOCK_ROUNDING = 4.0 * np.finfo(float).eps
-PRODUCT_ROUNDING = 1.5 * np.finfo(float).eps  # of two numbers that are rounded, and it is
+PRODUCT_ROUNDING = 1.5 * np.finfo(float).eps  # of the rounded product of two rounded numbers
 
 
 @entry
 def set_starts(
     at, points, table, which, start, follows, t_0, t_end, record_from, section_only, rtol
 ):
-    """Copy rows of a table of scenes and put starts and ends into the copies.
+    """Copy rows of a table of models and write initial states and times into the copies.
 
     Parameters
     ----------
@@ -35,11 +35,11 @@ def set_starts(
     table : array, shape (n_scenes + 1, n_rows)
         Rows of `scenes.SceneTable`.
     which : int array, shape (n,)
-        Number of the scene of each point.
+        Row of the model of each point.
     start : array, shape (n, n_states)
         States (q, v, z).
     follows : bool array, shape (n + 1,)
-        Points that have their starts from `follow`.
+        Points whose initial state is set later by `follow`.
     t_0, t_end, record_from : arrays, shape (n,)
     section_only : bool
         As in `batch.run`.
@@ -47,10 +47,10 @@ def set_starts(
     Returns
     -------
     int
-        READY; ON_WALL: points start on a wall, their modes there are left to the caller; NOT_FINITE
-        or BACKWARD: a value is not a number, or an end lies before its start.
+        READY; ON_WALL: points start on a wall, the caller sets their modes; NOT_FINITE or BACKWARD:
+        a value is not finite, or an end lies before its initial time.
     """
-    # by loops: to compile an assignment of rows takes a second, for what it says of wrong shapes
+    # by loops: compiling an assignment of rows takes a second, for its errors about wrong shapes
     for r in range(at.n_rows):
         points[len(which), r] = table[len(table) - 1, r]
     outcome = READY
@@ -79,7 +79,7 @@ def set_starts(
 
 @internal
 def _set_state(at, point, state, rtol):
-    """Begin in a state; whether it is on a wall."""
+    """Set the initial state of a point; True if a contact is on a wall."""
     for j in range(at.n_states):
         point[at.q + j] = state[j]
     for j in range(at.n):
@@ -90,8 +90,8 @@ def _set_state(at, point, state, rtol):
 
 @internal
 def follow(at, point, ended, rtol):
-    """Begin where another point has ended."""
-    # on a wall, it goes on as the other one did
+    """Set the initial state of a point to the end state of another one."""
+    # on a wall it keeps the other point's contact modes
     is_on_wall = _set_state(at, point, ended[at.q : at.q + at.n_states], rtol)
     for contact in range(at.contacts):
         if is_on_wall:
@@ -102,7 +102,7 @@ def follow(at, point, ended, rtol):
 
 @internal
 def _set_floors(at, point, rtol):
-    """Absolute parts of the tolerances, from the size of the motion that is to be expected."""
+    """Set the absolute parts of the tolerances from the expected size of the motion."""
     if at.is_plain:
         size = max(point[at.floor], _swing(at, point))
         scale = math.sqrt(point[at.stiffness])
@@ -122,10 +122,10 @@ def _set_floors(at, point, rtol):
 
 @internal
 def _pushed_speed(at, point):
-    """Speed to which first-order states and springs push a start, in the norm of the masses.
+    """Speed to which first-order states and springs push a point at rest, in the mass norm.
 
-    A start may be at rest without any energy: springs that circulate have none, nor have lags. What
-    does not push by itself, but by others, counts as the strongest that does.
+    Circulatory springs and lags push without any energy. If no force acts at first, the strongest
+    force of a lag is used, for lags that act on coordinates only through other lags.
     """
     rate = max(math.sqrt(point[at.fastest]), point[at.omega_rad])
     square, strongest, sum_of_lags = 0.0, 0.0, 0.0
@@ -146,7 +146,7 @@ def _pushed_speed(at, point):
 
 @internal
 def _rooted(at, point, i, first, n_columns):
-    """Row i of the masses' root times a column that begins in row `first`."""
+    """Row i of the mass matrix's root times a matrix column that begins in row `first`."""
     total = 0.0
     for j in range(at.n):
         total += point[at.mass_root + i * at.n + j] * point[first + j * n_columns]
@@ -155,7 +155,7 @@ def _rooted(at, point, i, first, n_columns):
 
 @internal
 def _square_norm(at, point, root, first):
-    """Square of the norm of n numbers from row `first` on, by a root of its matrix."""
+    """Squared norm of the vector in rows from `first` on; `root` is the root of its matrix."""
     total = 0.0
     for i in range(at.n):
         part = 0.0
@@ -167,7 +167,7 @@ def _square_norm(at, point, root, first):
 
 @internal
 def _set_modes(at, point):
-    """Gaps and modes at the start; whether one is on a wall."""
+    """Set initial gaps and contact modes; True if a contact is on a wall."""
     is_on_wall = False
     for contact in range(at.contacts):
         gap = point[at.q]
@@ -184,7 +184,7 @@ def _set_modes(at, point):
 
 @internal
 def _swing(at, point):
-    """Displacement [m] that the free springs would carry the state to, as in `step_size`."""
+    """Largest displacement [m] of the state's free motion on the springs, as in `step_size`."""
     x, v = point[at.q], point[at.v]
     stiffness, cubic = point[at.stiffness], abs(point[at.cubic])
     energy = v * v + (stiffness + 0.5 * cubic * x * x) * x * x
@@ -195,10 +195,11 @@ def _swing(at, point):
 
 @internal
 def _periods(t, omega):
-    """Forcing periods in a time; a whole number if only roundings separate it from one.
+    """Forcing periods in time t; a whole number if only rounding errors separate it from one.
 
-    They are those of t, omega and their product. A start beside it would have its section just
-    after it, and of two runs end to end both or neither would have the one between.
+    These are the errors of t, omega and their product. An initial time next to a whole period would
+    have a section point just after it, and two successive runs would have the point between them
+    twice or never.
     """
     found = t * omega
     whole = np.rint(found)
@@ -209,19 +210,19 @@ def _periods(t, omega):
 def _set_clocks(at, point, t_0, t_end, record_from):
     omega = point[at.omega]
     start, stop = _periods(t_0, omega), _periods(t_end, omega)
-    # Everything later counts from the start, so that no more is lost.
+    # All later times count from the initial time, so that no more digits are lost.
     tau = start - np.floor(start)
     end = tau + (t_end - t_0) * omega
     if tau == 0.0 and stop == np.rint(stop):
         end = stop - start
-    # An end that rounding alone separates from a whole period is meant as one: else its section
-    # point would be lost. None is meant as no time at all.
+    # An end that only rounding separates from a whole period is set to it: else its section point
+    # would be lost. No end is set to zero time.
     whole = np.rint(end)
     if whole > 0.0 and abs(end - whole) <= CLOCK_ROUNDING * (1.0 + end):
         end = whole
     point[at.tau] = point[at.tau_start] = tau
     point[at.t_start] = t_0
-    # A clock that starts at a phase cannot tell shorter steps from none.
+    # A clock that starts at a phase cannot resolve shorter steps.
     coarse = CLOCK_ROUNDING * tau * point[at.period]
     point[at.min_step] = max(point[at.min_step], coarse)
     point[at.end_cycle] = np.floor(end)

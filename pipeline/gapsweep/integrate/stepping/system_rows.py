@@ -1,4 +1,4 @@
-"""Rows of systems for the kernel: their matrices per unit mass, and what steps are measured by."""
+"""Rows of systems for the kernel: their matrices per unit mass, and the scales of step errors."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -23,7 +23,7 @@ Array = NDArray[np.float64]
 # Writes the rows of one block.
 Put = Callable[[str, Array], None]
 
-# An eigenvalue of the springs below this part of the largest is zero: a motion that nothing holds.
+# An eigenvalue of the springs below this part of the largest is zero: a rigid-body mode.
 _LOOSE = 1e-12
 
 
@@ -48,7 +48,7 @@ class Walls:
 
 
 def layout_of(system: System) -> RowLayout:
-    """The layout of a system's points."""
+    """Return the row layout of a system."""
     terms = sum(map(len, system.modulation.values()))
     first = system.forcing[0] if len(system.forcing) == 1 else None
     return RowLayout(
@@ -73,7 +73,7 @@ def system_scenes(
     rtol: float,
     atol: Array | float,
 ) -> SceneTable:
-    """Prepare points of systems; `batch.run` then starts them as often as wanted.
+    """Return the table of n points of systems, which `batch.run` integrates from initial states.
 
     Parameters
     ----------
@@ -83,9 +83,9 @@ def system_scenes(
         The system of each point.
     walls : Walls
     omega : ndarray, shape (n,)
-        Forcing frequency [Hz]; 0 of what is not forced, whose clock then counts its own periods.
+        Forcing frequency [Hz]; 0 if unforced: the clock then counts periods of the slowest mode.
     rtol, atol
-        As of `scenes`: the norm of errors is that of the masses, ``v'Mv``.
+        As in `scenes`; errors are measured in the mass norm, ``v'Mv``.
     """
     check_tolerances(rtol, atol)
     check(K_c=walls.K_c, K_ratio=walls.K_ratio, j_1=walls.j_1, j_2=walls.j_2)
@@ -105,12 +105,12 @@ def system_scenes(
 
 
 class _Linear:
-    """A system's linear part in the metric of its masses.
+    """Linear part of a system in its mass norm.
 
     Attributes
     ----------
     inverse : ndarray, shape (n, n)
-        Of the mass matrix.
+        Inverse of the mass matrix.
     mass_root, spring_root : ndarray, shape (n, n)
         R and S with R'R = M and S'S = \\|K\\|, the springs with the moduli of their eigenvalues.
     slowest : float
@@ -132,7 +132,7 @@ class _Linear:
         self.unroot = unroot
 
     def holding(self, direction: Array) -> float:
-        """Stiffness of the springs against a force along a direction [N/m]; 0: nothing holds it."""
+        """Stiffness [N/m] of the springs against a force along a direction; 0: rigid-body mode."""
         bent, _, rank, _ = np.linalg.lstsq(self.spring_root.T, direction, rcond=1e-6)
         if rank < self.system.n:
             return 0.0
@@ -147,7 +147,7 @@ def _fill(
     stiffest: Array,
     omega: Array,
 ) -> None:
-    """The rows of the points of one system, apart from its walls; `stiffest` [N/m] of those."""
+    """Write the rows of one system's points except walls; `stiffest` is the stiffest wall [N/m]."""
     system, inverse = linear.system, linear.inverse
     table = np.zeros((at.n_rows, len(here)))
 
@@ -175,7 +175,7 @@ def _fill(
     clock = np.where(omega > 0.0, omega, linear.slowest / (2.0 * np.pi))
     set_clock(at, table, clock)
     _put_loads(at, table, put, linear)
-    # Errors are measured by the masses: what the forcing does to a light part, they hardly see.
+    # In the mass norm of errors the forced motion of a light part hardly counts.
     highest = max([load.k for load in system.forcing], default=0) * table[at.omega_rad]
     table[at.fastest] = np.maximum(fastest, highest) ** 2
     table[at.decay] = linear.decay
@@ -191,7 +191,7 @@ def _fill(
 
 
 def _put_loads(at: RowLayout, table: Array, put: Put, linear: _Linear) -> None:
-    """Forcing, periodic stiffness, and the speed that the forcing keeps up."""
+    """Write forcing, periodic stiffness, and the speed that the forcing maintains."""
     system = linear.system
     omega_rad, speed, push = table[at.omega_rad], np.zeros(table.shape[1]), []
     for load in system.forcing:
@@ -214,7 +214,7 @@ def _put_loads(at: RowLayout, table: Array, put: Put, linear: _Linear) -> None:
 
 def _put_lags(put: Put, linear: _Linear) -> None:
     lags = linear.system.lags
-    assert lags is not None, "asked for where there are some"
+    assert lags is not None, "called only for systems with lags"
     put("lag_force", linear.inverse @ lags.force)
     put("of_speed", lags.of_speed)
     put("of_place", lags.of_place)

@@ -19,7 +19,7 @@ _CLOSE = 1e-7  # of the step: largest last correction; the error left is about i
 
 
 def _velocity_terms(series, h):
-    """Coefficients of v in powers of t / h, with the sign that makes v_0 positive; that sign."""
+    """Coefficients of v in powers of t / h, times the sign that makes v_0 positive; that sign."""
     sign = copysign(h.constant(1.0), series[1])
     terms, power = [], sign
     for n in range(1, len(series)):
@@ -39,16 +39,16 @@ def _bernstein_form(terms):
 
 
 def _sign_change(bernstein, noise):
-    """What Descartes' rule proves about the zeros on (0, 1) of a polynomial positive at 0.
+    """Count, by Descartes' rule, the zeros on (0, 1) of a polynomial that is positive at 0.
 
-    Its end values are exact; an inner coefficient within `noise` may have either sign.
+    The end values are exact; an inner coefficient within `noise` may have either sign.
 
     Returns
     -------
     is_single, is_none : Mask
         Proved: exactly one zero; no zero and no value within `noise`.
     crossing : Vec
-        Where the control polygon crosses zero, for a single zero.
+        Position at which the control polygon crosses zero, for a single zero.
     """
     degree, first, end = len(bernstein) - 1, bernstein[0], bernstein[-1]
     # One zero: positive up to some coefficient, the next one anything, negative from there on.
@@ -66,14 +66,14 @@ def _sign_change(bernstein, noise):
 
 
 def _emit_turns(builder, series, h, v_1, among):
-    """Zeros of the velocity on (0, h].
+    """Emit the search for the zero of a velocity on (0, h].
 
     Returns
     -------
     is_single, is_none : Mask
-        Proved: exactly one zero, and found; none at all. Lanes outside `among` do not matter.
+        Proved: exactly one zero, and found; none at all. Lanes outside `among` are undefined.
     t, x : Vec
-        Time of the single one within the step, and displacement there.
+        Time of the single zero within the step, and displacement there.
     """
     terms, sign = _velocity_terms(series, h)
     size = absolute(terms[0])
@@ -104,18 +104,18 @@ def _emit_turns(builder, series, h, v_1, among):
 
 
 def _turns_of(speed):
-    """An intrinsic that finds the zeros of a velocity within the last step of some lanes.
+    """Return an intrinsic that finds the zeros of a velocity within the last step of some lanes.
 
     Parameters
     ----------
     speed : callable
-        The velocity at the end of the step, of the lanes and of `number`.
+        Function of lanes and `number` that returns the velocity at the end of the step.
 
     Returns
     -------
     intrinsic
-        Of ``at, lanes, coefficients, number, series, among``: as `find_passed`, after it, with the
-        number of the velocity and that of its series. Sets `turn_time`, `turn_x` and `turn_v`.
+        Function of ``at, lanes, coefficients, number, series, among``, called after `find_passed`:
+        numbers of the velocity and of its series. Sets `turn_time`, `turn_x` and `turn_v`.
         Returns two masks of `at.width` bits, lowest first: lanes with a single zero; lanes whose
         zeros need `isolate`.
     """
@@ -149,7 +149,7 @@ def _turns_of(speed):
 
 
 def _gap_speed(state, contact):
-    """Rate of a contact's gap, just as the next step's series begins with it."""
+    """Rate of a contact's gap at the step's end, bit-equal to that in the next step's series."""
     layout = state.layout
     if layout.is_plain:
         return None  # its gap is its coordinate

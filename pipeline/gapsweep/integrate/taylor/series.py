@@ -66,14 +66,14 @@ def _harmonic(amplitudes, rate, turn, n_terms):
 
 
 def _harmonics(lanes, amplitudes, names, n_terms):
-    """Sum over harmonics of `_harmonic`; nothing where there is none.
+    """Sum over harmonics of `_harmonic`; an empty list without harmonics.
 
     Parameters
     ----------
     amplitudes : list of list of Vec
-        Of each harmonic.
+        Amplitudes of each harmonic.
     names : (str, str)
-        Blocks of the multiples and phases; empty ones: the clock's own.
+        Blocks of the multiples and phases; empty ones: frequency and phase of the clock.
     """
     omega_rad, tau, total = lanes["omega_rad"], lanes["tau"], []
     multiples, phases = map(lanes.rows, names)
@@ -92,7 +92,7 @@ def _harmonics(lanes, amplitudes, names, n_terms):
 
 
 def square_term(x, n):
-    """Coefficient n of x^2. The newest coefficient comes last: the sum waits for it alone."""
+    """Coefficient n of x^2. The newest coefficient comes last: only the last product waits."""
     if n == 0:
         return x[0] * x[0]
     total = None
@@ -115,17 +115,17 @@ def product_term(a, b, n):
 
 
 class Modes:
-    """Contact modes at the start of a step: lists with an entry for every contact.
+    """Contact modes at the beginning of a step: lists with an entry for every contact.
 
     Attributes
     ----------
     touching : list of Mask
     wall : list of Vec
-        The wall that is touched; 0 if none is: a wall at infinity is never touched.
+        Wall in contact; 0 if none is: a wall at infinity is never touched.
     lo, hi : list of Vec
-        The interval of the gap that the mode allows.
+        Interval of the gap that the mode allows.
     stiffness : list of Vec
-        Of the wall that is touched; 0 if none is.
+        Stiffness of the wall in contact; 0 if none is.
     """
 
     def __init__(self, lanes):
@@ -146,12 +146,12 @@ class Equation:
     Attributes
     ----------
     stiffness, springs : list of list of Vec
-        Of the springs alone, and with the contacts that are touched.
+        Stiffness of the springs only, and with the walls in contact.
     damping : list of list of Vec
     direction, along : list of list of Vec
-        Of the contacts and of the cubic springs; empty of a plain oscillator, where both are one.
+        Directions of contacts and cubic springs; empty for a plain oscillator, where both are one.
     pull : list of list of Vec
-        What a unit force of each contact does, by coordinate; empty of a plain oscillator.
+        Acceleration by a unit force of each contact, by coordinate; empty for a plain oscillator.
     others : list of list of Vec
         Factors of the first-order states and of the cubes, by coordinate.
     lags : list of list of Vec
@@ -205,14 +205,14 @@ class Equation:
         ]
 
     def contact_forces(self, n, depths):
-        """Coefficient n of the contact forces that `springs` does not hold, of series of depths."""
+        """Coefficient n of contact forces that `springs` lacks, from the series of depths."""
         if self.rates:
             return [product_term(*pair, n) for pair in zip(self.rates, depths, strict=True)]
         # At degree 0 K (x - wall), not the difference of two large products.
         return [] if n else [k * d[0] for k, d in zip(self.contact, depths, strict=True)]
 
     def pulled(self, i, forces, total):
-        """`total` on coordinate i, less what some contact forces do there."""
+        """Return the acceleration `total` of coordinate i minus that due to contact forces."""
         for k, force in enumerate(forces):
             total = total - force if self.is_plain else fma(-self.pull[i][k], force, total)
         return total
@@ -224,13 +224,13 @@ class StepSeries:
     Attributes
     ----------
     q, z : list of list of Vec
-        Of every coordinate and every first-order state, up to degree `order`.
+        Series of every coordinate and every first-order state, up to degree `order`.
     gaps : list of list of Vec
-        Of every contact's b.q; of a plain oscillator, the coordinate itself.
+        Series of every contact's b.q; for a plain oscillator, of the coordinate.
     depths : list of list of Vec
-        Of every contact's b.q less the wall that is touched.
+        Series of every contact's b.q less the wall in contact.
     squares : list of list of Vec
-        Of (a.q)^2 of every cubic spring, up to degree order - 2.
+        Series of (a.q)^2 of every cubic spring, up to degree order - 2.
     """
 
     def __init__(self, lanes, modes, equation):
@@ -272,7 +272,7 @@ class StepSeries:
         return [product_term(*pair, n) for pair in zip(self.squares, self.along, strict=True)]
 
     def _extend(self, n, cubes):
-        """Coefficient n + 2 of the coordinates."""
+        """Append coefficient n + 2 to the series of the coordinates."""
         one = self.equation
         forces = one.contact_forces(n, self.depths)
         others = [z[n] for z in self.z] + cubes
@@ -306,7 +306,7 @@ def variation(lanes, motion, column):
     Returns
     -------
     y, z : list of list of Vec
-        Of the coordinates and the first-order states.
+        Series of the coordinates and of the first-order states.
     """
     layout, one = lanes.layout, motion.equation
     first = layout.tangent_state + column * layout.n_states

@@ -1,4 +1,4 @@
-"""How long a step a motion's Taylor series carry."""
+"""Step size of the Taylor series method."""
 
 import math
 from functools import reduce
@@ -25,27 +25,27 @@ def _rough_root(a):
 
 
 def _reach(energy, stiffness, cubic):
-    """Displacement to which springs carry a state of that energy (twice, as below), to 6 %."""
+    """Displacement that springs allow a state of an energy (doubled, see `Sizes`), to 6 %."""
     root = _rough_root(fma(stiffness, stiffness, cubic * energy * 2.0))
     return rough_exp2((rough_log2(energy) + 1.0 - rough_log2(stiffness + root)) * 0.5)
 
 
 class Sizes:
-    """What the errors of a step are measured by.
+    """Scales of the errors of a step.
 
-    An error is small or large beside the speed and the displacement that the springs would carry
-    the state to, without all else, because at a turn and on a wall v or x alone is zero. Both
-    follow from the energy, twice and, of a plain oscillator, per unit mass:
+    An error is relative to the largest speed and displacement that the state would reach on the
+    springs only, because v vanishes at an extremum and x at a wall. Both follow from the energy,
+    doubled and, for a plain oscillator, per unit mass:
     ``v^2 + stiffness depth^2 + cubic depth^4 / 2``.
 
     Attributes
     ----------
     speed : Vec
-        [m/s]; of several coordinates in the norm of their masses, as all velocities here.
+        Largest speed [m/s]; for several coordinates in their mass norm, as all velocities here.
     springs, hardening : Vec
-        Of disturbances: squares of the fastest rate and of the cubic springs' part in it [1/s^2].
+        Squares of the fastest rate of disturbances, and of the cubic springs' part in it [1/s^2].
     damping : Vec
-        Rate [1/s].
+        Decay rate of disturbances [1/s].
     """
 
     def __init__(self, lanes, modes, motion):
@@ -89,7 +89,7 @@ class Sizes:
 
 
 def _square_norm(lanes, block, values):
-    """Square of the norm of a vector, by a root of its matrix."""
+    """Squared norm of a vector; `block` holds the root of its matrix."""
     total = None
     for row in lanes.matrix(block, len(values)):
         part = dot(row, values, values[0].constant(0.0))
@@ -98,7 +98,7 @@ def _square_norm(lanes, block, values):
 
 
 def _log_speed(lanes, motion, n):
-    """Logarithm of the size of coefficient n of the coordinates."""
+    """Base-2 logarithm of the norm of coefficient n of the coordinates."""
     terms = [q[n] for q in motion.q]
     if lanes.layout.is_plain:
         return rough_log2(absolute(terms[0]))
@@ -106,24 +106,25 @@ def _log_speed(lanes, motion, n):
 
 
 def _off_grid(logarithm):
-    """A logarithm to 20 bits and a quarter of the last.
+    """Round a logarithm down to 20 bits, plus a quarter of the last bit.
 
-    `rough_log2` and `rough_exp2` round to 20 bits. What is divided in between then never lies
-    halfway between two results, where the last bit of a double would decide: a motion in which
-    time runs twice as fast takes the same steps.
+    `rough_log2` and `rough_exp2` round to 20 bits. Quotients in between then never lie halfway
+    between two results, where the last bit of a double would decide: a motion whose time is scaled
+    by two takes the same steps.
     """
     return (math.floor(logarithm * 2**20) + 0.25) * 2.0**-20
 
 
 def step_size(lanes, motion, sizes, rtol):
-    """Largest h (to about 6 %) that keeps the motion, and what becomes of its errors, accurate.
+    """Largest h [s] (to about 6 %) for which the motion and the growth of errors are accurate.
 
-    The last two terms of the velocity stay below `rtol` of the speed; within a swing an error of x
-    is smaller beside its own scale. Two bounds hold besides, because those terms may vanish:
+    The last two terms of the velocity stay below `rtol` of the speed; within an oscillation an
+    error of x is smaller relative to its scale. Two more bounds hold, because those terms may
+    vanish:
 
     - A disturbance (an earlier step's error, the tangent) oscillates and decays no faster than the
-      larger of ``sqrt(springs)`` and `damping`, and h spans no more of that than a series of this
-      degree carries. Where x itself is slow or straight, it would come out as nonsense.
+      larger of ``sqrt(springs)`` and `damping`, and h is no longer than a series of this degree can
+      follow it. Where x itself is slow or straight, disturbances would be wrong otherwise.
     - A cubic spring swings like an elliptic cosine, whose poles lie `_POLE` over the root of
       `hardening` from the real axis: terms fall no faster than powers of h over that.
 
@@ -131,7 +132,7 @@ def step_size(lanes, motion, sizes, rtol):
     the depth is the square of time, and three terms in four vanish. So the two terms before the
     last ones count too, with the size that they would have in a geometric series.
 
-    First-order states keep `rtol` of their own size, or of what they change by in a radian.
+    Errors of first-order states stay below `rtol` of their size, or of their change in a radian.
     """
     order = lanes.layout.order
     log_error = rough_log2(rtol * SAFETY)

@@ -5,7 +5,7 @@ contact mode, in which y has the sign s, that is the exact force less::
 
     K |y| p,    p = 1 / (1 + exp(2 eps s y)),    dp/dt = -2 eps s v (p - p^2)
 
-so that the series take two more products for each wall. *Near* lanes carry them.
+so that the series need two more products for each wall. *Near* lanes compute them.
 
 *Far* lanes have the series of the exact force. Outside the layers ``|y| < w`` that is the force to
 the tolerance, and a layer that is crossed fast acts as a step of the potential does. With
@@ -15,7 +15,7 @@ to ``v^2 / 2`` and to the time::
     +- pi^2/24 k / eps^2 - I (da/dt + c a) k / (eps^4 v^3),    -3 I a k / (eps^4 v^5) + ..
 
 with + into contact, - out of it, the damping c and the change da/dt of the forcing. The first term
-holds for any v, because the force depends on the place alone. The others come from what the layer
+holds for any v, because the force depends on the place only. The others come from what the layer
 does to speed and time meanwhile, integrated over the layer: at the wall itself it has added
 ``-+ J k / (eps^3 v^3)`` to the time. The smoothing is even in y: what follows is smaller by
 ``kappa = k / (eps v)^2`` or by the square of ``beta = a / (eps v^2)``.
@@ -48,8 +48,8 @@ from .series import StepSeries, product_term, square_term
 # I = 2 int(y w), and of the delay k^2 / (eps v)^5: 3/2 int(y^2 w - pi^2/12 w + 2 w^2).
 # J = int(w).
 _MOMENT, _FURTHER, _HALFWAY = 7 * math.pi**4 / 1920, 0.17632061159, 0.225385669342
-_HIGHER_ORDERS = 4.0, 30.0  # of what is left out of a delay: parts of kappa and of beta^2
-_SHARE = 0.1  # of a step's tolerance, for what the higher orders are
+_HIGHER_ORDERS = 4.0, 30.0  # of the neglected part of a delay: factors of kappa and of beta^2
+_SHARE = 0.1  # of a step's tolerance, for the neglected higher orders
 _MOST_BENT = 0.1  # largest beta
 _LARGEST = 700.0  # of an exponent: exp(-700) is a normal number
 
@@ -67,16 +67,16 @@ def _bend_and_jerk(series, t):
 
 @dataclass(frozen=True)
 class _Share:
-    """What a wall's smoothing takes of its force, ``force * depth * p`` in the docstring above.
+    """Part ``force * depth * p`` by which smoothing reduces a wall's force (see the module).
 
     Attributes
     ----------
     p, slope : list of Vec
         Series of p and of its derivative by the place.
     force, offset : Vec
-        The wall's stiffness with the sign of the depth, and that times the place of the wall.
+        The wall's stiffness with the sign of the depth, and that times the position of the wall.
     depth : Vec
-        Place beyond the wall at the start of the step.
+        Displacement beyond the wall at the beginning of the step.
     rate : Vec
         ``-2 eps s``.
     """
@@ -95,22 +95,22 @@ class _Share:
 
 
 def _both(values):
-    """Sum over both walls, the same to the last bit of a motion and its mirror image."""
+    """Sum over both walls, equal to the last bit for a motion and its mirror image."""
     upper, lower = values
     return upper + lower
 
 
 class TanhMotion(StepSeries):
-    """Taylor coefficients of a step of an oscillator.
+    """Taylor coefficients of a step of an oscillator with a contact smoothed by tanh.
 
     Attributes
     ----------
     is_near : Mask
     slope : list of Vec
-        Series of the slope of the force without linear springs and the contact that is made. For a
-        tangent only, as the next one.
+        Series of the slope of the force without linear springs and the present contact. Only with a
+        tangent, as `stiffening`.
     stiffening : Vec
-        What the layers add to the stiffness within the step, at most.
+        Largest stiffness that the layers add within the step.
     """
 
     def __init__(self, lanes, modes, equation):
@@ -136,7 +136,7 @@ class TanhMotion(StepSeries):
             )
 
     def _shares(self, lanes):
-        """Those of both walls; nothing in far lanes."""
+        """Return the `_Share` of both walls, zero in far lanes."""
         zero, mode, x = self.equation.zero, lanes["mode"], self.q[0][0]
         sides = where(mode > 0.0, zero + 1.0, -1.0), where(mode < 0.0, zero + 1.0, -1.0)
         shares = []
@@ -149,7 +149,7 @@ class TanhMotion(StepSeries):
         return shares
 
     def _further(self, shares):
-        """Coefficients of the place from the second on."""
+        """Return the Taylor coefficients of the displacement from degree 2 on."""
         one, x = self.equation, list(self.q[0][:2])
         (contact,), ((depth, *_),), cubic = one.contact, self.depths, one.cubic[0][0]
         speed, bend, self.square = [], [], []
@@ -191,7 +191,7 @@ class TanhMotion(StepSeries):
 
 
 def variation(lanes, motion, column):
-    """As `series.variation`, of a `TanhMotion`."""
+    """Series of a solution of the variational equation along a `TanhMotion`."""
     layout, one = lanes.layout, motion.equation
     first = layout.tangent_state + column * layout.n_states
     y, slope = [lanes[first], lanes[first + 1]], motion.slope
@@ -204,18 +204,18 @@ def variation(lanes, motion, column):
 
 
 class Layers:
-    """What the layers ask of a step.
+    """Smoothing layers in a step: longest step, lanes that repeat it, and crossings of layers.
 
     Attributes
     ----------
     longest : Vec
         Longest step [s] of a near lane: it comes closer to a wall by at most half its distance and
-        two layers more. The series says nothing of a layer that is still far away. Of a far lane
-        that repeats a step within a layer.
+        two layers more, as the series does not show a layer that is still far away; and of a far
+        lane that repeats a step within a layer.
     repeats : Mask
         Far lanes that repeat the step: as near ones, or shorter on the way out of a layer.
     delay : Vec
-        What the layer adds to the step [s].
+        Time that the layer adds to the step [s].
     """
 
     def __init__(self, lanes, modes, motion):
@@ -227,7 +227,7 @@ class Layers:
         most = fma(to_wall, 0.25, self.length)
         longest = minimum(most / absolute(v), sqrt(most / absolute(bend)))
         self.longest = where(motion.is_near, longest, lanes["longest"])
-        # A far lane leaves a layer that it has crossed: there its state is that beyond the layer.
+        # A far lane leaves a layer that it has crossed: its state already includes the layer.
         self._is_leaving = (to_wall <= self.width) & ~motion.is_near
 
     def ends_in_one(self, shape, h):
@@ -239,7 +239,7 @@ class Layers:
         return (is_low | is_high) & ~self.motion.is_near
 
     def cross(self, exits, left, tolerance):
-        """Take far lanes that pass a wall across its layer, and have others repeat the step.
+        """Move far lanes that pass a wall across its layer; mark lanes that repeat the step.
 
         Parameters
         ----------
@@ -248,7 +248,7 @@ class Layers:
         left : Vec
             Time until the end of the point [s].
         tolerance : Vec
-            Of a step's velocity [m/s].
+            Tolerance of a step's velocity [m/s].
         """
         (side,), ((x, v),) = exits.sides, exits.ends
         none = 0.0 * v
@@ -264,7 +264,7 @@ class Layers:
         exits.ends = [(x, v)]
 
     def _crossed(self, exits, left, tolerance):
-        """Lanes that repeat the step; of the others what changes at its end."""
+        """Return the lanes that repeat the step, and the changes at the end of the step."""
         (side,), ((x, v),) = exits.sides, exits.ends
         passage = self._passage(side, x, v, exits.step, left, tolerance)
         is_fast, after, delay, lag, bend = passage
@@ -279,14 +279,14 @@ class Layers:
         is_near = self.motion.is_near
         repeats = ~(is_near | (is_clear & ~exits.is_unclear))
         is_across = exits.crosses & ~(is_near | repeats)
-        # Of the variational equation: places part as the speeds do, areas remain. Only the damping
-        # tells the accelerations on both sides apart.
+        # Variational equation: displacements are scaled as the speed is, areas are conserved. The
+        # accelerations on both sides differ only by the damping.
         turn = bend - self.motion.equation.damping[0][0] * (after - v) - bend * v / after
         changes = (after, v), (delay, 0.0), (lag, 0.0), (after / v, 1.0), (turn / v, 0.0)
         return repeats, *(where(is_across, *change) for change in changes)
 
     def _passage(self, side, wall, v, t, left, tolerance):
-        """Lanes that cross a layer fast enough; what changes there."""
+        """Return the lanes that cross a layer fast enough, and the changes of speed and time."""
         lanes, length, width = self.lanes, self.length, self.width
         (touching,), (touched,) = self.modes.touching, self.modes.stiffness
         upper, lower = lanes["upper_stiffness"], lanes["lower_stiffness"]
@@ -310,7 +310,8 @@ class Layers:
         left_out = size * fma(beta * beta, _HIGHER_ORDERS[1], kappa * _HIGHER_ORDERS[0])
         is_fast = left_out * lanes["rate"] <= tolerance * _SHARE
         is_fast = is_fast & (beta <= _MOST_BENT) & (kappa <= _MOST_BENT)
-        # It turns back beyond the layer, the other wall's is farther, and nobody looks meanwhile.
+        # It turns back beyond the layer, the other wall's layer is farther, and no section point or
+        # end of the motion falls within.
         turns_in = fma(k, width * 1.5, absolute(outward) * 3.0) * width
         is_fast = is_fast & (middle >= turns_in)
         is_fast = is_fast & (lanes["upper"] - lanes["lower"] >= width * 4.0)
@@ -320,7 +321,7 @@ class Layers:
         return is_fast, after, delay, lag, bend
 
     def jump(self, y, v):
-        """A solution of the variational equation after the step, from that before the layer."""
+        """Return a solution of the variational equation after the layer, from that before it."""
         return y * self._stretch, fma(self._turn, y, v / self._stretch)
 
     def commit(self, state, h, keeps):
@@ -329,11 +330,11 @@ class Layers:
         Parameters
         ----------
         state : list of Vec
-            Place and speed at the end of the step.
+            Displacement and velocity at the end of the step.
         h : Vec
             The step that was tried [s].
         keeps : Mask
-            Lanes that are not there yet.
+            Lanes that do not move in this step.
         """
         lanes, (x, v) = self.lanes, state
         above, below = x - lanes["upper"], x - lanes["lower"]

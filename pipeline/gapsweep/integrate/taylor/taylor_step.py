@@ -2,7 +2,7 @@
 
 A contact mode is an interval [lo, hi] that the contact's gap b.q may not leave: the freeplay
 itself, or one of the half lines behind a wall. The step is cut where its own polynomial leaves an
-interval first. What happens here, without any branch but two:
+interval first. A step has four parts, and only two branches:
 
 1. Taylor coefficients (`series`), and the step that the last two of them allow (`step_size`);
 2. proof, from bounds on the coefficients of every gap, that it, its slope or its curvature keep
@@ -50,9 +50,9 @@ _EPS = 2.0**-52
 
 
 def compensated_sum(total, term):
-    """Sum, and what its rounding has cut off (Kahan), to the rounding of `term`.
+    """Return the sum and its rounding error (Kahan), to the rounding of `term`.
 
-    A clock that adds many short steps to a long period would lose as much at every one of them.
+    A clock that adds many short steps to a long period would otherwise lose it at every step.
     """
     rounded = total + term
     return rounded, term - (rounded - total)
@@ -70,7 +70,7 @@ def _tail_bound(series, h):
 
 
 class _Shape:
-    """What is proved about a step: each attribute is a `Mask`, true only where proved."""
+    """Bounds of a gap within a step, and masks of its proved properties: true only if proved."""
 
     def __init__(self, series, lo, hi, h):
         y_1, y_2, y_3 = series[1] * h, series[2] * (h * h), series[3] * (h * h * h)
@@ -88,7 +88,7 @@ class _Shape:
         slack = fma(tail, 1.0 / 12, fma(absolute(series[0]), 16 * _EPS, rounding))
         self.bottom, self.top = series[0] + (low - slack), series[0] + (high + slack)
         is_monotone = self.falls | self.rises
-        # Inside at the start, x leaves over `lo` at most once if it is monotone or concave,
+        # If x is inside initially, it leaves over `lo` at most once if it is monotone or concave,
         # over `hi` at most once if monotone or convex: then the end point decides.
         self.is_decided = ((self.bottom >= lo) | is_monotone | self.is_concave) & (
             (self.top <= hi) | is_monotone | self.is_convex
@@ -106,9 +106,9 @@ def _emit_decided_step(builder, gaps, h, modes, layers):
     h : Vec
         The step.
     is_decided : Mask
-        No gap is left, or left once and where its end lies beyond.
+        No gap leaves its interval, or it leaves once and ends beyond.
     shapes : list of _Shape
-        Of the gaps.
+        Shapes of the gaps.
     """
     if not gaps:
         return h, h <= h, []
@@ -144,8 +144,8 @@ def _signs(bernstein, slack):
 
 def _crossing(series, h, wall, x_1, v_1):
     """Last time before h at which x reaches `wall`, the velocity there, and the residual."""
-    # The parabola through both ends and the slope at h is good to about 1e-3 of the step. Of its
-    # two roots the later one is taken: the earlier may be the wall that the step started on.
+    # The parabola through both ends and the slope at h is good to about 1e-3 of the step. The
+    # later of its two roots is taken: the earlier may be the wall that the step started on.
     g_1, u_1 = x_1 - wall, v_1 * h
     bend = (series[0] - wall) - g_1 + u_1
     root = sqrt(maximum(fma(u_1, u_1, -(bend * g_1 * 4.0)), 0.0 * g_1))
@@ -181,7 +181,7 @@ def _emit_crossings(builder, series, h, end, outward, wants_root, wall):
 
 
 class _Exits:
-    """Which contacts the lanes leave their modes at by the end of a step, and when first.
+    """Exits of contacts from their modes within a step, and the time of each lane's first exit.
 
     Attributes
     ----------
@@ -192,7 +192,7 @@ class _Exits:
     sides : list of Vec
         For every contact +1 or -1 there, for the upper or lower end, else 0.
     crosses : Mask
-        Lanes that end on one.
+        Lanes whose step ends on a wall.
     is_unclear : Mask
     ends : list of tuple of Vec
         For every contact, the gap and its rate at the end of the step.
@@ -246,7 +246,7 @@ def _state_at(motion, step):
 
 
 def _commit_contacts(lanes, modes, motion, exits, state):
-    """Store modes, sides and gaps with which the next step begins; the number of walls passed."""
+    """Store modes, sides and gaps for the next step; return the number of walls passed."""
     layout = lanes.layout
     n_walls = lanes["tau"].constant(0.0)
     for k, side in enumerate(exits.sides):
@@ -290,7 +290,7 @@ def _emit_tangents(lanes, coefficients, motion, step, keeps, layers):
 def _emit_step(builder, layout, arrays, scalars):
     """Emit the whole step; returns the packed masks (see `taylor_step`).
 
-    One function: six parts in the order of the step, each of which uses what the ones before found.
+    One function: its parts follow the order of the step, and each uses results of those before.
     """
     lanes, coefficients = (LaneRows(builder, pointer, layout) for pointer in arrays)
     rtol, x_bound, max_short = (splat(builder, s, layout.width) for s in scalars)
@@ -382,8 +382,8 @@ def taylor_step(typingctx, at, lanes, coefficients, rtol, x_bound, max_short):
     lanes : array, shape (at.n_rows, at.width)
         Parameters and state, updated in place.
     coefficients : array, shape (n * at.n_terms, at.width)
-        Receives the Taylor coefficients of the kept series, then, if they are wanted, those of
-        every solution of the variational equation.
+        Receives the Taylor coefficients of the kept series, then, with a tangent, those of every
+        solution of the variational equation.
     rtol, x_bound, max_short : float
         Relative tolerance; bound of every |q|; cap on successive short contact steps.
 

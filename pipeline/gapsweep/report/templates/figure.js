@@ -361,8 +361,8 @@
   if (laws.size > 1) for (const [name, mark] of laws) option(name, true, mark, (on) => (on ? off.delete(name) : off.add(name)));
   for (const which of ["x", "y"]) {
     const axes = [...new Set(panels.map((panel) => panel[which]))];
-    const said = panels.flatMap((panel) => panel.marks.filter((mark) => mark.kind === "point" || mark.kind === "line"));
-    const marks = said.map((mark) => mark[which]);
+    const drawn = panels.flatMap((panel) => panel.marks.filter((mark) => mark.kind === "point" || mark.kind === "line"));
+    const marks = drawn.map((mark) => mark[which]);
     const least = marks.reduce((a, m) => m.reduce((b, v) => (v > 0 && v < b ? v : b), a), Infinity);
     const negative = marks.some((m) => m.some((v) => v < 0));
     if (negative || least === Infinity || axes.some((axis) => axis.words || axis.now === "symlog")) continue;
