@@ -84,7 +84,8 @@ OF_DEFAULTS = """
 **(b) The default solver of gapsweep for each law**, a Taylor series for the exact law and tanh, an
 explicit Runge–Kutta method of order 8 for the others: processor time per forcing period, the 95 %
 interval from the choice of frequencies and the repeatability of timings in this run. In runs of
-six versions of the code, with equal errors and shares, on one machine, ratios differed by up to a factor of 2.1. "?": no interval.
+six versions of the code, with equal errors and shares, on one machine, ratios differed by up to a
+factor of 2.1. "?": no interval.
 
 """
 OF_SCIPY = """
