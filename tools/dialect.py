@@ -30,7 +30,7 @@ WORDS = re.compile(
     re.VERBOSE | re.MULTILINE,
 )
 HIDDEN = re.compile(
-    r"^```.*?^```$|`[^`\n]*`|<!--.*?-->|<(script|style).*?</\1>|{[{%#].*?[}%#]}|^ +\w+ : ",
+    r"^```.*?^```$|`[^`\n]*`|<!--.*?-->|<(script|style).*?</\1>|{[{%#].*?[}%#]}|^ +[\w, ]+ : ",
     re.M | re.S,
 )
 # A docstring begins with what is returned or done, not with these words.

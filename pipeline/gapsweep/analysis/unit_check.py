@@ -1,4 +1,4 @@
-"""Warnings of probable unit errors, and of parameter sets in which no wall is touched."""
+"""Warnings of probable unit errors, of laws that all motions leave, and of untouched walls."""
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
@@ -83,9 +83,9 @@ def bounded(study: "Study") -> str:
 def doubts_of(study: "Study", far: str = "", own: bool = True) -> Iterator[str]:
     """Warnings of numbers of a study that are probably in another unit, by the rules of calls.
 
-    A sentence `far` on walls that are not reached replaces the warning of the gap. User functions
-    of contact laws, which may never return, are not called; without `own` functions of systems are
-    not called either, and such systems have no warnings.
+    A sentence `far` on walls that are not reached comes last. User functions of contact laws, which
+    may never return, are not called; without `own` functions of systems are not called either, and
+    such systems have no warnings.
     """
     grid, model = study.grid, study.model
     axes = {name: grid.axes[name] for name in study.spec.model if name in grid.axes}
@@ -100,20 +100,23 @@ def doubts_of(study: "Study", far: str = "", own: bool = True) -> Iterator[str]:
     laws = []
     for label, gap in product(grid.representations, gaps):
         with suppress(ModelError):  # an invalid law is reported at its use
-            laws.append(tuple(_laws(study, label, K_c, gap, ratio)))
+            laws.append(tuple(_laws(study, label, K_c, gap, ratio, own)))
     omega, starts = grid.axes.get("omega", 0.0), starts_of(grid.axes).states
     yield from doubts([model.at(some) for some in points], laws, omega, starts) if laws else ()
     yield from [far] * bool(far)
 
 
-def _laws(study: "Study", label: str, K_c: float, gap: Gap, ratio: float) -> Iterator[ContactLaw]:
+def _laws(
+    study: "Study", label: str, K_c: float, gap: Gap, ratio: float, own: bool
+) -> Iterator[ContactLaw]:
     """The laws of all contacts; the exact law in place of fits and of user functions."""
     for name, one in zip(study.model.contacts, study.model.labels(law_of(label)), strict=True):
         given: dict[str, Any] = {"K_c": K_c, "gap": (gap.j_1, gap.j_2), "K_ratio": ratio}
         if name in study.spec.contact:
             given |= study.spec.contact[name].model_dump(exclude_none=True)
-        own = study.own_law(one)
-        is_code = own is not None and not isinstance(own.source, ForceTable)
+        law = study.own_law(one)  # its module has been imported in another process before
+        source = law and (law.load() if own else law.source)
+        is_code = law is not None and not isinstance(source, ForceTable)
         is_exact = one == AUTO or is_fitted(one) or is_code
         walls = Gap(*given["gap"])
         yield study.law(EXACT if is_exact else one, given["K_c"], walls, given["K_ratio"])

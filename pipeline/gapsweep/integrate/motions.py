@@ -30,7 +30,7 @@ class Events:
     Attributes
     ----------
     t_extrema, extrema : ndarray, shape (sum of n_extrema,)
-        Times [s] and values [m] of all zero-velocity points after the start: of coordinates, and
+        Times [s] and values [m] of all zero-velocity points after `t_0`: of coordinates, and
         of the gaps of a system's contacts.
     extrema_of : ndarray of int, shape (sum of n_extrema,)
         Number of the coordinate of each extremum; gaps are numbered after all coordinates.
@@ -41,7 +41,7 @@ class Events:
     t_section : ndarray, shape (sum of n_section,)
         Times [s] of section points.
     section : ndarray, shape (sum of n_section, n_states)
-        Poincaré section: the state at every whole forcing period after the start; for an unforced
+        Poincaré section: the state at every whole forcing period after `t_0`; for an unforced
         motion, at every maximum of its first coordinate.
     n_extrema, n_contacts, n_section : ndarray of int, shape (n,)
         Numbers of events of each motion.
@@ -75,7 +75,7 @@ class Motions:
         Wall crossings in and out, accepted and rejected steps, right-hand sides of the motion
         itself (for a Taylor method, expansions).
     reach : ndarray, shape (n, n_coordinates)
-        Largest modulus of every coordinate at the start and at the ends of steps [m].
+        Largest modulus of every coordinate initially and at the ends of steps [m].
     contact_time : ndarray, shape (n, n_contacts), or None
         Time spent beyond the walls of every contact [s]; None: to be computed from the events.
     events : callable

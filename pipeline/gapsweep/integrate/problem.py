@@ -233,7 +233,7 @@ class Problems:
     start : ndarray, shape (m, n_states)
         Coordinates [m], velocities [m/s] and first-order states at `t_0`.
     t_0, t_end : ndarray, shape (m,)
-        Start and end [s]. The forcing phase at the start is wrapped, so that whole periods
+        Initial and final time [s]. The forcing phase at `t_0` is wrapped, so that whole periods
         before it cost no accuracy.
     record_from : ndarray, shape (m,)
         Time [s] from which extrema, contact times and section are recorded; infinity: never.

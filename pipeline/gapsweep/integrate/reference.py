@@ -286,7 +286,7 @@ def _solve(
     Parameters
     ----------
     on_wall : int, optional
-        Contact that is on a wall at the start.
+        Contact that is on a wall initially.
     """
     exits = _exits(modes)
     solution = solve_ivp(
@@ -359,7 +359,7 @@ def _contact_event(
     y_start: State,
     on_wall: int | None,
 ) -> _Stop:
-    """Return the event at a wall: a zero of the distance beyond it, other than at the start."""
+    """Return the event at a wall: a zero of the distance beyond it after `t_start`."""
     assert modes is not None, "without modes nothing is located"
     wall, at_start = scene.wall(contact, side), scene.gap(contact, y_start)
     mode = modes[contact]

@@ -40,8 +40,8 @@ def polynomial(solution: OdeSolution) -> PPoly:
     # Shared step ends belong to the step on their left or right: both give the same value.
     values = solution(nodes.ravel()).reshape(-1, h.size, _DEGREE + 1)
     powers = np.einsum("pn,ysn->psy", _TO_POWERS, values)
-    # A start that rounding put next to a wall reaches it in nearly no time: the higher coefficients
-    # are rounding errors over powers of that time.
+    # A motion that begins next to a wall by rounding reaches it in nearly no time: the higher
+    # coefficients are rounding errors over powers of that time.
     still = np.maximum(_STILL * np.abs(values).max(axis=2), np.finfo(float).tiny)
     is_straight = (np.ptp(values, axis=2) <= still).all(axis=0)
     powers[:-2, is_straight] = 0.0
@@ -59,11 +59,11 @@ def joined(pieces: list[PPoly]) -> PPoly:
 
 
 def roots(motion: PPoly, component: int, value: float) -> Array:
-    """Times after the start at which a component of a motion takes a value."""
+    """Times after the initial one at which a component of a motion takes a value."""
     single = PPoly.construct_fast(np.ascontiguousarray(motion.c[:, :, component]), motion.x)
     roots = np.sort(single.solve(value, discontinuity=False, extrapolate=False))
     roots = roots[np.isfinite(roots)]
-    # A root at a step end is reported by both steps; a root at the start is not counted.
+    # A root at a step end is reported by both steps; an initial root is not counted.
     resolution = 1e-9 * float(np.min(np.diff(motion.x)))
     after_start = np.diff(roots, prepend=motion.x[0]) > resolution
     return np.asarray(roots[after_start])
@@ -88,7 +88,7 @@ def extrema_of(motion: PPoly) -> tuple[Array, Array]:
 def section_of(
     motion: PPoly, scene: ReferenceScene, since: float, t_end: float
 ) -> tuple[Array, Array]:
-    """Times and states at every whole forcing period after the start, from the time `since` on.
+    """Times and states at every whole forcing period, from the time `since` on.
 
     The section of an unforced motion is at the maxima of its first coordinate.
     """

@@ -92,7 +92,7 @@ class ReferenceScene:
         return lambda x: stiffness
 
     def modes_at(self, y: State) -> tuple[int, ...]:
-        """Contact modes at the start; on a wall the velocity decides, then the acceleration."""
+        """Initial contact modes; on a wall the velocity decides, then the acceleration."""
         modes = tuple(self._beyond(k, y) for k in range(len(self.laws)))
         for contact in range(len(self.laws)):
             if self.gap(contact, y) in (self.wall(contact, -1), self.wall(contact, 1)):

@@ -410,9 +410,9 @@ def _system_starts(
 
 
 def _check_clock(models: Models, t_0: float) -> None:
-    """Refuse a start at a forcing phase whose rounding error is not small against time steps.
+    """Refuse an initial forcing phase whose rounding error is not small against time steps.
 
-    Time is kept as whole forcing periods and a fraction, so a nonzero fraction at the start limits
+    Time is kept as whole forcing periods and a fraction, so a nonzero initial fraction limits
     the resolution of the clock.
     """
     omega = models.omega

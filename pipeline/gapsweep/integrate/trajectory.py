@@ -40,7 +40,7 @@ VARIABLES = {
     "v": Variable("f8", "m s-1", "velocity", dims=("t", COORDINATE)),
     "z": Variable("f8", "", "first-order state", dims=("t", LAG)),
 }
-_CLOCK_ROUNDING = 1e-9  # of the time since the start
+_CLOCK_ROUNDING = 1e-9  # relative to the time since `t_0`
 _PER_STEP = 16  # samples of a history: a Taylor step may be as long as a fifth of a period
 
 

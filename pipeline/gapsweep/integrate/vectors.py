@@ -90,7 +90,7 @@ class Vec(_LaneValues):
 
 
 class Mask(_LaneValues):
-    """A truth value per lane."""
+    """A boolean per lane."""
 
     __slots__ = ()
 
@@ -179,7 +179,7 @@ def power_of_two(a):
 
 
 def exponent(a):
-    """Floor of the base-2 logarithm of positive normal numbers."""
+    """Base-2 logarithm of positive normal numbers, rounded down."""
     builder, integers = a.builder, ir.VectorType(I64, a.value.type.count)
     raw = builder.lshr(builder.bitcast(a.value, integers), _integers(a, _FRACTION_BITS))
     whole = builder.sub(raw, _integers(a, _EXPONENT_BIAS))

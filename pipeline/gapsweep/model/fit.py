@@ -118,7 +118,7 @@ def rational_fit(
 def best_pole_free(candidates: Sequence[Fit], fit_range: float, name: str) -> Fit:
     """Return the candidate with the smallest error that has no pole in the range.
 
-    Of errors equal within rounding the earlier candidate is returned.
+    If errors are equal within rounding, the earlier candidate is returned.
     """
     pole_free = [
         c for c in candidates if np.isfinite(c.rmse) and not poles(c.denominator, fit_range)

@@ -20,7 +20,7 @@ Array = NDArray[np.float64]
 MAX_POINTS = 10_000
 _LENGTHS = {"m": 1.0, "mm": 1e-3, "um": 1e-6}
 _FORCES = {"N": 1.0, "mN": 1e-3, "kN": 1e3}
-_DECIMAL_COMMA = r"\s*[-+]?\d+,\d+[;\s]+[-+.\d]"  # at the start of a line
+_DECIMAL_COMMA = r"\s*[-+]?\d+,\d+[;\s]+[-+.\d]"  # at the beginning of a line
 _NO_WALL = 1e-12  # of the other chord's slope: the ratio of two needs both
 
 

@@ -246,7 +246,7 @@ def _hero(responses: xr.Dataset, found: Sequence[Contact]) -> dict[str, Any] | N
 
 
 def _telling(contact: Contact) -> list[Judged]:
-    """Approximations for the first figure: the cheapest of each verdict, a firm one if any.
+    """Approximations for the first figure: one of each verdict, a firm one if any.
 
     If all have the same verdict, the most and the least accurate.
     """

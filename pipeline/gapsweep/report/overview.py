@@ -290,6 +290,7 @@ def along_axis(
         figure = frequency_response(scene, along)
         yield Figured(figure, f"{caption}: {where}.", f"Amplitude, {where}")
     behind = caption_of_branches(branches, scene, along)
+    where += ", branches behind" * bool(behind)
     yield Figured(
         bifurcation(scene, along, branches),
         f"Extrema of the steady response{of_starts}: {where}.{caption_of_bands(scene)}"

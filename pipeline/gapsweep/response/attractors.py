@@ -1,9 +1,9 @@
 """Grouping of responses from different initial conditions into attractors.
 
-A response belongs to the first attractor of its scene whose first response it repeats. In each
-round all responses that are left are compared, as arrays, with the first of them in their scene: a
-scene of a million initial conditions takes as many rounds as it has attractors, and a million
-scenes of one initial condition take one round.
+A response belongs to the first attractor of its case whose first response it repeats. In each
+round all responses that are left are compared, as arrays, with the first of them in their case: a
+case of a million initial conditions takes as many rounds as it has attractors, and a million
+cases of one initial condition take one round.
 """
 
 from collections.abc import Callable, Iterator
@@ -48,20 +48,20 @@ _BLOCK = 1 << 20  # numbers that are compared at a time
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Attractors:
-    """Attractors of many scenes as columns, sorted by scene, then by peak.
+    """Attractors of many cases as columns, sorted by case, then by peak.
 
     Attributes
     ----------
     of_response : ndarray of int, shape (n_responses,)
         Row, in the columns below, of the attractor of each response, `NONE` without an attractor.
     scene, number : ndarray of int, shape (n,)
-        Number of the attractor's scene, and of the attractor within the scene.
+        Number of the attractor's case, and of the attractor within the case.
     first : ndarray of int, shape (n,)
         Number of the first response on the attractor.
     leaders : Responses, length n
         The first response on each attractor.
     n_ending, n_starts : ndarray of int, shape (n,)
-        Number of the scene's counted initial conditions that lead to it, and of all counted ones.
+        Number of the case's counted initial conditions that lead to it, and of all counted ones.
     mirror_of : ndarray of int, shape (n,)
         Number of the attractor that is its mirror image (the same if it is symmetric), `NONE` if
         none was found, or if the gap is not symmetric.
@@ -78,12 +78,12 @@ class Attractors:
 
     @property
     def numbers(self) -> Numbers:
-        """Number of the attractor of every response within its scene, `NONE` if it has none."""
+        """Number of the attractor of every response within its case, `NONE` if it has none."""
         return np.append(self.number, NONE)[self.of_response]
 
     @property
     def basin_share(self) -> Array:
-        """Share of the scene's counted initial conditions that lead to each attractor [-]."""
+        """Share of the case's counted initial conditions that lead to each attractor [-]."""
         # NaN, not infinite, without counted initial conditions.
         n_starts = np.where(self.n_starts > 0, self.n_starts, np.nan)
         return np.asarray(self.n_ending / n_starts)
@@ -96,12 +96,12 @@ class Attractors:
 
 
 class Grouping:
-    """Groups the responses of many scenes, which are added in parts, into attractors.
+    """Groups the responses of many cases, which are added in parts, into attractors.
 
-    A scene of a million initial conditions need not be in memory at once: of earlier parts only the
+    A case of a million initial conditions need not be in memory at once: of earlier parts only the
     first response on each attractor is kept. The result does not depend on the parts.
 
-    Each part should have as many scenes as possible: a scene then costs one or two microseconds,
+    Each part should have as many cases as possible: a case then costs one or two microseconds,
     and half a millisecond in a separate part.
 
     Parameters
@@ -125,9 +125,9 @@ class Grouping:
         Parameters
         ----------
         responses : Responses
-            Responses of all scenes, in any order.
+            Responses of all cases, in any order.
         scene : array_like of int, shape (n_responses,)
-            Number of each response's scene, from 0 on.
+            Number of each response's case, from 0 on.
         counted : array_like of bool, shape (n_responses,), optional
             Whether an initial condition counts for basin shares; all if None. A sweep's do not.
         """
@@ -150,7 +150,7 @@ class Grouping:
         self._n_starts += np.bincount(scene[sample], minlength=len(self._n_starts))
 
     def attractors(self, symmetric: ArrayLike) -> Attractors:
-        """Return the attractors; within a scene by peaks, troughs and period multiples.
+        """Return the attractors; within a case by peaks, troughs and period multiples.
 
         Parameters
         ----------
@@ -187,7 +187,7 @@ def attractors_of_scenes(
     symmetric: ArrayLike,
     counted: ArrayLike | None = None,
 ) -> Attractors:
-    """Group the responses of many scenes into attractors, all at once; see `Grouping`."""
+    """Group the responses of many cases into attractors, all at once; see `Grouping`."""
     grouping = Grouping(unit)
     grouping.add(responses, scene, counted)
     return grouping.attractors(symmetric)
@@ -233,7 +233,7 @@ def _reach(responses: Responses, unit: Array) -> Array:
 
 
 def _led(rows: Numbers, scene: Numbers, same: Same) -> Numbers:
-    """Return, for each response, the first response of its scene on the same attractor."""
+    """Return, for each response, the first response of its case on the same attractor."""
     order = np.argsort(scene[rows], kind="stable")
     left, led = rows[order], np.empty(len(rows), np.intp)
     places = order
@@ -306,7 +306,7 @@ def _blocks(rows: Numbers, size: int) -> Iterator[Numbers]:
 
 
 def _order(leaders: Responses, scene: Numbers) -> Numbers:
-    """Return the order of first responses by scene, peak, trough and period multiple."""
+    """Return the order of first responses by case, peak, trough and period multiple."""
     # Rounding in Python is slow, and a single attractor needs no order.
     several = np.flatnonzero(np.bincount(scene)[scene] > 1)
     keys = np.zeros((3, len(leaders)))

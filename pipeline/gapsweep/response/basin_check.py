@@ -69,7 +69,7 @@ def distances(
 ) -> Array:
     """Distances [m] of motions, at whole periods of their orbits, from the orbits' first points.
 
-    Of the last state; for slow orbits, the largest distance in the window.
+    The distance is that of the last state; for slow orbits, the largest one in the window.
     """
     found = _last(windows, shooting, points)
     for k in np.flatnonzero(slow).tolist():

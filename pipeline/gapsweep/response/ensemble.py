@@ -105,8 +105,8 @@ class Ensemble:
         self._integrate_tangent: Integrate | None = None
         if not self.has_own_tangent:
             self._integrate_tangent = prepared(models.with_laws(located), forces.tangent_solver)
-        # For every call, by motion: number of the scene, and CPU time [s]; then, for calls that are
-        # part of motions, number of the scene, counts, and periods.
+        # For every call, by motion: number of the case, and CPU time [s]; then, for calls that are
+        # part of motions, number of the case, counts, and periods.
         nobody: NDArray[np.intp] = np.zeros(0, np.intp)
         self._seconds: _Costs = [(nobody, np.empty(0))]
         self._costs: _Costs = [(nobody, np.empty((len(COUNTS) + 1, 0)))]
@@ -165,11 +165,11 @@ class Ensemble:
         return np.ones(len(scenes), bool)
 
     def system(self, scene: int) -> Any:
-        """Return the model of a scene."""
+        """Return the model of a case."""
         return self.models.systems[int(self.models.system[scene])]
 
     def laws(self, scene: int) -> Laws:
-        """Return the laws of a scene's contacts."""
+        """Return the laws of a case's contacts."""
         return self.models.laws[int(self.models.law[scene])]
 
     def at_a_time(
@@ -222,12 +222,12 @@ class Ensemble:
         tangent: bool = False,
         follows: NDArray[np.bool_] | None = None,
     ) -> Call:
-        """Integrate scenes over whole forcing periods, from phase zero.
+        """Integrate cases over whole forcing periods, from phase zero.
 
         Parameters
         ----------
         scenes : ndarray of int, shape (n,)
-            Numbers of scenes; a number is repeated only for motions that follow each other.
+            Numbers of cases; a number is repeated only for motions that follow each other.
         y : ndarray, shape (n_states, n)
             Initial states.
         n_periods : ndarray of int, shape (n,)
@@ -266,7 +266,7 @@ class Ensemble:
         follows: NDArray[np.bool_] | None = None,
         is_motion: bool,
     ) -> tuple[Motions, tuple[Array | None, Array]]:
-        """Integrate scenes up to `t_end`; return motions, tangents and end states of tangents.
+        """Integrate cases up to `t_end`; return motions, tangents and end states of tangents.
 
         `is_motion`: whether the cost counts as motion (transient, recording), not as shooting.
         """
@@ -339,7 +339,7 @@ class Ensemble:
         return found
 
     def costs(self) -> dict[str, NDArray[Any]]:
-        """Return the cost of each scene so far, as columns of `Responses`.
+        """Return the cost of each case so far, as columns of `Responses`.
 
         Counts and simulated time are those of the motion; the CPU time includes its analysis.
         """

@@ -31,7 +31,7 @@ def linear_stability(ensemble: Ensemble, scene: int, y: Array) -> tuple[float, f
     ----------
     ensemble : Ensemble
     scene : int
-        Number of the scene.
+        Number of the case.
     y : ndarray, shape (n_states,)
         The state.
 
@@ -121,7 +121,7 @@ class Rates:
         )
 
     def __call__(self, scenes: Numbers, y: Array) -> Array:
-        """Return the time derivatives of states `y` of some scenes, shape (n_states, m)."""
+        """Return the time derivatives of states `y` of some cases, shape (n_states, m)."""
         of, n = self._system[scenes], self._load.shape[1]
         found, push = np.zeros_like(y), self._load[of].T.copy()
         for j, part in enumerate(y):

@@ -17,8 +17,8 @@ Array = NDArray[np.float64]
 Counts = NDArray[np.int64]
 Numbers = NDArray[np.intp]
 
-# A start this close to a wall, as a share of its displacement, is on the wall: even the contact
-# time of a grazing motion that deep is negligible.
+# An initial state this close to a wall, as a share of its displacement, is on the wall: even the
+# contact time of a grazing motion that deep is negligible.
 _ON_WALL = 1e-9
 
 
@@ -90,11 +90,11 @@ def contact_shares(
     ----------
     ensemble : Ensemble
     scenes : ndarray of int, shape (n,)
-        Scenes of the motions.
+        Cases of the motions.
     y_0 : ndarray, shape (n_states, n)
         Initial states of the motions.
     call : Call
-        Motions recorded from the start, with all events.
+        Motions recorded from their beginning, with all events.
     closed : bool
         Whether each motion ends where it starts.
 
@@ -154,7 +154,7 @@ def _shares(
         Times [s] and values [m] of the gap's extrema, and their number in each motion.
     t_end : ndarray, shape (n,)
     ends : sequence of ndarray, shape (n,), two
-        Gap [m] at the start and at the end.
+        Gap [m] initially and at the end.
     walls : ndarray, shape (2, n)
     closed : bool
         As in `contact_shares`.

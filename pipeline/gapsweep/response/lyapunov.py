@@ -50,7 +50,7 @@ class LyapunovExponents:
         self.n_periods, self.n_blocks, self._goal = np.zeros((3, n_points), np.int64)
         self._in_part, self._first = np.ones((2, n_points), np.int64)  # blocks, now and at first
         self._direction = np.empty((n_points, n_states))
-        # Of the aligning block, then of every part: logarithm of the growth, and duration [s].
+        # Logarithm of the growth and duration [s] of the aligning block, then of every part.
         self._growth, self._time = np.zeros((2, n_points, self.n_least))
 
     def start(

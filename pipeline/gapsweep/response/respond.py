@@ -107,7 +107,7 @@ def respond_all(scenes: Sequence[Scene], starts: ArrayLike, steady: Steady) -> R
 
     Parameters
     ----------
-    scenes : sequence of Scene, length n
+    scenes : sequence of `Scene`, length n
         All oscillators, or systems of one size.
     starts : array_like, shape (n, n_states) or (n_states,)
         Initial displacements [m], velocities [m/s] and first-order states.

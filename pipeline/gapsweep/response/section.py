@@ -347,7 +347,7 @@ def cloud_distances(a: Array, b: Array) -> Array:
 
 
 def own_neighbours(a: Array, b: Array) -> Array:
-    """Share of the points of two clouds whose nearest other point is of their own cloud [-].
+    """Share of the points of two clouds whose nearest other point is of the same cloud [-].
 
     Half of them if both are samples of one distribution, all if they lie apart, whatever their
     shape and the number of states (Schilling 1986).

@@ -2,7 +2,7 @@
 
 The tangent equations carry the monodromy matrix along with the motion. The contact force is
 continuous, so nothing jumps at a contact. The product of the multipliers over n periods T is
-``exp(-r n T)`` for all forces that depend on positions alone: r is ``2 ζ ω_n`` for an oscillator,
+``exp(-r n T)`` for all forces that depend on positions only: r is ``2 ζ ω_n`` for an oscillator,
 for a system ``tr(M⁻¹C) - tr H``.
 
 All data are columns with a row per point: numpy needs more time for one small matrix than the

@@ -68,8 +68,8 @@ REST = 1e-8
 
 # --- exponents ------------------------------------------------------------------------------------
 
-# Standard errors beyond which an exponent is not zero. Of ten batches, chance alone exceeds three
-# once in 130 times, six once in ten thousand.
+# Standard errors beyond which an exponent is not zero. With ten batches, random errors
+# exceed three once in 130 times, six once in ten thousand.
 SURE, BEYOND_DOUBT = 3.0, 6.0
 # Decay times in a batch: the results of successive batches are then independent.
 BATCH = 2.82

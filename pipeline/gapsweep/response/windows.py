@@ -19,7 +19,7 @@ Numbers = NDArray[np.intp]
 
 
 class RecordedWindows:
-    """Motions of all scenes of an ensemble, which advance by whole periods, with their windows.
+    """Motions of all cases of an ensemble, which advance by whole periods, with their windows.
 
     Attributes
     ----------
@@ -28,7 +28,7 @@ class RecordedWindows:
     status : ndarray of int, shape (n,)
         `Status` values.
     n_periods : ndarray of int, shape (n,)
-        Forcing periods since the start.
+        Forcing periods since the initial time.
     section : ndarray, shape (n_states, n, longest window so far)
         Section points of the windows [m], the first `length` of each row.
     length : ndarray of int, shape (n,)
@@ -37,7 +37,7 @@ class RecordedWindows:
     n_turning : int
         Number of quantities whose extrema are recorded: coordinates, then a system's gaps.
     extrema : RaggedArrays
-        Zero-velocity points [m] of a window recorded with all events; `n_turning` lists a scene.
+        Zero-velocity points [m] of a window recorded with all events; `n_turning` lists a case.
     contact_share : ndarray, shape (n_contacts, n)
         Share of that window's time spent beyond each contact's walls [-].
     """
@@ -56,7 +56,7 @@ class RecordedWindows:
 
     @property
     def t(self) -> Array:
-        """Times since the start [s]."""
+        """Times since the initial one [s]."""
         return self.ensemble.duration(self.n_periods, self._elapsed)
 
     @property
@@ -83,11 +83,11 @@ class RecordedWindows:
         return reach_of(self.y[: self.ensemble.n_coordinates, points], unit)
 
     def rows(self, points: Numbers) -> Numbers:
-        """Return the numbers of the lists of extrema of some scenes, scene after scene."""
+        """Return the numbers of the lists of extrema of some cases, case after case."""
         return (points[:, None] * self.n_turning + np.arange(self.n_turning)).ravel()
 
     def has_extrema(self, points: Numbers) -> NDArray[np.bool_]:
-        """Whether a window of scenes was recorded with all events."""
+        """Whether a window of cases was recorded with all events."""
         return np.asarray(self.extrema.counts[points * self.n_turning] >= 0)
 
     def discard_extrema(self, points: Numbers) -> None:

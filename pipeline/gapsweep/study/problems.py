@@ -150,7 +150,7 @@ def _instead(loc: Loc, value: Any) -> str:
 
 
 def _form_at(loc: Loc) -> str:
-    """Return the key of `_FORMS` at the end of a location, tags and numbers aside; else empty."""
+    """Return the key of `_FORMS` at the end of a location without tags and numbers; else empty."""
     names = [part for part in loc if isinstance(part, str) and part not in _TAGS - {"sweep"}]
     return names[-1] if names and names[-1] in _FORMS else ""
 

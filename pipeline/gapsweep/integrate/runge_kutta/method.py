@@ -25,7 +25,7 @@ class RungeKutta(NamedTuple):
     is_ode45 : bool
         Whether error norm and step-size control are those of MATLAB's ode45.
     restarts : bool
-        Whether the step size is chosen at a located contact as at the start of a motion.
+        Whether the step size is chosen at a located contact as at the beginning of a motion.
     cuts_at_layers : bool
         Whether steps are cut at the edges of smoothing layers.
     has_range : bool

@@ -360,7 +360,7 @@ def _count_passings(at, method, q, lane, commit):
 
 @inlined
 def _take_back_starts(at, q, lane, starts):
-    """Subtract the crossing that a start on a wall, heading outwards, will count: it is none."""
+    """Subtract the crossing that an initial state on a wall, heading outwards, will count."""
     for i in range(at.contacts):
         rows, q_i = ends(at, _gap(at, i)), q[i]
         x, v, a = load(lane, rows[0]), load(lane, rows[1]), load(lane, rows[5])
@@ -403,7 +403,7 @@ def _has_pole(at, method, q, lane, none):
 
 @inlined
 def _begin(at, method, lane, rtol, left):
-    """Step size after the derivative was evaluated: at a start by ode45's rule, from y and y';
+    """Step size after the derivative was evaluated: initially by ode45's rule, from y and y';
     at a wall the previous step size, or the same rule if the method restarts.
     """
     threshold, rate = load(lane, at.atol) / rtol, simd.splat(0.0)

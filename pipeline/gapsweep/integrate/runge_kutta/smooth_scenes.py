@@ -18,7 +18,7 @@ from .method import RungeKutta
 
 Array = NDArray[np.float64]
 
-# At this tolerance and tighter the order-8 method is the cheaper one on the benchmark's scenes.
+# At this tolerance and tighter the order-8 method is the cheaper one in the benchmark.
 _HIGH_ORDER_FROM = 1e-2
 _MIN_STEP = 1e-17  # of a period: stiff laws need far shorter steps than a Taylor series
 
@@ -71,7 +71,7 @@ def runge_kutta_scenes(
     for name in ("multiple", "depth_multiple"):
         block = slice(at.first[name], at.first[name] + at.blocks[name])
         highest = np.maximum(highest, points[:, block].max(axis=1, initial=1.0))
-    # A tenth of the time span for ode45, as is known at the start.
+    # A tenth of the time span for ode45, as is known initially.
     points[:, at.h_max] = np.inf if is_ode45 else points[:, at.period] / highest
     fastest = points[:, at.stiffness] if at.is_plain else points[:, at.fastest]
     points[:, at.min_step] = _MIN_STEP / np.maximum(points[:, at.omega], np.sqrt(fastest))

@@ -96,7 +96,7 @@ def _oscillator_stages(at, kinds, q, lane, tableau, k, h):
         x_i = fma(h2, sx, fma(h * tableau.c[i], v, x))
         v_i = fma(h, sv, v)
         phase = vecmath.cos_turns(fma(turns, tableau.c[i], tau))
-        # The law depends on x_i alone, which does not wait for the previous stage: the processor
+        # The law depends on x_i only, which does not wait for the previous stage: the processor
         # overlaps this law with the previous one.
         restoring = fma(
             x_i, fma(cubic * x_i, x_i, stiffness), laws.acceleration(kinds[0], q[0], x_i)

@@ -65,7 +65,7 @@ class Batch:
         Wall crossings, in and out, each counted once; accepted and rejected steps; right-hand sides
         of the motion itself (of a Taylor series, expansions).
     reach : ndarray, shape (n, n_coordinates)
-        Largest modulus of q at the start and at the ends of steps.
+        Largest modulus of q initially and at the ends of steps.
     contact_time : ndarray, shape (n, n_contacts)
         Time spent beyond the walls of every located contact [s], where all events are recorded.
     monodromy : ndarray, shape (n, n_states, n_states), or None
@@ -377,7 +377,7 @@ def _counts(at: RowLayout, points: Array, n_stages: int) -> dict[str, NDArray[np
     nfev = n_steps
     if n_stages:
         nfev = (n_steps + n_rejected) * (n_stages - 1) + points[:, at.n_extra]
-    # Below zero: the start lies on a wall and has not left it.
+    # Below zero: the motion began on a wall and has not left it.
     n_contacts = np.maximum(points[:, at.n_contacts], 0.0)
     given = {"n_contacts": n_contacts, "n_steps": n_steps, "n_rejected": n_rejected, "nfev": nfev}
     return {name: values.astype(np.int64) for name, values in given.items()}

@@ -5,8 +5,13 @@ A section point is a row (point, t, q, v, z) of its log, in the order of time. A
 after all coordinates. A wall crossing is a row (point, t, contact).
 
 Extrema are all zeros of a velocity polynomial. Vector code proves by Descartes' rule, for all lanes
-at once, that there is none or one, and finds it (`turns`). That leaves one step in some
+<<<<<<< HEAD
+at once, that there is none or one, and finds it (`turns`). In one step of some
+hundreds this fails: its zeros are isolated by the same rule on parts of the step (`roots`).
+=======
+at once, that there is none or one, and finds it (`turns`). This leaves one step in some
 hundreds: its zeros are isolated by the same rule on parts of the step (`roots`).
+>>>>>>> h-lang1
 """
 
 import math
@@ -97,7 +102,7 @@ def _write_state(at, run, k, rows, i, elapsed):
 
 @internal
 def _write_section(at, run, k, i, t, elapsed):
-    """Write section point i at time t, from the last step's series `elapsed` after its start."""
+    """Write section point i at time t, from the last step's series at time `elapsed` in it."""
     rows = run.logs[SECTIONS]
     rows[i, POINT], rows[i, TIME] = run.lane_point[k], t
     _write_state(at, run, k, rows, i, elapsed)
@@ -189,7 +194,7 @@ def _velocity_roots(step, v_1, work):
     series, degree = work.series, len(work.series) - 1
     skipped = 1
     while skipped <= degree and series[skipped] == 0.0:
-        skipped += 1  # an extremum at the start belongs to the step before
+        skipped += 1  # an extremum at the beginning belongs to the step before
     if skipped > degree or step <= 0.0:
         return 0
     for n in range(skipped, degree + 1):
@@ -221,7 +226,7 @@ def _record_extrema(at, run, k, which, first):
     first = -begun * lanes[at.period, k]  # within the step; negative once recording is fully on
     series, degree = work.series, len(work.series) - 1
     roots, multiplicity = work.roots, work.multiplicity
-    rising = work.reduced[0] > 0.0  # sign of v right after the start; each simple root flips it
+    rising = work.reduced[0] > 0.0  # sign of v right after the beginning; each simple root flips it
     halt = math.nan  # displacement of the last inflection: rounding may show one as several
     i = 0
     while i < n_roots:

@@ -5,9 +5,9 @@ them. It is a compile-time value: its numbers are part of its numba type, so tha
 once for every size of system, and the number of a row is a constant in its code. Code for single
 lanes reads the same numbers from a record (`RowLayout.numbers`) and is compiled once for all sizes.
 
-Clocks count forcing periods: a time is the pair (whole periods since the start of the point's
-first period, fraction of a period in [0, 1)). The fraction *is* the forcing phase, hence time and
-phase cannot drift apart however long the run.
+Clocks count forcing periods: a time is the pair (whole periods since the beginning of the
+point's first period, fraction of a period in [0, 1)). The fraction *is* the forcing phase, hence
+time and phase cannot drift apart however long the run.
 """
 
 import math
@@ -50,7 +50,7 @@ _ONE = (
     "min_step",  # [s]: a shorter step, unless it ends on a wall or at the end, is an underflow
     *("n_steps", "n_contacts", "n_short"),
     "is_fresh",  # why the derivative is missing, or 0 (of Runge-Kutta methods)
-    # results of recording the last step: its start time [s], zero of a velocity
+    # results of recording the last step: its initial time [s], zero of a velocity
     *("start_time", "turn_time", "turn_x", "turn_v"),
 )
 
@@ -199,12 +199,12 @@ class RowLayout:
         n, m, k, s = self.n, self.m, self.contacts, self.n_states
         several = not self.is_plain
         sizes = {
-            # derivatives at the start of the next step: of speeds, and of first-order states
+            # derivatives at the beginning of the next step: of speeds, and of first-order states
             **{"a": n, "w": m},
             # the next step and the longest one [s], the step before a smoothing layer, why the last
             # one is repeated if it is, whether the motion has left the range of a fit
             **dict.fromkeys(("h", "h_max", "h_saved", "failed", "out_of_range"), 1),
-            # `n_extra`: right-hand sides at starts and on walls
+            # `n_extra`: right-hand sides at initial states and on walls
             **{"n_rejected": 1, "n_extra": 1},
             # parameters of the contacts' laws
             "law": k * N_PARAMETERS,
@@ -259,7 +259,7 @@ LOADED: set[RowLayout] = set()
 
 
 def of_width(n: int, layout: RowLayout) -> RowLayout:
-    """Return a layout for n scenes: narrow for few, unless only the wide one's code is loaded.
+    """Return a layout for n models: narrow for few, unless only the wide one's code is loaded.
 
     Loading or compiling machine code takes longer than stepping a thousand idle lanes, and results
     do not depend on the number of lanes.

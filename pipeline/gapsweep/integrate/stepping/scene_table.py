@@ -15,8 +15,8 @@ from .start_rows import FLOOR_SHARE
 
 Array = NDArray[np.float64]
 
-# Degree of the Taylor polynomial by relative tolerance: the cheapest measured on the benchmark
-# scenes. (smallest rtol it is used for, degree)
+# Degree of the Taylor polynomial by relative tolerance: the cheapest measured in the
+# benchmark. (smallest rtol it is used for, degree)
 ORDERS = ((2e-5, 8), (2e-8, 12), (2e-11, 16), (0.0, 20))
 # Shortest step that makes progress, in rad of the natural or forcing frequency: a stiffness of 1e9
 # N/m takes steps a million times longer, and a run of shorter ones would never end.
@@ -43,7 +43,7 @@ class SceneTable:
     ----------
     at : RowLayout
     table : ndarray, shape (n + 1, n_rows)
-        Rows as the kernel reads them, the idle point last. ``at.floor`` holds the size of the
+        Rows as the kernel reads them, the idle point last. Row `floor` of `at` is the size of the
         motion that the forcing maintains against all springs.
     rtol : float
         As in `scenes`.
@@ -133,7 +133,7 @@ def check_tolerances(rtol: float, atol: Array | float) -> None:
 
 
 def empty_table(at: RowLayout, n: int) -> tuple[Array, Array]:
-    """Return a table for n scenes and the idle point, and a view of the scenes as columns."""
+    """Return a table for n models and the idle point, and a view of the models as columns."""
     points = np.zeros((n + 1, at.n_rows))
     table = points[:-1].T
     for i in range(at.n_states):
@@ -168,7 +168,7 @@ def check(**values: Array) -> None:
 def _forced_size(at: RowLayout, table: Array, to_wall: Array, contact: Array) -> Array:
     """Displacement [m] that the forcing maintains against the springs, and the wall if reached.
 
-    A smoothed wall pushes too: without that a start at rest would have no scale, and no step.
+    A smoothed wall pushes too: without that a motion from rest would have no scale, and no step.
     """
     push = np.abs(table[at.push])
     if at.is_tanh:
@@ -239,7 +239,7 @@ def _slopes(at: RowLayout, points: Array, contact: int) -> Iterator[Array]:
     q, z = [matrix("q", n), matrix("v", n)], [matrix("z", m)]
     yield _along(direction, q[1])[:, contact]
     depths, bends, rates = [], [], []
-    with np.errstate(over="ignore", invalid="ignore"):  # such a start diverges in the kernel
+    with np.errstate(over="ignore", invalid="ignore"):  # such a motion diverges in the kernel
         for k in range(2 * at.n_states - 1):
             depths.append(_along(direction, q[k]) - (wall if k == 0 else 0.0))
             bends.append(_along(along, q[k]))

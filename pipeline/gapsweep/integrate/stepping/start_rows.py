@@ -24,7 +24,7 @@ PRODUCT_ROUNDING = 1.5 * np.finfo(float).eps  # of the rounded product of two ro
 def set_starts(
     at, points, table, which, start, follows, t_0, t_end, record_from, section_only, rtol
 ):
-    """Copy rows of a table of scenes and write initial states and times into the copies.
+    """Copy rows of a table of models and write initial states and times into the copies.
 
     Parameters
     ----------
@@ -35,7 +35,7 @@ def set_starts(
     table : array, shape (n_scenes + 1, n_rows)
         Rows of `scenes.SceneTable`.
     which : int array, shape (n,)
-        Number of the scene of each point.
+        Row of the model of each point.
     start : array, shape (n, n_states)
         States (q, v, z).
     follows : bool array, shape (n + 1,)
@@ -48,7 +48,7 @@ def set_starts(
     -------
     int
         READY; ON_WALL: points start on a wall, the caller sets their modes; NOT_FINITE or BACKWARD:
-        a value is not finite, or an end lies before its start.
+        a value is not finite, or an end lies before its initial time.
     """
     # by loops: compiling an assignment of rows takes a second, for its errors about wrong shapes
     for r in range(at.n_rows):
@@ -167,7 +167,7 @@ def _square_norm(at, point, root, first):
 
 @internal
 def _set_modes(at, point):
-    """Set gaps and contact modes at the start; True if a contact is on a wall."""
+    """Set initial gaps and contact modes; True if a contact is on a wall."""
     is_on_wall = False
     for contact in range(at.contacts):
         gap = point[at.q]
@@ -197,9 +197,9 @@ def _swing(at, point):
 def _periods(t, omega):
     """Forcing periods in time t; a whole number if only rounding errors separate it from one.
 
-    These are the errors of t, omega and their product. A start next to a whole period would have a
-    section point just after it, and two runs end to end would have the point between them twice or
-    never.
+    These are the errors of t, omega and their product. An initial time next to a whole period would
+    have a section point just after it, and two successive runs would have the point between them
+    twice or never.
     """
     found = t * omega
     whole = np.rint(found)
@@ -210,7 +210,7 @@ def _periods(t, omega):
 def _set_clocks(at, point, t_0, t_end, record_from):
     omega = point[at.omega]
     start, stop = _periods(t_0, omega), _periods(t_end, omega)
-    # All later times count from the start, so that no more digits are lost.
+    # All later times count from the initial time, so that no more digits are lost.
     tau = start - np.floor(start)
     end = tau + (t_end - t_0) * omega
     if tau == 0.0 and stop == np.rint(stop):

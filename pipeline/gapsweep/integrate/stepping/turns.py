@@ -48,7 +48,7 @@ def _sign_change(bernstein, noise):
     is_single, is_none : Mask
         Proved: exactly one zero; no zero and no value within `noise`.
     crossing : Vec
-        Where the control polygon crosses zero, for a single zero.
+        Position at which the control polygon crosses zero, for a single zero.
     """
     degree, first, end = len(bernstein) - 1, bernstein[0], bernstein[-1]
     # One zero: positive up to some coefficient, the next one anything, negative from there on.

@@ -115,7 +115,7 @@ def product_term(a, b, n):
 
 
 class Modes:
-    """Contact modes at the start of a step: lists with an entry for every contact.
+    """Contact modes at the beginning of a step: lists with an entry for every contact.
 
     Attributes
     ----------

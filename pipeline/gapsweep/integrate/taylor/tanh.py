@@ -15,7 +15,7 @@ to ``v^2 / 2`` and to the time::
     +- pi^2/24 k / eps^2 - I (da/dt + c a) k / (eps^4 v^3),    -3 I a k / (eps^4 v^5) + ..
 
 with + into contact, - out of it, the damping c and the change da/dt of the forcing. The first term
-holds for any v, because the force depends on the place alone. The others come from what the layer
+holds for any v, because the force depends on the place only. The others come from what the layer
 does to speed and time meanwhile, integrated over the layer: at the wall itself it has added
 ``-+ J k / (eps^3 v^3)`` to the time. The smoothing is even in y: what follows is smaller by
 ``kappa = k / (eps v)^2`` or by the square of ``beta = a / (eps v^2)``.
@@ -76,7 +76,7 @@ class _Share:
     force, offset : Vec
         The wall's stiffness with the sign of the depth, and that times the position of the wall.
     depth : Vec
-        Displacement beyond the wall at the start of the step.
+        Displacement beyond the wall at the beginning of the step.
     rate : Vec
         ``-2 eps s``.
     """
@@ -248,7 +248,7 @@ class Layers:
         left : Vec
             Time until the end of the point [s].
         tolerance : Vec
-            Of a step's velocity [m/s].
+            Tolerance of a step's velocity [m/s].
         """
         (side,), ((x, v),) = exits.sides, exits.ends
         none = 0.0 * v

@@ -88,7 +88,7 @@ class _Shape:
         slack = fma(tail, 1.0 / 12, fma(absolute(series[0]), 16 * _EPS, rounding))
         self.bottom, self.top = series[0] + (low - slack), series[0] + (high + slack)
         is_monotone = self.falls | self.rises
-        # Inside at the start, x leaves over `lo` at most once if it is monotone or concave,
+        # If x is inside initially, it leaves over `lo` at most once if it is monotone or concave,
         # over `hi` at most once if monotone or convex: then the end point decides.
         self.is_decided = ((self.bottom >= lo) | is_monotone | self.is_concave) & (
             (self.top <= hi) | is_monotone | self.is_convex
@@ -144,8 +144,8 @@ def _signs(bernstein, slack):
 
 def _crossing(series, h, wall, x_1, v_1):
     """Last time before h at which x reaches `wall`, the velocity there, and the residual."""
-    # The parabola through both ends and the slope at h is good to about 1e-3 of the step. Of its
-    # two roots the later one is taken: the earlier may be the wall that the step started on.
+    # The parabola through both ends and the slope at h is good to about 1e-3 of the step. The
+    # later of its two roots is taken: the earlier may be the wall that the step started on.
     g_1, u_1 = x_1 - wall, v_1 * h
     bend = (series[0] - wall) - g_1 + u_1
     root = sqrt(maximum(fma(u_1, u_1, -(bend * g_1 * 4.0)), 0.0 * g_1))
