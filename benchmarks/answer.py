@@ -34,7 +34,7 @@ from workflows.paper.answer import (  # noqa: E402
     judged,
     spread,
 )
-from workflows.paper.language import SETTINGS, At  # noqa: E402
+from workflows.paper.language import At  # noqa: E402
 from workflows.paper.measures import cost  # noqa: E402
 from workflows.paper.scenes import EXACT, STRONG, TABLE_CASES, WEAK  # noqa: E402
 
@@ -221,7 +221,7 @@ def work(run: Run) -> list[dict[str, float]]:
         {law: (f"{law}@paper", f"{EXACT}@paper", case) for law in laws}
         for laws, case in zip((WEAK, STRONG), TABLE_CASES.values(), strict=True)
     ]
-    at = At(run, {name: next(iter(values)) for name, values in SETTINGS.items()})
+    at = At(run, {})
     return [
         {n: read(at).value for n, read in cost("right-hand sides", "nfev", one).parts} for one in of
     ]
