@@ -543,15 +543,6 @@ def test_readme_answer_page_and_report_of_one_run_agree(papers):
             assert said in whole[whole.index(f"### {contact.place}") :]
 
 
-def test_a_study_without_the_force_as_written_says_less(papers):
-    """As before both settings were computed: the gain by mode, and no gain by location."""
-    old = dict(papers.datasets)
-    old["motions"] = old["motions"].sel(representation=["truth", *list(DISTANCES)[1:3]])
-    first = answer(Run(old))[0]
-    assert "2 times smaller than without" in first
-    assert "Eq. 1b" not in first
-
-
 def test_a_second_run_on_a_busy_machine_changes_no_sentence(papers, papers_responses):
     """Every processor time is half to twice as long, each law in each case by its own factor."""
 
