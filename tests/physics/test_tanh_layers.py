@@ -92,3 +92,12 @@ def test_a_tight_atol_leaves_out_no_tail_of_far_walls():
     for atol in (1e-16, 1e-20, 1e-24):
         run = gs.simulate(still, law, 1.0, t_end=t, atol=atol)
         assert abs(run.x_end - truth) < max(atol, 1e-9 * abs(truth))
+
+
+@pytest.mark.parametrize(("rtol", "t_end"), [(1e-6, 40.0), (1e-8, 1100.0)])
+def test_motions_that_turn_back_within_a_layer_go_on(rtol, t_end):
+    # Chaotic: sooner or later it passes the wall slowly, where the acceleration is about zero but
+    # grows, and turns back before it has left the layer.
+    law = gs.Tanh(1.4e4, gs.Gap(4e-4, 4e-4), 1e6)
+    run = gs.simulate(OSCILLATOR, law, 1.6, 4e-4, t_end=t_end, rtol=rtol)
+    assert run.status == gs.Status.OK

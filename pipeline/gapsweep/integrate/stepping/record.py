@@ -5,13 +5,8 @@ A section point is a row (point, t, q, v, z) of its log, in the order of time. A
 after all coordinates. A wall crossing is a row (point, t, contact).
 
 Extrema are all zeros of a velocity polynomial. Vector code proves by Descartes' rule, for all lanes
-<<<<<<< HEAD
-at once, that there is none or one, and finds it (`turns`). In one step of some
-hundreds this fails: its zeros are isolated by the same rule on parts of the step (`roots`).
-=======
-at once, that there is none or one, and finds it (`turns`). This leaves one step in some
-hundreds: its zeros are isolated by the same rule on parts of the step (`roots`).
->>>>>>> h-lang1
+at once, that there is none or one, and finds it (`turns`). In one step of some hundreds this fails:
+its zeros are isolated by the same rule on parts of the step (`roots`).
 """
 
 import math

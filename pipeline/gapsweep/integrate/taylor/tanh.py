@@ -296,6 +296,7 @@ class Layers:
         square = fma(v, v, jump)
         outward = where(touching, -side, side)
         bend, jerk = _bend_and_jerk(self.motion.q[0], t)
+        hurry = absolute(fma(touched, v, jerk))  # without contact, as `bend` is at the wall
         springs = fma(lanes["cubic"] * 3.0, wall * wall, lanes["stiffness"] + touched)
         push = outward * (jerk + springs * v + lanes["damping"] * bend * 2.0)
         outward = outward * bend
@@ -312,8 +313,10 @@ class Layers:
         is_fast = is_fast & (beta <= _MOST_BENT) & (kappa <= _MOST_BENT)
         # It turns back beyond the layer, the other wall's layer is farther, and no section point or
         # end of the motion falls within.
-        turns_in = fma(k, width * 1.5, absolute(outward) * 3.0) * width
-        is_fast = is_fast & (middle >= turns_in)
+        # Slowed down by the contact, by the acceleration at the wall and by its growth alone, it
+        # needs v^2 = k w^2, 2 |a| w and 9 |a'| w^2 / (8 |v|) to get through a layer of width w.
+        braking = fma(hurry * 3.0, width / speed, fma(k, width * 1.5, absolute(outward) * 3.0))
+        is_fast = is_fast & (middle >= braking * width)
         is_fast = is_fast & (lanes["upper"] - lanes["lower"] >= width * 4.0)
         turned = fma(lanes["omega"], t, lanes["tau"])
         until = absolute(turned - nearest(turned)) * lanes["period"]
