@@ -120,8 +120,10 @@ def _histories() -> Iterator[tuple[str, ...]]:
 def _branches() -> Iterator[tuple[str, ...]]:
     for name, variable in continued.VARIABLES.items():
         yield _row(name, [continued.BRANCH, continued.STEP, *_lists(variable)], variable)
-    for name, variable in continued.OF_BRANCH.items():
+    for name, variable in (continued.OF_BRANCH | continued.OF_CURVE).items():
         yield _row(name, [continued.BRANCH], variable)
+    for name, (_, variable) in continued.OF_ATTRACTOR.items():
+        yield _row(f"attractor_{name}", [continued.ATTRACTOR, *variable.dims], variable)
     for name, (over, variable) in branches.OF_STUDY.items():
         yield _row(name, [over], variable)
     for name, variable in branch_agreement.VARIABLES.items():
@@ -133,7 +135,7 @@ def _flags() -> Iterator[tuple[str, ...]]:
         ("status", STATUS_FLAGS),
         ("response_class", CLASS_FLAGS),
         ("extremum_kind", KIND_FLAGS),
-        ("special", continued.SPECIAL_FLAGS),
+        ("special, curve_kind", continued.SPECIAL_FLAGS),
         ("begins, ends", continued.END_FLAGS),
     )
     for name, flags in known:

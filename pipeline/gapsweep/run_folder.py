@@ -26,7 +26,8 @@ RUNS, DEFAULT_CACHE = Path("data/runs"), Path("data/cache")
 
 RESPONSES, ATTRACTORS = "responses.nc", "attractors.nc"
 STATIC, AGREEMENT, TIMING = "static.nc", "agreement.nc", "timing.nc"
-HISTORIES, ADVICE, BRANCHES = "histories.nc", "advice.nc", "branches.nc"
+HISTORIES, ADVICE = "histories.nc", "advice.nc"
+BRANCHES, CURVES = "branches.nc", "curves.nc"
 WORK_PRECISION, STABILITY = "work_precision.nc", "stability.nc"
 CLAIMS, SECTIONS = "claims.json", "sections.json"
 REPORT = "report/index.html"

@@ -26,6 +26,7 @@ from gapsweep.run_folder import (
     ATTRACTORS,
     BRANCHES,
     CLAIMS,
+    CURVES,
     DAMAGED,
     HISTORIES,
     REPORT,
@@ -368,13 +369,13 @@ def _advice(run: RunContext) -> "xr.Dataset":
     return advice(run.study)
 
 
-def _branches(run: RunContext) -> "xr.Dataset":
+def _branches(run: RunContext, *, is_curves: bool = False) -> "xr.Dataset":
     from gapsweep.analysis.datasets.branches_file import branches
 
     assert run.connect is not None
+    how = run.cache, run.connect, run.timeout, run.say
     with run.datasets() as found:
-        attractors = found["attractors"]
-        return branches(run.study, attractors, run.cache, run.connect, run.timeout, run.say)
+        return branches(run.study, found["attractors"], *how, is_curves=is_curves)
 
 
 def _claims(run: RunContext) -> dict[str, Any]:
@@ -419,11 +420,11 @@ def _bench_scenes(study: Study) -> list[bool]:
     return [scene.expected is not None for scene in scenes]
 
 
-_DATASETS = (RESPONSES, ATTRACTORS, STATIC, AGREEMENT, TIMING, HISTORIES, BRANCHES)
+_DATASETS = (RESPONSES, ATTRACTORS, STATIC, AGREEMENT, TIMING, HISTORIES, BRANCHES, CURVES)
 PAGE = Stage(
     REPORT,
     (
-        *(RESPONSES, ATTRACTORS, STATIC, AGREEMENT, TIMING, ADVICE, BRANCHES),
+        *(RESPONSES, ATTRACTORS, STATIC, AGREEMENT, TIMING, ADVICE, BRANCHES, CURVES),
         *(CLAIMS, SECTIONS, WORK_PRECISION, STABILITY),
     ),
     (),
@@ -451,6 +452,14 @@ STAGES = (
         (SETTINGS,),
         _branches,
         lambda study: study.spec.branches is not None,
+        failures=("attractor_status", Status.DIVERGED),
+    ),
+    Stage(
+        CURVES,
+        (ATTRACTORS,),
+        (SETTINGS,),
+        partial(_branches, is_curves=True),
+        lambda study: study.spec.branches is not None and study.spec.branches.second is not None,
         failures=("attractor_status", Status.DIVERGED),
     ),
     Stage(

@@ -159,8 +159,23 @@ def test_attractors_are_those_of_the_other_file(branches, folder):
         same = same.isel(number=branches["attractor_number"])
         assert (same["response_class"] == 0).all()
         heights = same["x_max"].values
+        np.testing.assert_array_equal(branches["attractor_x_max"], heights)
+        times = same["period_multiple"].values
+        np.testing.assert_array_equal(branches["attractor_period_multiple"], times)
     exact = np.isclose(branches["attractor_omega"], 0.2) & (branches["attractor_K_c"] == 3.0)
     assert len(np.unique(heights[exact.values].round(6))) >= 2
+
+
+def test_a_state_of_each_attractor_returns_after_its_period(branches):
+    law = gs.contact_law("piecewise", 3.0, gs.Gap(0.1745, 0.1745))
+    label = branches["attractor_representation"].values
+    for one in np.flatnonzero(label == "piecewise")[::7]:
+        here = branches.isel(attractor=one)
+        x, v = here["attractor_start_state"].values
+        omega = float(here["attractor_omega"])
+        n = int(here["attractor_period_multiple"])
+        motion = gs.simulate(gs.Oscillator(**OSCILLATOR), law, omega, x, v, n_periods=n)
+        assert motion.x_end == pytest.approx(x, abs=1e-6)
 
 
 def test_special_points_of_laws_are_compared(branches):
@@ -355,3 +370,64 @@ def test_a_killed_run_computes_only_the_scene_that_it_lacks(branches, run_comman
     assert {path: after[path] for path in before} == before
     found = gs.open(tmp_path / "out" / "branches.nc")
     xr.testing.assert_identical(found.drop_attrs(deep=False), branches.drop_attrs(deep=False))
+
+
+def test_curves_of_special_points_over_a_second_parameter(client, tmp_path, monkeypatch):
+    """Both grazes lie on one curve: force over amplitude is the spring's dynamic stiffness."""
+    block = tables()["sweep"][0] | {"representation": ["piecewise"]}
+    given = {"second": "forcing", "range": [0.005, 0.05]}
+    study = gs.Study.from_dict(tables(sweep=[block], branches=given))
+    run(study, client, tmp_path).close()
+    found = gs.open(tmp_path / "out" / "curves.nc")
+    assert (found["attractor_status"] == 0).all()
+    assert (found["n_lost"] == 0).all()
+    kinds = found["curve_kind"].values
+    assert (kinds == 5).sum() == 1
+    assert (kinds == 1).any()
+    curve = found.isel(branch=int(np.flatnonzero(kinds == 5)[0])).dropna("step", subset=["omega"])
+    rate = curve["omega"].values / ONE_RAD
+    expected = 0.1745 * np.hypot(1.0 - rate**2, 0.05 * rate)
+    np.testing.assert_allclose(curve["forcing"], expected, rtol=1e-8)
+    assert float(curve["forcing"].max()) == 0.05
+    assert rate.min() < GRAZES[0]
+    assert rate.max() > GRAZES[1]
+    assert found.gapsweep.branches(y="forcing").get_xlabel().startswith("forcing frequency")
+    page = (tmp_path / "out" / "report" / "index.html").read_text(encoding="utf-8")
+    assert "Curves of special points" in page
+    # Nothing is computed for another folder, and another range leaves the branches as they are.
+    for number, scenes in enumerate(((), (0,))):
+        given["range"][0] += 0.005 * number
+        monkeypatch.setattr(branches_of_study, "followed", counted(scenes))
+        study = gs.Study.from_dict(tables(sweep=[block], branches=given))
+        gs.run(study, client, out=tmp_path / f"{number}", cache=tmp_path / "c").close()
+
+
+def counted(expected):
+    """`followed`, which is called with so many scenes of curves."""
+
+    def each(scenes, *how):
+        assert [number for number, _ in enumerate(scenes)] == [*expected]
+        assert all(scene.points is not None for scene in scenes)
+        return branch_tasks.followed(scenes, *how)
+
+    return each
+
+
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        ({"second": "mas", "range": [1.0, 2.0]}, "branches.second = 'mas': must be one of K_c"),
+        ({"second": "omega", "range": [1.0, 2.0]}, "branches.second = 'omega'"),
+        ({"second": "forcing"}, "give both or neither"),
+        ({"second": "forcing", "range": [0.04, 0.02]}, r"must be ascending, as \[0.02, 0.04\]"),
+        ({"second": "forcing", "range": [0.04, 0.05]}, "must contain forcing = 0.03"),
+        ({"second": "gap", "range": [0.2, 0.3]}, "must contain gap = 0.1745"),
+        ({"second": "K_c", "range": [1.0, 3.0]}, "branches.second = 'K_c': must have one value"),
+        ({"range": [0.02, 0.04]}, "give both or neither"),
+    ],
+)
+def test_a_second_parameter_that_cannot_be_gives_one_line(given, words):
+    block = tables()["sweep"][0] | {"K_c": [2.0, 3.0]}
+    with pytest.raises(gs.StudyError, match=words) as refused:
+        gs.Study.from_dict(tables(sweep=[block], branches=given))
+    assert len(refused.value.problems) == 1

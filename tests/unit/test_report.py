@@ -44,7 +44,14 @@ from gapsweep.report.pictures import is_picture, pictures
 from gapsweep.report.provenance import provenance
 from gapsweep.report.scales import NamedValue
 from gapsweep.report.style import MATPLOTLIB
-from gapsweep.report.tables import VERDICTS, claim_rows, number, outcome, percent, special_points
+from gapsweep.report.tables import (
+    VERDICTS,
+    claim_rows,
+    number,
+    outcome,
+    percent,
+    special_points,
+)
 from gapsweep.run_folder import is_of_run
 from gapsweep.status import Status
 from gapsweep.store.artefact import SUMS, sha256
@@ -185,7 +192,9 @@ def test_agreement_of_systems_is_of_what_is_compared(tmp_path):
     compared["recall_pooled"].loc[place] = [[1.0], [0.75], [0.5], [1.0]]
     compared["n_compared"].loc[place] = [[0], [4], [4], [4]]
     said = findings(Inputs(in_own_units(responses), None, compared), [])
-    assert said[-1].endswith("75 % of its attractors, medians over 3 parameter sets; lowest 50 %.")
+    assert "misses 25 % of the attractors" in said[-1]
+    assert "3 parameter sets" in said[-1]
+    assert "50 %" in said[-1]
 
 
 def test_what_approximations_keep_of_systems_is_told(tmp_path):
@@ -193,9 +202,12 @@ def test_what_approximations_keep_of_systems_is_told(tmp_path):
     # These are of an oscillator, whose approximations are judged instead.
     assert len(findings(Inputs(responses, None, compared), [])) == 2
     *_, tanh, poly = findings(Inputs(in_own_units(responses), None, compared), [])
-    kept = "keeps 95 % of the amplitudes within"
-    assert tanh == f"tanh-1e4 {kept} 2 % of the exact law's and finds 100 % of its attractors."
-    assert poly == f"poly-13 {kept} 30 % of the exact law's and finds 0 % of its attractors."
+    assert tanh.startswith(
+        "tanh-1e4 is accurate enough: 95 % of its amplitudes err by less than 2 %"
+    )
+    assert tanh.endswith("finds 100 % of the attractors.")
+    assert poly.startswith("poly-13 is too inaccurate: 5 % of its amplitudes err by more than 30 %")
+    assert poly.endswith("misses 100 % of the attractors.")
 
 
 def test_left_fit_ranges_are_told_from_missing_responses(tmp_path):
@@ -375,7 +387,7 @@ def test_the_studys_own_answer_comes_before_that_of_the_rules(page):
     first = page.read_text().partition('class="answer">')[2]
     assert "<img" not in first.partition("</p>")[0]
     assert first.partition("</p>")[2].strip().startswith("<p>second</p>")
-    assert "Use the exact law" in first.partition("<details>")[2]
+    assert "adequate in the only case" in first.partition("<details>")[2]
 
 
 def test_hostile_texts_stay_texts(page):
@@ -408,7 +420,7 @@ def test_the_answer_comes_first_in_words_and_as_a_map(page):
     )
     (anchor, said, tanh), (_, _, poly) = cells
     assert anchor == "scene-0-0"
-    assert said.startswith("tanh-1e4 ±, 14000 N/m, 0.4/0.4 mm: use; 95 % of amplitudes within 2 %")
+    assert said.startswith("14000 N/m, 0.4/0.4 mm: tanh-1e4 ± is accurate enough: 95 % of")
     assert [re.sub("<[^>]+>", "", cell) for cell in (tanh, poly)] == ["✓2", "✗30"]
     assert "one static equilibrium: ε &gt; 72000" in text
     assert "exact law, other settings" in text[text.index("<details>") :]
@@ -904,6 +916,25 @@ def test_special_points_are_compared_with_those_of_the_exact_law(tmp_path):
     assert [*special_points(found.assign(special=0 * found["special"]), files[0], "omega")] == []
     assert [*special_points(found, files[0], "K_c")] == []
     assert [*special_points(xr.Dataset(coords={"branch": []}), files[0], "omega")] == []
+
+
+def test_attractors_on_no_branch_are_listed(tmp_path):
+    wanted = tables(["piecewise", "tanh-1e4"], OMEGA)
+    files = datasets(tmp_path, wanted, lambda _, omega, start: periodic([(1e-3, 0.0)], omega))
+    of = {"on_branch": [0, -1, -1], "x_max": [1e-3, 2e-3, 3e-3], "period_multiple": [1, 2, 3]}
+    states = [[1e-4, 0.0], [2e-4, 0.5], [3e-4, 0.0]]
+    found = branches([[1]], [[0]]).assign(
+        {f"attractor_{name}": ("attractor", column) for name, column in of.items()}
+        | {"attractor_start_state": (("attractor", "state"), states)}
+    )
+    at = {"representation": ["piecewise"] * 3, "K_c": [1.4e4, 1.4e4, 1.0], "omega": [1.0, 2.0, 3.0]}
+    found = found.assign_coords({f"attractor_{n}": ("attractor", row) for n, row in at.items()})
+    found["attractor_x_max"].attrs = {"units": "m", "long_name": "peak"}
+    found["attractor_omega"].attrs = {"units": "Hz", "long_name": "forcing frequency"}
+    (table,) = special_points(found, files[0], "omega")
+    assert table.rows == [["piecewise", "2", "2", "2", "0.0002, 0.5"]]
+    assert table.header[2:4] == ["forcing frequency [Hz]", "peak [mm]"]
+    assert [*special_points(found.drop_vars("attractor_omega"), files[0], "omega")] == []
 
 
 def test_a_caption_names_the_few_frequencies_that_had_several_starts(tmp_path):

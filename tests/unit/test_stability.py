@@ -22,7 +22,7 @@ from gapsweep.execution.isolated import CallError
 from gapsweep.integrate import compiled
 from gapsweep.integrate.problem import Solver
 from gapsweep.model.equilibria import equilibria, linear_stiffness
-from gapsweep.report.bench_figures import atlas, worst
+from gapsweep.report.bench_figures import STATUS_LETTERS, atlas, worst
 from gapsweep.report.benchmarks import bench_parts, conclusions
 from gapsweep.status import Status
 
@@ -314,6 +314,10 @@ def test_atlas_has_a_letter_in_every_cell_and_no_overlaps(mixed):
     assert letters[5] == "O"
     assert letters[7] == ""
     assert overlaps(figure) == []
+    words = [text.get_text() for text in figure.legends[0].texts]
+    legend = " ".join([*words, figure.axes[0].get_xlabel()])
+    every = {*"RM?!", *STATUS_LETTERS.values()}
+    assert {letter for letter in every if f" {letter}: " in f" {legend}"} == every
 
 
 def test_false_wells_are_predicted(mixed):

@@ -1,8 +1,8 @@
 """The paper's claims: its words, and what must hold for them.
 
 `measures` defines what words and quantities are, `language` how quantities are compared, and when a
-claim is decided once more: from rest, with other shares, gaps or units. Claims on Figs 8 to 11 are
-decided from x_0 = +0.4 mm, which most of the paper's figures agree with. That they were made so is
+claim is decided once more: from rest, with the contact force by mode, other shares, gaps or units.
+Claims on Figs 8 to 11 are decided from x_0 = +0.4 mm, which most of the paper's figures agree with:
 evidence, not proof (docs/explanation/claims.md). 75 and on are statements that the first list left
 out.
 """

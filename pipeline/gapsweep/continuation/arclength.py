@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from gapsweep.continuation import thresholds as limit
 from gapsweep.continuation.crossing import crossing
 from gapsweep.continuation.hopf import hopf_point
-from gapsweep.continuation.locate import Step
+from gapsweep.continuation.locate import Step, orbits_at
 from gapsweep.continuation.newton import Corrector
 from gapsweep.continuation.orbits import Orbit, OrbitEquations, Reference
 from gapsweep.continuation.special import Special, crossing_kind
@@ -129,6 +129,11 @@ class Continuation:
             return None
         if step > limit.FAST and _change(before.multipliers, orbit.multipliers) > limit.CHANGE:
             return None
+        if step > limit.FAST and before.n_contacts != orbit.n_contacts:
+            # A kink that the step jumps over has no orbits on its chord.
+            whole = Step(before, orbit, reference)
+            if orbits_at(self.corrector, [whole], [0.5])[0] is None:
+                return None
         # Curves of special points have more equations, whose determinant tells nothing of orbits.
         if before.branching * orbit.branching < 0.0 and len(self.equations.windows) == 1:
             found = crossing(self.equations, Step(before, orbit, reference))

@@ -11,7 +11,7 @@ from gapsweep.continuation.locate import Step, roots
 from gapsweep.continuation.orbits import Orbit, OrbitEquations, Reference
 from gapsweep.continuation.recognise import Branch, holders, is_known, own_part
 from gapsweep.continuation.seed import Attractor, seeds
-from gapsweep.continuation.special import SignChange, Special, sign_changes
+from gapsweep.continuation.special import RESONANCES, SignChange, Special, sign_changes
 from gapsweep.continuation.switch import switched, with_direction
 from gapsweep.continuation.thresholds import AT_ONCE, BESIDE_GRAZE, SHORTEST
 
@@ -146,7 +146,8 @@ class Branches:
                 self.n_lost += change.kind != _WINDOW
                 continue
             is_at = change.is_at(point[1])
-            if change.kind == Special.TORUS and not is_at:  # two real multipliers with product 1
+            # Two real multipliers with product 1, or one at the value of a resonance.
+            if change.kind in (Special.TORUS, *RESONANCES) and not is_at:
                 continue
             kind = change.kind if is_at else Special.UNRESOLVED
             points.setdefault((id(half), i), []).append((point[0], kind, point[1]))

@@ -1,12 +1,12 @@
 """`gapsweep.special_curve`: special points of branches continued in a second parameter.
 
 The equations of the orbit get one more unknown, the second parameter, and one more equation g = 0,
-with the multiplier μ nearest to where it must be, or the turning point x of a contact's gap::
+with the multipliers μ, or the turning point x of a contact's gap::
 
-    fold  g = μ - 1        period doubling  g = μ + 1
-    torus g = |μ| - 1      graze            g = x - wall, over the size of the orbit
+    fold  g = prod(1 - μ_i)              period doubling  g = prod(1 + μ_i)
+    torus g = prod(1 - μ_i μ_j), i < j   graze            g = x - wall, over the size of the orbit
 
-Derivatives of g are central differences.
+These are smooth also where two multipliers meet. Derivatives of g are central differences.
 """
 
 from __future__ import annotations
@@ -22,10 +22,23 @@ from gapsweep.continuation.branches import Branches
 from gapsweep.continuation.dataset import dataset, special_points
 from gapsweep.continuation.family import AMPLITUDE, Family, Window
 from gapsweep.continuation.orbits import Evaluation, Orbit, OrbitEquations, Reference
-from gapsweep.continuation.recognise import Branch
+from gapsweep.continuation.recognise import Branch, holders
 from gapsweep.continuation.seed import Attractor, started
-from gapsweep.continuation.special import Graze, Special, nearest_graze
-from gapsweep.continuation.thresholds import CLOSES, CONDITION_DIFFERENCE, DIFFERENCE, STANDS_STILL
+from gapsweep.continuation.special import (
+    RESONANCES,
+    Special,
+    characteristic,
+    doubling,
+    nearest_graze,
+    torus,
+)
+from gapsweep.continuation.thresholds import (
+    CLOSES,
+    CONDITION_DIFFERENCE,
+    DIFFERENCE,
+    STANDS_STILL,
+    UNLIKE,
+)
 from gapsweep.errors import ModelError
 from gapsweep.integrate.problem import Model, Solver
 from gapsweep.integrate.simulate import AnyLaw
@@ -34,7 +47,9 @@ from gapsweep.variables import POINT
 
 Array = NDArray[np.float64]
 
-_TARGETS = {Special.FOLD: 1.0, Special.PERIOD_DOUBLING: -1.0}
+_POINT = "point (a number of branches.gapsweep.special_points())"
+# Kinds of special points that have curves.
+KINDS = Special.FOLD, Special.PERIOD_DOUBLING, Special.TORUS, Special.GRAZING
 
 
 class CurveEquations(OrbitEquations):
@@ -45,10 +60,11 @@ class CurveEquations(OrbitEquations):
         family: Family,
         windows: tuple[Window, ...],
         solver: Solver,
+        kind: Special,
         condition: Callable[[Orbit], float],
     ) -> None:
         super().__init__(family, windows, solver)
-        self._condition = condition
+        self.kind, self._condition = kind, condition
 
     def evaluate(
         self, unknowns: Array, reference: Reference, difference: float = DIFFERENCE
@@ -131,72 +147,73 @@ def special_curve(
     """
     if not (isinstance(branches, xr.Dataset) and "special" in branches):
         raise ModelError(f"branches = {branches!r:.80}: must be a result of gs.branches(...)")
-    row, kind = _row(branches, point)
+    points = special_points(branches)
+    if not points.sizes[POINT]:
+        raise ModelError("branches: have no special points")
+    points = points.isel({POINT: [whole(_POINT, point, 0, points.sizes[POINT] - 1)]})
+    kind = Special(int(points["special"].item()))
+    if kind not in KINDS:
+        raise ModelError(
+            f"point = {point}: is a {kind.name.lower()}; must be a fold, a period doubling, "
+            "a torus bifurcation or a graze"
+        )
     family, name = branches.encoding.get("family"), str(branches.attrs["along"])
     if name == AMPLITUDE:
         raise ModelError("branches: free motions along 'amplitude' have no curves")
-    value = float(row[name])
     if oscillator is not None and law is not None:
-        omega = branches.attrs.get("forcing_frequency", row.coords.get("omega"))
+        omega = branches.attrs.get("forcing_frequency", points.coords.get("omega"))
         omega = None if name == "omega" or omega is None else float(omega)
-        family = Family(oscillator, law, omega, (name,), {name: value})
+        family = Family(oscillator, law, omega, (name,), {name: points[name].item()})
     if not isinstance(family, Family):
         raise ModelError(
             "oscillator, law: missing; a file does not hold them: "
             f"gs.special_curve(branches, {point}, {second!r}, {between!r}, oscillator=..., law=...)"
         )
-    first = Window.of(name, branches.attrs["between"])
-    windows = first, Window.of(second, between)
-    fixed = family.value_of(second, {first.name: value})
-    if not windows[1].low <= fixed <= windows[1].high:
-        raise ModelError(
-            f"between = {between!r}: must contain the value {second} = {fixed:g} of the branch"
-        )
-    values = {**family.values, first.name: value, second: fixed}
-    omega = None if "omega" in (first.name, second) else family.omega
-    curves = Family(family.model, family.law, omega, (first.name, second), values)
+    windows = Window.of(name, branches.attrs["between"]), Window.of(second, between)
     solver = Solver.of("compiled", branches.attrs["rtol"], branches.attrs.get("atol"))
-    plain = OrbitEquations(curves, windows, solver)
-    start, reference = _start(plain, row, np.array([[value, fixed]]))
-    equations = CurveEquations(curves, windows, solver, _condition(plain, start, kind, reference))
     max_steps = whole("max_steps", max_steps, 2, 100_000)
-    continuation = Continuation(equations, max_steps)
-    along = np.zeros((1, len(start.unknowns)))
-    along[0, -1] = 1.0
-    found, _ = continuation.corrector.orbits(
-        start.unknowns[None, :], along, reference, np.array([0.1])
-    )
-    if found[0] is None:
-        raise ModelError(f"point = {point}: Newton's method finds no curve through it")
-    halves = continuation.follow(
-        [found[0], reversed_orbit(found[0])], reference.take(np.zeros(2, int))
-    )
-    found_all = Branches(equations=equations, max_steps=max_steps)
-    forward, backward = found_all.with_special_points(halves)
-    orbits = [*map(reversed_orbit, backward[:0:-1]), *forward]
-    if halves[0].end == "closed":
-        orbits = [*forward[:-1], forward[0]]
-    # Where the curve has a corner, as at a graze, the parameters do not stand still.
-    orbits = [o for o in orbits if not o.special or np.abs(o.tangent[-2:]).max() <= STANDS_STILL]
-    ends = halves[1].end, halves[0].end
-    found_all.found = [Branch(orbits=orbits, ends=ends, reference=reference)]
-    made = dataset(found_all).isel(branch=0, drop=True)
-    return made.assign_attrs(curve=kind.name.lower(), second=second)
+    return dataset(curves(family, windows, solver, points, max_steps)).isel(branch=0, drop=True)
 
 
-def _row(branches: xr.Dataset, point: int) -> tuple[xr.Dataset, Special]:
-    """The orbit of a special point, and its kind."""
-    points = special_points(branches)
-    if not points.sizes[POINT]:
-        raise ModelError("branches: have no special points")
-    row = points.isel({POINT: whole("point", point, 0, points.sizes[POINT] - 1)})
-    kind = Special(int(row["special"]))
-    if kind not in (*_TARGETS, Special.TORUS, Special.GRAZING):
+def curves(
+    family: Family,
+    windows: tuple[Window, Window],
+    solver: Solver,
+    points: xr.Dataset,
+    max_steps: int,
+) -> Branches:
+    """The curves of special points over two parameters, each once; a `ModelError` without any."""
+    first, second = windows
+    values = {first.name: float(points[first.name][0])}
+    values[second.name] = fixed = family.value_of(second.name, values)
+    if not second.low <= fixed <= second.high:
         raise ModelError(
-            f"point = {point}: is a {kind.name.lower()}; must be a fold, a period doubling, "
-            "a torus bifurcation or a graze"
+            f"between = {(second.low, second.high)}: must contain the value "
+            f"{second.name} = {fixed:g} of the branch"
         )
-    return row, kind
+    omega = None if "omega" in values else family.omega
+    both = Family(family.model, family.law, omega, (*values,), {**family.values, **values})
+    equations = OrbitEquations(both, windows, solver)
+    found = Branches(equations=equations, max_steps=max_steps)
+    several: list[Branches] = []
+    why = ""
+    for i in range(points.sizes[POINT]):
+        row = points.isel({POINT: i})
+        try:
+            start, reference = _start(equations, row, np.array([[row[first.name].item(), fixed]]))
+            kind = Special(int(row["special"]))
+            section = start.identity.section * reference.size[0]
+            here = [(equations.place(start), section, start.period_multiple)]
+            alike = [each for each in several if each.found[0].kind == kind]
+            if all(holders(each.equations, here, each.found)[0] < 0 for each in alike):
+                several.append(_curve(equations, kind, start, reference, max_steps))
+        except ModelError as error:
+            found.n_lost, why = found.n_lost + 1, str(error)
+    if not several:
+        raise ModelError(why)
+    found.found = [curve for each in several for curve in each.found]
+    found.n_lost += sum(each.n_lost for each in several)
+    return found
 
 
 def _start(equations: OrbitEquations, row: xr.Dataset, values: Array) -> tuple[Orbit, Reference]:
@@ -207,13 +224,52 @@ def _start(equations: OrbitEquations, row: xr.Dataset, values: Array) -> tuple[O
         period=float(row["period"]),
         multiple=int(row["period_multiple"]),
     )
-    unknowns, reference = started(equations, [orbit], values)
-    found = equations.evaluate(unknowns, reference)
-    if not found.is_ok[0] or np.abs(found.residual).max() > CLOSES:
-        raise ModelError("oscillator, law: must be those of the branches; the orbit does not close")
-    tangent = np.zeros_like(unknowns)
-    (first,) = equations.orbits(unknowns, tangent, reference, found, np.zeros(1, np.intp))
-    return first, reference
+    while True:
+        unknowns, reference = started(equations, [orbit], values)
+        found = equations.evaluate(unknowns, reference)
+        if not found.is_ok[0] or np.abs(found.residual).max() > CLOSES:
+            said = "must be those of the branches; the orbit does not close"
+            raise ModelError(f"oscillator, law: {said}")
+        tangent = np.zeros_like(unknowns)
+        (start,) = equations.orbits(unknowns, tangent, reference, found, np.zeros(1, np.intp))
+        if row["special"] != Special.PERIOD_DOUBLING or start.identity.halves > UNLIKE:
+            return start, reference
+        # On a branch of twice the period, the orbit that doubles is half of it.
+        orbit.multiple, orbit.period = orbit.multiple // 2, 0.5 * orbit.period
+
+
+def _curve(
+    plain: OrbitEquations, kind: Special, start: Orbit, reference: Reference, max_steps: int
+) -> Branches:
+    """The curve through a special point."""
+    condition = _condition(plain, start, kind, reference)
+    equations = CurveEquations(plain.family, plain.windows, plain.solver, kind, condition)
+    continuation = Continuation(equations, max_steps)
+    along = np.zeros((1, len(start.unknowns)))
+    along[0, -1] = 1.0
+    (first,), _ = continuation.corrector.orbits(
+        start.unknowns[None, :], along, reference, np.array([0.1])
+    )
+    if first is None:
+        raise ModelError("point: Newton's method finds no curve through it")
+    found = Branches(equations=equations, max_steps=max_steps)
+    halves = continuation.follow([first, reversed_orbit(first)], reference.take(np.zeros(2, int)))
+    sides, ends = found.with_special_points(halves), [half.end for half in halves]
+    for k, side in enumerate(sides):
+        cuts = [i for i, orbit in enumerate(side) if orbit.special in RESONANCES]
+        if kind == Special.TORUS and cuts:  # behind it both multipliers are real
+            sides[k], ends[k] = side[: cuts[0] + 1], "resonance"
+    orbits = [*map(reversed_orbit, sides[1][:0:-1]), *sides[0]]
+    if ends[0] == "closed":
+        orbits = [*sides[0][:-1], sides[0][0]]
+    # Where the curve has a corner, as at a graze, the parameters do not stand still.
+    orbits = [
+        orbit
+        for orbit in orbits
+        if orbit.special != Special.CUSP or np.abs(orbit.tangent[-2:]).max() <= STANDS_STILL
+    ]
+    found.found = [Branch(orbits=orbits, ends=(ends[1], ends[0]), reference=reference, kind=kind)]
+    return found
 
 
 def _condition(
@@ -221,21 +277,9 @@ def _condition(
 ) -> Callable[[Orbit], float]:
     """g of a special point of a kind, as a function of orbits near the curve."""
     if kind == Special.GRAZING:
-        graze: Graze = nearest_graze(equations, start)
+        graze = nearest_graze(equations, start)
         size = float(reference.size[0, 0])
         return lambda orbit: graze(orbit) / size
-    if kind == Special.TORUS:
-        return _torus
-    target = _TARGETS[kind]
-
-    def nearest(orbit: Orbit) -> float:
-        apart = orbit.multipliers - target
-        return float(apart[np.argmin(np.abs(apart))].real)
-
-    return nearest
-
-
-def _torus(orbit: Orbit) -> float:
-    """Modulus of the complex multiplier that is nearest to the unit circle, less 1."""
-    moduli = np.abs(orbit.multipliers[np.abs(orbit.multipliers.imag) > 0.0]) - 1.0
-    return float(moduli[np.argmin(np.abs(moduli))]) if len(moduli) else np.nan
+    if kind == Special.FOLD:
+        return lambda orbit: characteristic(orbit, 1.0)
+    return doubling if kind == Special.PERIOD_DOUBLING else torus

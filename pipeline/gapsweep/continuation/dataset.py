@@ -1,5 +1,6 @@
 """Branches as an `xarray.Dataset`."""
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -8,6 +9,7 @@ from gapsweep.continuation.branches import Branches
 from gapsweep.continuation.family import AMPLITUDE
 from gapsweep.continuation.orbits import Orbit
 from gapsweep.continuation.recognise import Branch
+from gapsweep.continuation.seed import Attractor
 from gapsweep.continuation.special import Special
 from gapsweep.model.oscillator import Oscillator
 from gapsweep.variables import COORDINATE, PARTS, POINT, Variable
@@ -17,7 +19,10 @@ if TYPE_CHECKING:
 
 BRANCH, STEP, STATE, MULTIPLIER, ATTRACTOR = "branch", "step", "state", "multiplier", "attractor"
 _POINT = (BRANCH, STEP)
-_ENDS = ("none", "window", "closed", "branch_point", "max_steps", "step_too_small", "equilibrium")
+_ENDS = (
+    *("none", "window", "closed", "branch_point", "max_steps", "step_too_small", "equilibrium"),
+    "resonance",
+)
 END_FLAGS = tuple((name, i) for i, name in enumerate(_ENDS))
 SPECIAL_FLAGS = tuple((kind.name.lower(), int(kind)) for kind in Special)
 _STATUS = (("ok", 0), ("not_requested", 1))
@@ -52,6 +57,16 @@ OF_BRANCH = {
     ),
     "parent": Variable("i4", "1", "branch from which this branch bifurcates, -1: none", -1),
 }
+# Of attractors that branches start from: names in `Attractor`, and variables.
+OF_ATTRACTOR = {
+    "on_branch": ("branch", Variable("i4", "1", "branch of the attractor, -1: none")),
+    "period_multiple": ("multiple", Variable("i4", "1", "forcing periods in one period of it")),
+    "period": ("period", Variable("f8", "s", "period of the attractor")),
+    "x_max": ("x_max", Variable("f8", "m", "peak of the first coordinate")),
+    "start_state": ("section", Variable("f8", "", "a state on the attractor", dims=(STATE,))),
+}
+CURVE_KIND = "curve_kind"
+OF_CURVE = {CURVE_KIND: Variable("i1", "1", "kind of special points", 0, SPECIAL_FLAGS)}
 _UNITS = {"omega": "Hz", "amplitude": "m", "K_c": "N m-1", "forcing": "N", "mass": "kg"}
 _UNITS |= {"j_1": "m", "j_2": "m", "gap": "m", "omega_n": "Hz", "alpha": "N m-3"}
 _UNITS |= {"c": "N s m-1", "mean_load": "N", "zeta": "1", "K_ratio": "1"}
@@ -83,16 +98,13 @@ def dataset(found: Branches) -> "xr.Dataset":
             values[i, : len(rows)] = np.reshape(rows, (len(rows), *values.shape[2:]))
         form = variable.of_systems if is_system else variable
         data[name] = ((*_POINT, *dims), values, form.attributes)
-    for name, variable in OF_BRANCH.items():
+    for name, variable in (OF_BRANCH | (OF_CURVE if len(names) > 1 else {})).items():
         rows = [_of_branch(name, branch) for branch in branches]
         data[name] = ((BRANCH,), np.array(rows, variable.dtype), variable.attributes)
-    for name, of, words in (
-        ("attractor_on_branch", "branch", "branch of the attractor, -1: none"),
-        (f"attractor_{window.name}", "value", f"{window.name} of the attractor"),
-    ):
-        values = np.array([getattr(each, of) for each in found.attractors])
-        values = values.astype("i4" if of == "branch" else float)
-        data[name] = ((ATTRACTOR,), values, {"long_name": words})
+    data |= of_attractors(found.attractors, equations.n_states)
+    values = np.array([each.value for each in found.attractors], float)
+    words = {"long_name": f"{window.name} of the attractor"}
+    data[f"attractor_{window.name}"] = ((ATTRACTOR,), values, words)
     coordinates: dict[str, Any] = {BRANCH: np.arange(len(branches)), STEP: np.arange(longest)}
     if model.n > 1:
         labels = list(model.coordinates)
@@ -106,12 +118,25 @@ def dataset(found: Branches) -> "xr.Dataset":
         "rtol": equations.solver.rtol,
         "n_lost": found.n_lost,
     }
+    if len(names) > 1:
+        second = equations.windows[1]
+        made.attrs |= {"second": second.name, "range": [second.low, second.high]}
     if equations.solver.atol is not None:
         made.attrs["atol"] = equations.solver.atol
     if family.omega is not None:
         made.attrs["forcing_frequency"] = family.omega
     made.encoding["family"] = family
     return made
+
+
+def of_attractors(attractors: Sequence[Attractor], n_states: int) -> dict[str, Any]:
+    """Variables over `attractor`."""
+    data: dict[str, Any] = {}
+    for name, (of, form) in OF_ATTRACTOR.items():
+        rows = [np.ravel(getattr(each, of))[: n_states if form.dims else 1] for each in attractors]
+        values = np.reshape(rows, (-1, n_states) if form.dims else -1).astype(form.dtype)
+        data[f"attractor_{name}"] = ((ATTRACTOR, *form.dims), values, form.attributes)
+    return data
 
 
 def special_points(found: "xr.Dataset") -> "xr.Dataset":
@@ -144,6 +169,6 @@ def _value(name: str, orbit: Orbit, swept: list[str], *, is_neutral: bool) -> An
 def _of_branch(name: str, branch: Branch) -> int:
     if name == "n_orbits":
         return len(branch.orbits)
-    if name == "parent":
-        return branch.parent
+    if name in ("parent", CURVE_KIND):
+        return branch.parent if name == "parent" else int(branch.kind)
     return _ENDS.index(branch.ends[0 if name == "begins" else 1])

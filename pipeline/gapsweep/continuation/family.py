@@ -111,15 +111,19 @@ class Family:
         for name in self.names:
             self._check(name)
         if isinstance(self.law, Mapping) and set(self.law) != set(self.example.contacts):
-            raise ModelError(f"law: of {list(self.law)}: must name {list(self.example.contacts)}")
+            said = f"of {list(self.law)}: must name" if self.law else "missing for"
+            raise ModelError(
+                f"law: {said} {list(self.example.contacts)}, "
+                "as law=gs.Piecewise(1.4e4, gs.Gap(4e-4, 4e-4))"
+            )
         is_forced = self.example.is_forced
         if "omega" in self.names and not is_forced:
             raise ModelError("along = 'omega': this System is not forced; name another parameter")
         if AMPLITUDE in self.names:
             self._check_free()
         elif "omega" not in self.names and (self.omega is None) == is_forced:
-            said = "missing; this model is forced" if is_forced else "this System is not forced"
-            raise ModelError(f"omega: {said}")
+            needed = "missing; this model is forced: write omega=9.0, in Hz"
+            raise ModelError(f"omega: {needed if is_forced else 'this System is not forced'}")
 
     def _check(self, name: str) -> None:
         laws = self._laws

@@ -34,7 +34,7 @@ DEFAULT_RTOL = 1e-11
 @called_as("gs.branches(oscillator, law, along='omega', between=(6.0, 12.0)), in Hz")
 def branches(
     oscillator: Model | Callable[..., Model],
-    law: AnyLaw,
+    law: AnyLaw | None = None,
     along: str = "omega",
     between: tuple[float, float] = (1.0, 30.0),
     at: ArrayLike | None = None,
@@ -54,7 +54,7 @@ def branches(
     oscillator : Oscillator, System, or callable
         Model, or a function that returns it for keywords, as ``gs.systems.typical_section``.
     law : ContactLaw or mapping of str to ContactLaw
-        As in `gapsweep.simulate`.
+        As in `gapsweep.simulate`; none of a System without contacts.
     along : str
         Parameter: ``"omega"`` [Hz]; ``"amplitude"`` [m] of the first coordinate in undamped free
         motions; a field of the oscillator (``"forcing"``) or the law (``"K_c"``, ``"epsilon"``,
@@ -106,7 +106,7 @@ def branches(
         if along == "omega":
             raise ModelError(f"omega = {omega!r}: leave it out, it is the parameter")
         omega = checked("omega", omega, low=0.0, strict=True)
-    family = Family(oscillator, law, omega, (along,), values)
+    family = Family(oscillator, {} if law is None else law, omega, (along,), values)
     solver = solver_of(family, rtol, atol)
     ends = [{along: x} for x in (window.low, window.high)]
     models, laws = zip(*((family.model_at(end), family.laws_at(end)) for end in ends), strict=True)
@@ -242,7 +242,8 @@ def _attractor(response: Response, value: float, n_states: int) -> Attractor:
     section = np.reshape(np.asarray(response.section, float), (-1, n_states))
     multiple = int(response.period_multiple)
     period = float(response.period) if response.period else np.nan
-    return Attractor(value=value, section=section, period=period, multiple=multiple)
+    x_max = np.ravel(response.x_max)[0].item()
+    return Attractor(value=value, section=section, period=period, multiple=multiple, x_max=x_max)
 
 
 def _periods(equations: OrbitEquations, value: float, state: Array) -> int:
@@ -273,7 +274,9 @@ def _free(equations: OrbitEquations, state: Array) -> Attractor:
     turns = [state[0], *run.extrema[model.coordinates[0]]]
     (amplitude,) = _inside(equations.windows[0], 0.5 * float(np.ptp(turns)), "amplitude")
     period = float(run.t_section[0])
-    return Attractor(value=amplitude, section=state[None, :], period=period, multiple=1)
+    return Attractor(
+        value=amplitude, section=state[None, :], period=period, multiple=1, x_max=max(turns)
+    )
 
 
 def _inside(window: Window, at: ArrayLike, name: str = "at") -> list[float]:

@@ -101,6 +101,8 @@ class Evaluation:
 class OrbitEquations:
     """The equations of the orbits of a family, for windows of its parameters."""
 
+    kind = 0  # of special points, as of `gapsweep.continuation.special.Special`; 0: any orbits
+
     def __init__(self, family: Family, windows: tuple[Window, ...], solver: Solver) -> None:
         self.family, self.windows, self.solver = family, windows, solver
         model = family.example
@@ -131,9 +133,9 @@ class OrbitEquations:
         return tuple(float(w.value(s)) for w, s in zip(self.windows, places, strict=False))
 
     def place(self, orbit: Orbit) -> float:
-        """Position of an orbit in the first window: 0 to 1 inside."""
+        """Position of an orbit in the last window: 0 to 1 inside."""
         is_free = self.family.is_conservative
-        return float(self.windows[0].place(orbit.amplitude if is_free else orbit.parameters[0]))
+        return float(self.windows[-1].place(orbit.amplitude if is_free else orbit.parameters[-1]))
 
     def evaluate(
         self, unknowns: Array, reference: Reference, difference: float = DIFFERENCE
@@ -261,7 +263,7 @@ class OrbitEquations:
 
         A maximum at the start of an unforced orbit may be found at its end too.
         """
-        if self.family.is_conservative or not len(section):
+        if not len(section):
             return state[None, :]
         is_twice = self.has_period and len(section) > 1 and phase[-1] - phase[0] > ONE_TURN
         return section[:-1] if is_twice else section

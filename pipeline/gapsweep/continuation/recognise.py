@@ -2,14 +2,16 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gapsweep.continuation.identity import Identity
-from gapsweep.continuation.locate import Step
+from gapsweep.continuation.locate import Step, roots
 from gapsweep.continuation.newton import Corrector
 from gapsweep.continuation.orbits import Orbit, OrbitEquations, Reference
+from gapsweep.continuation.special import Special
 from gapsweep.continuation.thresholds import ALIKE, ASIDE_KNOWN, COMPARED, EDGE
 
 Array = NDArray[np.float64]
@@ -24,6 +26,7 @@ class Branch:
     ends: tuple[str, str]  # why it ends before the first and after the last orbit
     reference: Reference  # with the sizes that its unknowns are scaled by
     parent: int = -1  # the branch that it leaves, or that ends on it; -1: none
+    kind: Special = Special.NONE  # of special points whose curve it is
 
 
 def is_known(equations: OrbitEquations, branch: Branch, others: Sequence[Branch]) -> bool:
@@ -70,7 +73,7 @@ def holders(
     """
     found, tasks = [-1] * len(points), []
     along = np.zeros(equations.n_unknowns)
-    along[0 if equations.family.is_conservative else -1] = 1.0
+    along[-1] = 1.0
     for number, branch in enumerate(branches):
         of = np.array([equations.place(orbit) for orbit in branch.orbits])
         low, high = np.sort([of[:-1], of[1:]], axis=0)
@@ -84,13 +87,18 @@ def holders(
                 tasks.append((k, number, Step(before, after, reference)))
     if not tasks:
         return found
-    guesses = [_guess(equations, step, points[k][0]) for k, _, step in tasks]
-    nearby, _ = Corrector(equations).orbits(
-        np.array(guesses),
-        np.tile(along, (len(tasks), 1)),
-        Reference.joined([step.reference for *_, step in tasks]),
-        np.array([max(ASIDE_KNOWN * step.size, ALIKE) for *_, step in tasks]),
-    )
+    steps, corrector = [step for *_, step in tasks], Corrector(equations)
+    nearby: Sequence[Orbit | None]
+    if equations.family.is_conservative:  # the amplitude is no unknown
+        values = [partial(_beyond, equations, points[k][0]) for k, *_ in tasks]
+        nearby = [root and root[1] for root in roots(corrector, steps, values)]
+    else:
+        nearby, _ = corrector.orbits(
+            np.array([_guess(step, points[k][0]) for k, _, step in tasks]),
+            np.tile(along, (len(tasks), 1)),
+            Reference.joined([step.reference for step in steps]),
+            np.array([max(ASIDE_KNOWN * step.size, ALIKE) for step in steps]),
+        )
     for (k, number, step), orbit in zip(tasks, nearby, strict=True):
         if orbit is not None and found[k] < 0:
             section = Identity(points[k][1] / step.reference.size[0], 0.0)
@@ -98,11 +106,12 @@ def holders(
     return found
 
 
-def _guess(equations: OrbitEquations, step: Step, place: float) -> Array:
+def _beyond(equations: OrbitEquations, place: float, orbit: Orbit) -> float:
+    return equations.place(orbit) - place
+
+
+def _guess(step: Step, place: float) -> Array:
     """Unknowns near a step's orbit at a place of the parameter."""
-    if equations.family.is_conservative:
-        begin, end = equations.place(step.before), equations.place(step.after)
-        return step.before.unknowns + (place - begin) / ((end - begin) or 1.0) * step.chord
     points = np.array([step.point(s) for s in _PARTS])
     guess: Array = points[np.abs(points[:, -1] - place).argmin()].copy()
     guess[-1] = place

@@ -1,5 +1,6 @@
 """First orbits of branches: orbits near attractors that motions have settled on."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -25,6 +26,7 @@ class Attractor:
     section: Array
     period: float  # [s]; NaN where the forcing sets it
     multiple: int
+    x_max: float = math.nan  # peak of the first coordinate [m]
     branch: int = -1  # that it lies on; -1: none
 
 

@@ -9,17 +9,21 @@ g of a contact's gap, a branch has
 - a crossing of branches (BP) where J has one rank less (`gapsweep.continuation.crossing`); of
   symmetric orbits it breaks their symmetry (SB),
 - a graze (GR) where one more, or one fewer, of the g lies beyond a wall.
+
+A curve of special points has a cusp (CP) of folds where its tangent has no part along the
+parameters, and a resonance 1:1 (R1) or 1:2 (R2) where two μ are 1 or -1.
 """
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from enum import IntEnum
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gapsweep.continuation.orbits import Orbit, OrbitEquations, motions
-from gapsweep.continuation.thresholds import AT_VALUE, ON_WALL, REAL, UNLIKE, VERTICAL
+from gapsweep.continuation.thresholds import AT_DOUBLE, AT_VALUE, ON_WALL, REAL, UNLIKE, VERTICAL
 
 Array = NDArray[np.float64]
 
@@ -35,6 +39,9 @@ class SignChange:
         """Whether a located orbit is the special point, not one where the function jumps."""
         if self.kind == Special.PERIOD_DOUBLING:
             return bool(np.abs(orbit.multipliers + 1.0).min() <= AT_VALUE)
+        if self.kind in RESONANCES:
+            apart = np.sort(np.abs(orbit.multipliers - RESONANCES[self.kind]))
+            return bool(apart[:2].max() <= AT_DOUBLE)
         if self.kind == Special.TORUS:
             pairs = orbit.multipliers[np.abs(orbit.multipliers.imag) > REAL]
             return bool(np.abs(np.abs(pairs) - 1.0).min(initial=np.inf) <= AT_VALUE)
@@ -57,16 +64,27 @@ class Special(IntEnum):
     HOPF = 7
     UNRESOLVED = 8
     CUSP = 9
+    RESONANCE_1_1 = 10
+    RESONANCE_1_2 = 11
 
     @property
     def symbol(self) -> str:
         """The field's abbreviation."""
-        return ("", "LP", "PD", "NS", "BP", "GR", "SB", "H", "?", "CP")[self]
+        return ("", "LP", "PD", "NS", "BP", "GR", "SB", "H", "?", "CP", "R1", "R2")[self]
+
+
+# Of strong resonances, the value of two multipliers.
+RESONANCES: dict[int, float] = {Special.RESONANCE_1_1: 1.0, Special.RESONANCE_1_2: -1.0}
 
 
 def sign_changes(before: Orbit, after: Orbit, equations: OrbitEquations) -> Iterator[SignChange]:
     """Test functions that change their sign from one orbit of a branch to the next."""
-    if len(equations.windows) > 1:  # all are special points
+    if equations.kind:  # all are special points
+        # The polynomial itself is zero on a curve of folds or doublings, of grazes anywhere.
+        for kind, at in RESONANCES.items():
+            value = partial(characteristic, at=at, order=int(equations.kind != Special.TORUS))
+            if equations.kind != Special.GRAZING and value(before) * value(after) < 0.0:
+                yield SignChange(kind, value)
         a, b = before.tangent[-2:], after.tangent[-2:]
         if a @ b < 0.0:  # the curve turns back in the plane of its parameters
             yield SignChange(Special.CUSP, lambda orbit: float(orbit.tangent[-2:] @ (b - a)))
@@ -94,6 +112,12 @@ def fold(orbit: Orbit) -> float:
 def doubling(orbit: Orbit) -> float:
     """Product of all ``1 + μ`` [-]."""
     return float(np.prod(1.0 + orbit.multipliers).real)
+
+
+def characteristic(orbit: Orbit, at: float, order: int = 0) -> float:
+    """Characteristic polynomial of the multipliers, or its derivative of an order, at a value."""
+    polynomial = np.poly1d(np.poly(orbit.multipliers))
+    return float(np.real(polynomial.deriv(order)(at)))
 
 
 def torus(orbit: Orbit) -> float:

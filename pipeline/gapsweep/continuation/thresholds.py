@@ -71,6 +71,8 @@ VERTICAL = 1e-7
 # A multiplier so near the value that names a point is at it: near a double multiplier, rounding of
 # 1e-10 makes this.
 AT_VALUE = 1e-5
+# Two multipliers that meet differ by the root of their rounding, which may be 1e-8.
+AT_DOUBLE = 1e-4
 # A turning point this near to a wall, as a share of the largest one, is on it.
 ON_WALL = 1e-7
 # Largest residual of an orbit at a crossing, for one unit of the derivatives, and singular value

@@ -16,6 +16,7 @@ from distributed import Client, as_completed, get_worker
 from distributed.scheduler import KilledWorker
 
 from gapsweep.continuation.branches import Branches
+from gapsweep.continuation.curves import curves
 from gapsweep.continuation.dataset import dataset
 from gapsweep.continuation.family import Family, Window
 from gapsweep.continuation.follow import solver_of
@@ -39,23 +40,25 @@ class BranchScene:
     """All inputs of the branches of one parameter set."""
 
     point: Points  # a sweep point with the model, laws and frequency of the set
-    # The system as a function of the parameter, if this is a parameter of a system.
+    # The system as a function of the parameters, if one of them is a parameter of a system.
     system: AlongParameter | None
     window: Window
     table: BranchesTable
     attractors: tuple[Attractor, ...]
+    points: Any = None  # Dataset of special points whose curves are sought; None: the branches are
 
     @property
     def key(self) -> str:
         """Content key: SHA-256 of all inputs of the branches, including the code."""
-        kind = self.point.kind
+        kind, is_branches = self.point.kind, self.points is None
         whole = {
             "software": dict(software()),
             "kind": replace(kind, start=FIXED, start_jitter=0.0).identity,
             "numbers": self.point.numbers[0, : -kind.n_states].tolist(),
             "system": self.system and self.system.identity,
             "window": asdict(self.window),
-            "table": self.table.model_dump(),
+            "table": self.table.model_dump(exclude={"second", "range"} if is_branches else None),
+            "points": None if is_branches else self.points.drop_attrs().to_dict(),
             "attractors": [asdict(each) for each in self.attractors],
         }
         text = json.dumps(whole, sort_keys=True, default=np.ndarray.tolist)
@@ -72,7 +75,7 @@ class Followed:
 
 
 def follow(scene: BranchScene) -> Any:
-    """Dataset of the branches of a parameter set, as from `gapsweep.branches`.
+    """Dataset of the branches or curves of a parameter set, as from `gapsweep.branches`.
 
     The attractors are in the order of the argument.
 
@@ -85,7 +88,7 @@ def follow(scene: BranchScene) -> Any:
     n = len(kind.contacts) * len(OF_CONTACT)
     walls, omega, numbers = np.split(scene.point.numbers[0, : -kind.n_states], [n, n + 1])
     values: Mapping[str, float] = {window.name: window.low}
-    example = scene.system(**values) if scene.system else kind.structure.system(numbers)
+    example = scene.system() if scene.system else kind.structure.system(numbers)
     several = zip(kind.contacts, walls.reshape(-1, len(OF_CONTACT)).tolist(), strict=True)
     laws = [_law(scene.point, label, *each) for label, each in several]
     family = Family(
@@ -95,11 +98,16 @@ def follow(scene: BranchScene) -> Any:
         (window.name,),
         values,
     )
-    equations = OrbitEquations(family, (window,), solver_of(family, table.rtol, table.atol))
-    found = Branches(equations=equations, max_steps=table.max_steps)
-    found.add([replace(each) for each in scene.attractors])
-    for _ in range(table.follow):
-        found.follow()
+    solver = solver_of(family, table.rtol, table.atol)
+    if scene.points is not None:
+        windows = window, Window.of(table.second or "", table.range)
+        found = curves(family, windows, solver, scene.points, table.max_steps)
+    else:
+        equations = OrbitEquations(family, (window,), solver)
+        found = Branches(equations=equations, max_steps=table.max_steps)
+        found.add([replace(each) for each in scene.attractors])
+        for _ in range(table.follow):
+            found.follow()
     made = dataset(found)
     made.encoding.clear()  # removes the family, which may not be picklable
     return made

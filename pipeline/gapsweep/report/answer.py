@@ -6,26 +6,30 @@ exact here
     Neither number is worse than for the exact law with other settings: this study cannot
     distinguish the two.
 use
-    95 % of the amplitudes are within 5 %, the thickness of a plotted line, and 95 % of the exact
-    attractors are found.
+    95 % of the amplitudes err by less than 5 %, the thickness of a plotted line, and the law finds
+    95 % of the exact law's attractors.
 with care
-    Half of the amplitudes and half of the attractors: rare responses may be missing or spurious.
+    A user may try the law: 95 % of the amplitudes err by less than 20 %, and the law finds 80 % of
+    the attractors.
 no
-    Less.
+    The law misses more than one attractor in five, or 5 % of the amplitudes err by more than 20 %.
 
-A verdict requires those below it. No threshold is stricter than what the exact law with other
-settings reaches: for the 95th percentile of the error, its median and the share found. Amplitudes
-are those of paired attractors, since for equal initial conditions a moved basin boundary would
-count as an amplitude error. The cost ratio is processor time per forcing period, since total times
-also depend on how long transients last. Its interval covers the choice of frequencies and the
-repeatability of timings: how far the exact law with other settings is from 1, over all cases of
-the study. Without a second sweep of the exact law there is no interval, and no statement on saved
-time. ±: the intervals of a law and of the exact law with other settings include a threshold, or
-there are too few frequencies for intervals.
+Two numbers decide, the 95th percentile of the error and the share of attractors found; both are in
+the table. No threshold is stricter than what the exact law with other settings reaches, for laws
+whose median error is below 5 % too. Amplitudes are those of paired attractors, since for equal
+initial conditions a moved basin boundary would count as an amplitude error.
+
+The cost ratio is processor time per forcing period, since total times also depend on how long
+transients last. Its interval covers the choice of frequencies and the repeatability of timings: how
+far the exact law with other settings is from 1, over all cases of the study. Without a second sweep
+of the exact law there is no interval. No sentence depends on a processor time, which differs from
+run to run. ±: the intervals of a law and of the exact law with other settings include a threshold,
+or there are too few frequencies for intervals.
 """
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -38,11 +42,12 @@ from gapsweep.analysis.dimensions import At, scene_dims, scenes
 from gapsweep.model.labels import AUTO
 from gapsweep.report.scales import NamedValue, plain
 from gapsweep.report.selection import anchor_of, gap_label, other_parameters
-from gapsweep.report.tables import number
+from gapsweep.report.tables import number, percent
 
-LINE, MOST, HALF = 0.05, 0.95, 0.5
+# The largest error at the 95th percentile and the smallest share found, by verdict.
+LIMITS = {"use": (0.05, 0.95), "with care": (0.2, 0.8)}
 SIGNS = {"exact here": "=", "use": "✓", "with care": "◐", "no": "✗"}
-_SHOWN = {
+SHOWN = {
     "median": "amplitude_error_paired_median",
     "p95": "amplitude_error_paired_p95",
     "found": "recall_pooled",
@@ -55,7 +60,6 @@ _NO_APPROXIMATIONS = ("piecewise-noevents", AUTO)
 Values = dict[str, NDArray[np.float64]]
 Row = dict[str, Any]  # variables of one law in one case
 _NEAR = 1.5  # cost ratios whose interval lies within this factor about 1 are shown as 1
-_WITH = "with this study's solver"  # a cost depends on the solver as much as on the law
 MOST_CONTACTS = 16  # cases that are listed one by one
 
 
@@ -95,6 +99,12 @@ class Judged:
     def name(self) -> str:
         """The label of the law, with ± if its verdict is not firm."""
         return self.law if self.is_firm else f"{self.law} ±"
+
+    @property
+    def said(self) -> str:
+        """Sentence: whether the law is accurate enough, and the numbers that decide."""
+        numbers = (float(self.values[name][0]) for name in ("p95", "found"))
+        return consequence(self.name, self.verdict, *numbers)
 
     @property
     def cost(self) -> str:
@@ -144,22 +154,22 @@ class Contact:
 
     @property
     def columns(self) -> dict[str, list[Judged]]:
-        """All laws by verdict, the cheapest first."""
-        laws = sorted(self.laws, key=lambda one: (np.isnan(one.cost_ratio), one.cost_ratio))
-        return {v: [one for one in laws if one.column == v] for v in COLUMNS}
+        """All laws by verdict, in the order of the study."""
+        return {v: [one for one in self.laws if one.column == v] for v in COLUMNS}
 
     @property
     def picks(self) -> list[Judged]:
-        """The cheapest adequate approximation, and others whose cost may be as low."""
-        usable = [one for one in self.columns["use"] if one.is_approximation]
-        best = next((one for one in usable if one.is_firm), usable[0] if usable else None)
-        # Without an interval of either it is unknown whether they cost the same.
-        return [one for one in usable if best and (one is best or one.low <= best.high)]
+        """The adequate approximations; of a family the one with the smallest parameter."""
+        usable = (one for one in self.columns["use"] if one.is_approximation)
+        found: dict[str, Judged] = {}
+        for one in sorted(usable, key=lambda one: _parameter(one.law)):
+            found.setdefault(one.law.partition("-")[0], one)
+        return list(found.values())
 
     @property
     def is_sure(self) -> bool:
         """Whether an approximation is adequate, with a firm verdict."""
-        return any(one.is_firm for one in self.picks)
+        return any(one.is_firm and one.is_approximation for one in self.columns["use"])
 
     @property
     def is_open(self) -> bool:
@@ -167,16 +177,29 @@ class Contact:
         laws = [one for one in self.laws if one.is_approximation]
         return not self.is_sure and any("use" in one.possible for one in laws)
 
-    @property
-    def is_paying(self) -> bool:
-        """Whether an adequate approximation is faster, with a firm verdict."""
-        return any(one.is_firm and one.high < 1.0 for one in self.picks)
+    def least(self, family: str) -> str:
+        """The smallest adequate parameter [1/m] of a family, and what was tried.
 
-    @property
-    def least_tanh(self) -> str:
-        """The smallest computed parameter [1/m] of tanh that is adequate."""
-        names = [one.name[5:] for one in self.columns["use"] if one.law.startswith("tanh-")]
-        return min(names, key=lambda name: float(name.split()[0]), default="none")
+        ``1e5``: the next smaller parameter is inadequate; ``≤ 1e3``: no smaller one was tried;
+        ``> 1e9 tried``: none is adequate up to this; ``not tried``.
+        """
+        tried = sorted(
+            (one for one in self.laws if one.law.startswith(f"{family}-")),
+            key=lambda one: _parameter(one.law),
+        )
+        usable = [one for one in tried if one.column == "use"]
+        if not tried:
+            return "not tried"
+        first = usable[0] if usable else tried[-1]
+        value = first.name.removeprefix(f"{family}-")
+        return f"{'≤ ' * (first is tried[0])}{value}" if usable else f"> {value} tried"
+
+
+def _parameter(law: str) -> float:
+    """The parameter of a tangent law or the degree of a polynomial; 0 of other laws."""
+    with suppress(ValueError):
+        return float(law.partition("-")[2])
+    return 0.0
 
 
 def contacts(agreement: xr.Dataset, static: xr.Dataset | None = None) -> list[Contact]:
@@ -187,7 +210,7 @@ def contacts(agreement: xr.Dataset, static: xr.Dataset | None = None) -> list[Co
     agreement, static : Dataset
         As stored in the run's folder; without `static`, thresholds of tanh are not known.
     """
-    names = [*_SHOWN.values(), _COST_RATIO, _CONTACTS]
+    names = [*SHOWN.values(), _COST_RATIO, _CONTACTS]
     pooled = agreement[[*names, *(f"{n}_ci" for n in names), "n_points"]].sel(regime="all").load()
     pooled["n_exact"] = agreement["n_attractors_exact"].sum("omega")
     exact = str(agreement.attrs["floor_representations"]).split()
@@ -213,7 +236,7 @@ def contacts(agreement: xr.Dataset, static: xr.Dataset | None = None) -> list[Co
         can_be = [] if unjudged else [law for law in here_too if _is_judged(law, where[law])]
         if not (here_too if unjudged else can_be):
             continue
-        floors = _worst([_values(where[label]) for label in exact])
+        floors = worst([_values(where[label]) for label in exact])
         judged = [_judged(law, where[law], floors, noise) for law in can_be]
         here = pooled.coords.to_dataset().isel(at)
         gap, swept = gap_label(here), [NamedValue.of(here[name]) for name in other_parameters(here)]
@@ -230,22 +253,20 @@ def verdict(values: Values, floors: Values) -> list[str]:
         {name: np.where(np.isnan(v), v[0], v) for name, v in some.items()}
         for some in (values, floors)
     )
-    median, p95, found = (known[name] for name in _SHOWN)
-    care = (median <= np.fmax(LINE, floor["median"])) & (found >= np.fmin(HALF, floor["found"]))
-    demands = {
-        "exact here": care & (p95 <= floor["p95"]) & (found >= floor["found"]),
-        "use": care
-        & (p95 <= np.fmax(LINE, floor["p95"]))
-        & (found >= np.fmin(MOST, floor["found"])),
-        "with care": care,
-    }
+    median, p95, found = (known[name] for name in SHOWN)
+    # Rare errors of the exact law excuse no law whose median error is large.
+    is_near = median <= np.fmax(LIMITS["use"][0], floor["median"])
+    error, share = (np.where(is_near, floor[name], np.nan) for name in ("p95", "found"))
+    demands = {"exact here": (p95 <= error) & (found >= share)}
+    for name, (largest, smallest) in LIMITS.items():
+        demands[name] = (p95 <= np.fmax(largest, error)) & (found >= np.fmin(smallest, share))
     best: list[str] = np.select(list(demands.values()), list(demands), "no").tolist()
     return best
 
 
 def _values(row: Row) -> Values:
     values = {}
-    for name, long in _SHOWN.items():
+    for name, long in SHOWN.items():
         low, high = row[f"{long}_ci"]
         values[name] = np.array([row[long], *((high, low) if name == "found" else (low, high))])
     return values
@@ -257,10 +278,10 @@ def _floor_cost_ratio(where: Mapping[str, Row], exact: Sequence[str]) -> float:
     return max(ratios, key=lambda ratio: abs(np.log(ratio)), default=np.nan)
 
 
-def _worst(exact: Sequence[Values]) -> Values:
+def worst(exact: Sequence[Values]) -> Values:
     """Numbers of the exact law with other settings, at each end; NaN if it was not computed."""
     worst = {}
-    for name in _SHOWN:
+    for name in SHOWN:
         measured = [values[name] for values in exact if np.isfinite(values[name][0])]
         of_all = np.min if name == "found" else np.max  # NaN if an interval is not known
         worst[name] = of_all(measured, axis=0) if measured else np.full(3, np.nan)
@@ -269,15 +290,15 @@ def _worst(exact: Sequence[Values]) -> Values:
 
 def _unjudged(exact: Row) -> str:
     """Reason why no law can be judged in a case; empty if laws can be judged."""
-    if np.isnan(exact[_SHOWN["found"]]):  # no attractors
+    if np.isnan(exact[SHOWN["found"]]):  # no attractors
         return "the exact law has no steady response"
     return "" if exact[_CONTACTS] else "the exact law touches no wall"
 
 
 def _is_judged(label: str, row: Row) -> bool:
     """Whether a law has a verdict: the exact law has attractors, and user code has not failed."""
-    is_broken = ":" in label and np.isnan(row[_SHOWN["median"]])
-    return not is_broken and bool(np.isfinite(row[_SHOWN["found"]]))
+    is_broken = ":" in label and np.isnan(row[SHOWN["median"]])
+    return not is_broken and bool(np.isfinite(row[SHOWN["found"]]))
 
 
 def _judged(label: str, row: Row, floors: Values, noise: float) -> Judged:
@@ -309,7 +330,7 @@ def _threshold(static: xr.Dataset | None, here: xr.Dataset) -> str:
 
 
 def in_words(found: Sequence[Contact]) -> list[str]:
-    """Sentences: the law to use, the cost of approximations, and cases without verdicts."""
+    """Sentences: in which cases approximations are adequate, and cases without verdicts."""
     judged = [contact for contact in found if not contact.unjudged]
     sentences = _recommendation(judged) if judged else []
     for reason, n in Counter(c.unjudged for c in found if c.unjudged).items():
@@ -323,25 +344,12 @@ def how_many(n: int, found: Sequence[Contact]) -> str:
 
 
 def _recommendation(found: Sequence[Contact]) -> list[str]:
-    paying = [c for c in found if c.is_paying]
-    others = [c for c in found if not c.is_paying]
-    picks = [one for contact in others for one in contact.picks]
-    if paying:
-        count = how_many(len(paying), found)
-        answer = f"An approximation is faster {_WITH} in {count}: {_picked(paying)}"
-    elif not picks:
-        laws = [one for contact in found for one in contact.laws if one.is_approximation]
-        is_open = any(contact.is_open for contact in found)
-        how = "has been shown to be adequate" if is_open else "is adequate"
-        answer = f"Use the exact law: no approximation {how if laws else 'was computed'}"
-    else:
-        is_dearer = all(one.low > 1.0 for one in picks)
-        but = f"cost {_range(picks)} as much" if is_dearer else "none is clearly faster"
-        answer = f"Use the exact law: approximations {_adequate(found)}, but {but} {_WITH}"
-    if not others or not (picks or paying):
-        return [f"{answer}."]
-    where = "Elsewhere use the exact law. Cheapest" if paying else "Cheapest"
-    return [f"{answer}.", f"{where} adequate approximation: {_picked(others)}."]
+    if any(contact.picks for contact in found):
+        return [f"Approximations {_adequate(found)}: {_picked(found)}."]
+    laws = [one for contact in found for one in contact.laws if one.is_approximation]
+    is_open = any(contact.is_open for contact in found)
+    how = "has been shown to be adequate" if is_open else "is adequate"
+    return [f"Use the exact law: no approximation {how if laws else 'was computed'}."]
 
 
 def _adequate(found: Sequence[Contact]) -> str:
@@ -371,16 +379,23 @@ def _pick(laws: tuple[str, ...], some: Sequence[Contact]) -> str:
     )
     if len(some) > MOST_CONTACTS:
         places = f"{len(some)} cases"
-    if not laws:
-        none = "undecided" if any(one.is_open for one in some) else "none of those computed"
-        return f"{none} for {places}"
+    none = "undecided" if any(one.is_open for one in some) else "none of those computed"
     names = " or ".join([", ".join(laws[:-1]), laws[-1]] if laws[1:] else laws)
-    return f"{names} for {places} ({_range([one for contact in some for one in contact.picks])})"
+    return f"{names or none} for {places}"
 
 
-def _range(laws: Sequence[Judged]) -> str:
-    ratios = [one.cost_ratio for one in laws if np.isfinite(one.cost_ratio)] or [np.nan]
-    return " to ".join(dict.fromkeys(map(times, (min(ratios), max(ratios)))))
+def consequence(name: str, verdict: str, p95: float, found: float) -> str:
+    """Sentence: whether a law is accurate enough, and the two numbers that decide."""
+    if verdict == "exact here":
+        return f"{name} is not distinguishable from the exact law with other settings."
+    means = {"use": "is accurate enough", "with care": "may be accurate enough, check it"}
+    said = f"{name} {means.get(verdict, 'is too inaccurate')}: "
+    if verdict == "use":
+        errs, finds = "95 % of its amplitudes err by less than", f"finds {percent(found)}"
+    else:
+        errs, finds = "5 % of its amplitudes err by more than", f"misses {percent(1.0 - found)}"
+    error = f"{errs} {percent(p95)}, and " if np.isfinite(p95) else ""
+    return f"{said}{error}it {finds} of the attractors."
 
 
 def times(cost_ratio: float) -> str:

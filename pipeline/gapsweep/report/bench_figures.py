@@ -7,6 +7,7 @@ import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.colors import ListedColormap
 from matplotlib.figure import Figure
+from matplotlib.patches import Patch
 
 from gapsweep.analysis.bench.judge import CellOutcome
 from gapsweep.report.drawing import MARKERS, work_precision
@@ -32,6 +33,13 @@ _LETTERS = {
     CellOutcome.MODEL_ERROR: "M",
     CellOutcome.UNDECIDED: "?",
     CellOutcome.SILENT_WRONG: "!",
+}
+_WORDS = {
+    CellOutcome.NOT_REQUESTED: "blank: not run",
+    CellOutcome.RIGHT: "right",
+    CellOutcome.MODEL_ERROR: "law differs from the exact one",
+    CellOutcome.UNDECIDED: "undecided",
+    CellOutcome.SILENT_WRONG: "wrong without a warning",
 }
 STATUS_LETTERS = {
     "out of fit range": "O",
@@ -142,7 +150,7 @@ def atlas(stability: xr.Dataset, *, tight: bool) -> Figure:
     """Figure of outcomes by scenario and method, as colours and as letters."""
     outcome = worst(stability, tight=tight)
     n_scenes, n_methods = outcome.shape
-    figure = Figure(figsize=(_WIDTH, 1.6 + 0.24 * n_scenes), layout="constrained")
+    figure = Figure(figsize=(_WIDTH, 2.1 + 0.24 * n_scenes), layout="constrained")
     axes = figure.subplots()
     ranks = _RANK[outcome.values - min(CellOutcome)]
     axes.imshow(ranks, cmap=ListedColormap(_SHADES), vmin=0, vmax=len(_SHADES) - 1, aspect="auto")
@@ -165,6 +173,14 @@ def atlas(stability: xr.Dataset, *, tight: bool) -> Figure:
     for edge in np.arange(0.5, n_methods - 1):
         axes.axvline(edge, color="white", linewidth=1.0)
     axes.spines[:].set_visible(False)
+    ended = ", ".join(f"{letter}: {words}" for words, letter in STATUS_LETTERS.items())
+    axes.set_xlabel(f"Ended with a status: {ended}", fontsize=8)
+    names = {o: f"{_LETTERS[o]}: {words}".removeprefix(": ") for o, words in _WORDS.items()}
+    patches = [
+        Patch(facecolor=shade, edgecolor="#999999", label=names.get(outcome, "ended with a status"))
+        for outcome, shade in zip(_SEVERITY, _SHADES, strict=True)
+    ]
+    figure.legend(handles=patches, loc="outside lower center", ncols=3, fontsize=8)
     return figure
 
 

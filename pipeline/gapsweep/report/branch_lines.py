@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from gapsweep.continuation.dataset import (
     ATTRACTOR,
     BRANCH,
+    CURVE_KIND,
     END_FLAGS,
     STEP,
     VARIABLES,
@@ -44,6 +45,8 @@ KINDS = {
     Special.HOPF: ("*", "Hopf"),
     Special.UNRESOLVED: ("x", "unresolved"),
     Special.CUSP: ("d", "cusp"),
+    Special.RESONANCE_1_1: ("h", "resonance 1:1"),
+    Special.RESONANCE_1_2: ("p", "resonance 1:2"),
 }
 _COLOURS = "#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00", "#666666"
 _MOST_NAMES = 8  # branches in a legend
@@ -70,6 +73,7 @@ def shown(found: xr.Dataset, names: Sequence[str], wanted: Mapping[str, Any]) ->
         found = found.assign_coords(
             {_LOOP: (found["ends"] == closed) & (found["begins"] == closed)}
         )
+    found = found.set_coords({CURVE_KIND} & {*found})
     return scene(found, dict.fromkeys([*names, *_OF_ORBITS], (BRANCH, STEP)), wanted)
 
 
@@ -218,9 +222,9 @@ def of_orbits(branches: xr.Dataset, *names: str) -> list[Array]:
 def _looks(branches: xr.Dataset) -> list[tuple[str, str]]:
     """Colour and legend entry of every branch; curves are named by their special point."""
     n = branches.sizes[BRANCH]
-    if "curve" in branches.attrs:
-        kind = Special[branches.attrs["curve"].upper()]
-        return [(_COLOURS[kind - 1], f"{kind.symbol} {KINDS[kind][1]}")] * n
+    if CURVE_KIND in branches.coords:
+        kinds = map(Special, np.broadcast_to(branches[CURVE_KIND].values, n).tolist())
+        return [(_COLOURS[kind - 1], f"{kind.symbol} {KINDS[kind][1]}") for kind in kinds]
     if REPRESENTATION in branches.coords:
         labels = np.broadcast_to(branches[REPRESENTATION].values, n).tolist()
         if len(set(labels)) > 1:

@@ -82,6 +82,20 @@ def attractors(
     return _grid(found, along, axis_label(found["x_max"], "peak"), peaks)
 
 
+def special_curves(curves: xr.Dataset, here: xr.Dataset, along: str, second: str) -> Figure:
+    """Curves of special points over two parameters, a panel per representation."""
+
+    def lines(axes: Axes, one: xr.Dataset) -> None:
+        shown = branch_lines.of_scene(curves, one, along, second)
+        if shown is not None:
+            branch_lines.draw(axes, shown, along, [second])
+            branch_lines.name_points(axes, shown, along, second)
+            axes.set_yscale("log" if branch_lines.is_log(shown[second]) else "linear")
+            axes.legend(fontsize=7)
+
+    return _grid(here, along, branch_lines.label(curves[second]), lines)
+
+
 def compared_with_exact(scene: xr.Dataset, exact: str, titles: Mapping[str, str]) -> Figure:
     """Peaks of laws in front of the exact law's, which show in black if missed; a panel per law.
 

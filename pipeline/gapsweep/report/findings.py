@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from gapsweep.analysis.dimensions import REPRESENTATION, in_metres
 from gapsweep.analysis.unit_check import doubts_of, never_reached
 from gapsweep.model.labels import EXACT
-from gapsweep.report.answer import Contact
+from gapsweep.report.answer import COLUMNS, SHOWN, Contact, consequence, verdict, worst
 from gapsweep.report.drawing import labels_of
 from gapsweep.report.inputs import Inputs
 from gapsweep.report.scales import drawn, shown_unit
@@ -44,7 +44,7 @@ def findings(inputs: Inputs, found: Sequence[Contact]) -> list[str]:
         sentences += _coexisting(inputs.attractors)
     if inputs.agreement is not None and not in_metres(responses):
         sentences += _agreeing(inputs.agreement)
-    sentences += _costs(found)
+    sentences += _judged(found)
     if inputs.advice is not None:
         sentences.append(_choices(inputs.advice))
     if inputs.claims is not None:
@@ -188,43 +188,46 @@ def _coexisting(attractors: xr.Dataset) -> Iterator[str]:
 
 
 def _agreeing(agreement: xr.Dataset) -> Iterator[str]:
-    """Sentences on the agreement of each approximation with the exact law, worst coordinate."""
-    floors = str(agreement.attrs["floor_representations"]).split()
-    error, recall, n = "amplitude_error_p95", "recall_pooled", "n_compared"
-    of_scenes = agreement[[error, recall, n]].sel(regime="all").load()
+    """Whether every approximation is accurate enough, for the worst coordinate."""
+    exact = str(agreement.attrs["floor_representations"]).split()
+    recall, n = SHOWN["found"], "n_compared"
+    of_scenes = agreement[[*SHOWN.values(), n]].sel(regime="all").load()
     if COORDINATE in of_scenes.dims:
         by_coordinate = of_scenes
         of_scenes = by_coordinate.max(COORDINATE)
         of_scenes[recall] = by_coordinate[recall].min(COORDINATE)
     pooled = condensed(of_scenes)
-    for label in labels_of(pooled):
-        row, rows = (each.sel(representation=label) for each in (pooled, of_scenes))
-        if label in (EXACT, *floors) or not np.isfinite(row[error]):
+    numbers = {
+        label: {
+            name: np.array([pooled[long].sel(representation=label)]) for name, long in SHOWN.items()
+        }
+        for label in labels_of(pooled)
+    }
+    floors = worst([numbers[label] for label in exact])
+    for label, values in numbers.items():
+        if label in (EXACT, *exact) or np.isnan(values["found"]):
             continue
-        worst, n_scenes = float(rows[recall].where(rows[n] > 0).min()), int((rows[n] > 0).sum())
-        over = f", medians over {n_scenes} parameter sets" if n_scenes > 1 else ""
-        over += f"; lowest {percent(worst)}" if worst < row[recall] else ""
-        yield (
-            f"{label} keeps 95 % of the amplitudes within {percent(float(row[error]))} of the "
-            f"exact law's and finds {percent(float(row[recall]))} of its attractors{over}."
-        )
+        rows = of_scenes.sel(representation=label)
+        lowest, n_scenes = float(rows[recall].where(rows[n] > 0).min()), int((rows[n] > 0).sum())
+        over = f" Medians over {n_scenes} parameter sets." if n_scenes > 1 else ""
+        over += f" Smallest share found: {percent(lowest)}." if lowest < values["found"] else ""
+        p95, found = (float(values[name][0]) for name in ("p95", "found"))
+        yield consequence(label, verdict(values, floors)[0], p95, found) + over
 
 
-def _costs(found: Sequence[Contact]) -> Iterator[str]:
-    laws = [o for c in found for o in c.laws if o.is_approximation and np.isfinite(o.cost_ratio)]
-    dearer, cheaper = sum(one.low > 1.0 for one in laws), sum(one.high < 1.0 for one in laws)
-    if laws and all(np.isnan(one.low) for one in laws):
+def _judged(found: Sequence[Contact]) -> Iterator[str]:
+    """Counts of approximations by verdict; no cost, since costs differ from run to run."""
+    laws = [one for contact in found for one in contact.laws if one.is_approximation]
+    counts = Counter(one.column for one in laws)
+    if laws:
+        said = ", ".join(f"{counts[verdict]} {verdict}" for verdict in COLUMNS)
+        yield f"{len(laws)} pair{'s' * (len(laws) > 1)} of case and approximation: {said}."
+    costs = [one for one in laws if np.isfinite(one.cost_ratio)]
+    if costs and all(np.isnan(one.low) for one in costs):
         yield (
             "Cost relative to the exact law: undecided. Add piecewise@half and [protocol] half = "
             "{ rtol = 5e-10, atol = 5e-13 } to the study, with enough frequencies, to measure the "
             "repeatability of timings."
-        )
-    elif laws:
-        pairs = f"{len(laws)} pair{'s' * (len(laws) > 1)}"
-        yield (
-            f"{pairs} of case and approximation: {dearer} cost more CPU time per forcing period "
-            f"than the exact law with this study's solver, {cheaper} less, "
-            f"{len(laws) - dearer - cheaper} undecided."
         )
 
 

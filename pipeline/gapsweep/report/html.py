@@ -19,6 +19,7 @@ from gapsweep.analysis.dimensions import scenes as all_scenes
 from gapsweep.errors import StoreError
 from gapsweep.model.labels import EXACT
 from gapsweep.report.answer import (
+    LIMITS,
     MOST_CONTACTS,
     SIGNS,
     Contact,
@@ -37,7 +38,7 @@ from gapsweep.report.heat import GROUPS, MANY, cell, heads, heat, swept_columns
 from gapsweep.report.inputs import Inputs
 from gapsweep.report.maps import numbered_as
 from gapsweep.report.model import model
-from gapsweep.report.overview import along_axis, is_wide, maps_of, overview, plane_of
+from gapsweep.report.overview import along_axis, curves_figure, is_wide, maps_of, overview, plane_of
 from gapsweep.report.parts import HERO, Figured, Part, for_page, pictured, rendered, shown
 from gapsweep.report.provenance import provenance
 from gapsweep.report.scales import named, plain
@@ -147,6 +148,7 @@ def head(inputs: Inputs) -> dict[str, Any]:
         "headline": own or answer[:1],
         "answer": answer[0 if own else 1 :],
         "signs": SIGNS,
+        "limits": LIMITS,
         "groups": GROUPS,
         "verdicts": VERDICTS,
         "stiffnesses": heads(contact.K_c for contact in listed),
@@ -246,7 +248,7 @@ def _hero(responses: xr.Dataset, found: Sequence[Contact]) -> dict[str, Any] | N
 
 
 def _telling(contact: Contact) -> list[Judged]:
-    """Approximations for the first figure: the cheapest of each verdict, a firm one if any.
+    """Approximations for the first figure: one of each verdict, a firm one if any.
 
     If all have the same verdict, the most and the least accurate.
     """
@@ -305,6 +307,7 @@ def _scenes(inputs: Inputs) -> Iterator[Part]:
             [
                 *scene_tables(compared, inputs.timing.isel(at), labels),
                 *special_points(inputs.branches, here, "omega"),
+                *special_points(inputs.curves, here, "omega"),
             ],
             _scene_figures(inputs, _without_protocols(here), at, title),
         )
@@ -340,6 +343,7 @@ def _scene_figures(inputs: Inputs, scene: xr.Dataset, at: At, title: str) -> Ite
         of_starts=caption_of_starts(scene),
         of_attractors="" if found is None else _where_few(found, scene),
     )  # fmt: skip
+    yield from curves_figure(inputs.curves, scene, "omega", title)
 
 
 def _attractors(attractors: xr.Dataset | None, scene: xr.Dataset, at: At) -> xr.Dataset | None:

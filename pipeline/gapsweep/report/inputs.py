@@ -25,6 +25,8 @@ class Inputs:
         For the sections of the benchmark.
     branches : Dataset, optional
         Drawn behind extrema and attractors.
+    curves : Dataset, optional
+        ``curves.nc``, the curves of special points of the branches.
     claims : mapping, optional
         ``claims.json``.
     own_parts : sequence of mapping
@@ -40,5 +42,6 @@ class Inputs:
     work_precision: xr.Dataset | None = None
     stability: xr.Dataset | None = None
     branches: xr.Dataset | None = None
+    curves: xr.Dataset | None = None
     claims: Mapping[str, Any] | None = None
     own_parts: Sequence[Mapping[str, Any]] = ()

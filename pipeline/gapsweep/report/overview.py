@@ -24,9 +24,10 @@ from gapsweep.errors import DatasetError
 from gapsweep.model.labels import EXACT
 from gapsweep.report.backdrop import caption_of_bands, caption_of_missing, caption_of_walls
 from gapsweep.report.branch_lines import caption as caption_of_branches
+from gapsweep.report.branch_lines import of_scene
 from gapsweep.report.drawing import caption_of_peaks
 from gapsweep.report.figures import attractors as attractors_figure
-from gapsweep.report.figures import bifurcation, frequency_response, maps
+from gapsweep.report.figures import bifurcation, frequency_response, maps, special_curves
 from gapsweep.report.inputs import Inputs
 from gapsweep.report.maps import MapImage, numbered_as, numeric_axes, on_grid, picture
 from gapsweep.report.parts import Figured, Part
@@ -107,6 +108,7 @@ def overview(inputs: Inputs) -> Part:
         [
             *scene_tables(inputs.agreement, inputs.timing, labels, over, _apart(asked, n_scenes)),
             *(special_points(branches, responses, axes[0]) if is_one_line else []),
+            *(special_points(inputs.curves, responses, axes[0]) if is_one_line else []),
         ],
         (
             figure
@@ -117,7 +119,7 @@ def overview(inputs: Inputs) -> Part:
             for figure in _figures(
                 responses.isel(cut),
                 None if attractors is None else attractors.isel(cut, missing_dims="ignore"),
-                branches,
+                inputs,
                 asked.isel(cut),
                 label,
                 axes,
@@ -167,7 +169,7 @@ def plane_of(responses: xr.Dataset) -> list[str]:
 def _figures(
     responses: xr.Dataset,
     attractors: xr.Dataset | None,
-    branches: xr.Dataset | None,
+    inputs: Inputs,
     asked: xr.DataArray,
     label: str,
     axes: list[str],
@@ -196,11 +198,12 @@ def _figures(
         yield from along_axis(
             part[names].load().expand_dims([REPRESENTATION, _START]),
             of_part if n_starts > 1 else None,
-            branches,
+            inputs.branches,
             axes[0],
             where + suffix + start,
             has_curve=n_starts == 1,
         )
+    yield from curves_figure(inputs.curves, here.expand_dims(REPRESENTATION), axes[0], where)
 
 
 def _start_in_words(here: xr.Dataset) -> str:
@@ -290,6 +293,7 @@ def along_axis(
         figure = frequency_response(scene, along)
         yield Figured(figure, f"{caption}: {where}.", f"Amplitude, {where}")
     behind = caption_of_branches(branches, scene, along)
+    where += ", branches behind" * bool(behind)
     yield Figured(
         bifurcation(scene, along, branches),
         f"Extrema of the steady response{of_starts}: {where}.{caption_of_bands(scene)}"
@@ -304,6 +308,18 @@ def along_axis(
             f"{caption_of_walls(scene, along, of_peaks=True)}{behind}",
             f"Attractors and their basins, {where}",
         )
+
+
+def curves_figure(
+    curves: xr.Dataset | None, scene: xr.Dataset, along: str, where: str
+) -> Iterator[Figured]:
+    """The curves of special points of ``curves.nc``, if there are any along an axis."""
+    second = "" if curves is None else str(curves.attrs["second"])
+    if curves is None or of_scene(curves, scene, along, second) is None:
+        return
+    said = f"Curves of special points over {long_name(scene[along])} and {second}"
+    figure = special_curves(curves, scene, along, second)
+    yield Figured(figure, f"{said}: {where}.", f"Curves of special points, {where}")
 
 
 def _most(asked: xr.DataArray, label: str, over: list[str]) -> dict[str, int]:

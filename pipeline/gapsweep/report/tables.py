@@ -9,6 +9,7 @@ import xarray as xr
 
 from gapsweep.analysis.agreement.metrics import BOUND
 from gapsweep.analysis.dimensions import At, by_coordinate, scene_dims
+from gapsweep.continuation.dataset import ATTRACTOR
 from gapsweep.continuation.special import Special
 from gapsweep.model.labels import EXACT
 from gapsweep.report.branch_lines import KINDS, REPRESENTATION, in_scene, of_orbits, of_scene
@@ -137,7 +138,7 @@ def _timing_rows(timing: xr.Dataset, labels: list[str]) -> Iterator[list[str]]:
 
 
 def special_points(found: xr.Dataset | None, here: xr.Dataset, along: str) -> Iterator[Table]:
-    """Tables of special points of branches: as computed, and compared with the exact law.
+    """Tables of special points of branches, also compared with the exact law; lost attractors.
 
     Mirror images of an orbit share a row. If the second table has the points of approximations,
     the first one has only those of the exact law.
@@ -145,16 +146,19 @@ def special_points(found: xr.Dataset | None, here: xr.Dataset, along: str) -> It
     Parameters
     ----------
     found : Dataset or None
-        ``branches.nc``.
+        ``branches.nc``, or ``curves.nc``: then over the second parameter in place of the peak.
     here : Dataset
         The parameter set.
     along : str
         The parameter.
     """
-    part = of_scene(found, here, along, "x_max")
+    if found is not None and f"attractor_{along}" in found and "attractor_on_branch" in found:
+        yield from _lost_attractors(found, here, along)
+    height = "x_max" if found is None else str(found.attrs.get("second", "x_max"))
+    part = of_scene(found, here, along, height)
     if found is None or part is None or not (part["special"] > 0).any():
         return
-    x, y, special, multiple = of_orbits(part, along, "x_max", "special", "period_multiple")
+    x, y, special, multiple = of_orbits(part, along, height, "special", "period_multiple")
     labels = np.broadcast_to(part.coords.get(REPRESENTATION, ""), len(x)).astype(str)
     peaks: dict[tuple[int, int, str, float], set[str]] = {}
     is_listed = np.full(labels.shape, True)
@@ -168,9 +172,10 @@ def special_points(found: xr.Dataset | None, here: xr.Dataset, along: str) -> It
         [_kind(kind), f"{n:.0f}", law, f"{at:.7g}", ", ".join(sorted(peaks[kind, n, law, at]))]
         for kind, n, law, at in sorted(peaks)
     ]
-    axes = [of_axis(part[name]) for name in (along, "x_max")]
+    axes = [of_axis(part[name]) for name in (along, height)]
     if rows:
-        yield _cut("Special points of the branches", [*head, *axes], rows)
+        title = "branches" if height == "x_max" else "curves"
+        yield _cut(f"Special points of the {title}", [*head, *axes], rows)
     if "match_representation" not in found:
         return
     matches = found.isel(match=in_scene(found, here, "match", "match_"))
@@ -184,6 +189,23 @@ def special_points(found: xr.Dataset | None, here: xr.Dataset, along: str) -> It
     if rows:
         title = f"Special points compared with the exact law, {of_axis(part[along])}"
         yield _cut(title, [*head, "Exact law", "Approximation", "Difference"], rows)
+
+
+def _lost_attractors(found: xr.Dataset, here: xr.Dataset, along: str) -> Iterator[Table]:
+    """Periodic attractors of a parameter set that lie on no branch."""
+    inside = in_scene(found, here, ATTRACTOR, "attractor_")
+    lost = found.isel({ATTRACTOR: inside & (found["attractor_on_branch"].values < 0)})
+    names = f"attractor_{along}", "attractor_x_max"
+    values = [drawn(lost[name]) for name in names]
+    others = (lost[f"attractor_{name}"].values for name in ("period_multiple", "start_state"))
+    labels = np.broadcast_to(lost[f"attractor_{REPRESENTATION}"].values, len(values[0]))
+    rows = [
+        [law, f"{n}", f"{at:.7g}", f"{peak:.6g}", ", ".join(f"{x:.9g}" for x in state)]
+        for law, at, peak, n, state in zip(labels, *values, *others, strict=True)
+    ]
+    if rows:
+        head = ["Representation", "Period", *(of_axis(lost[name]) for name in names)]
+        yield _cut("Attractors on no branch", [*head, "State: displacements, velocities"], rows)
 
 
 def _kind(kind: float) -> str:

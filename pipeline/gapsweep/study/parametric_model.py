@@ -2,7 +2,7 @@
 
 import json
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from functools import cached_property
 from inspect import Parameter, Signature
@@ -36,15 +36,16 @@ Model = Oscillator | System
 
 @dataclass(frozen=True, eq=False)
 class AlongParameter:
-    """The system of a study as a function of one parameter, given by its name; can be pickled."""
+    """The system of a study as a function of some parameters, given by name; can be pickled."""
 
     make: Maker
     values: Mapping[str, float]
-    name: str
+    names: tuple[str, ...]
 
     @property
     def __signature__(self) -> Signature:
-        return Signature([Parameter(self.name, Parameter.KEYWORD_ONLY)])
+        kind = Parameter.KEYWORD_ONLY
+        return Signature([Parameter(name, kind, default=self.values[name]) for name in self.names])
 
     def __call__(self, **given: float) -> System:
         return self.make({**self.values, **given})
@@ -53,7 +54,7 @@ class AlongParameter:
     def identity(self) -> list[Any]:
         """Table, code, values and name that the system depends on, for JSON."""
         own = self.make.own
-        return [self.make.table.model_dump(), own and own.key, dict(self.values), self.name]
+        return [self.make.table.model_dump(), own and own.key, dict(self.values), self.names]
 
 
 @dataclass(frozen=True)
@@ -227,13 +228,14 @@ class ParametricModel:
             )
         return made
 
-    def along(self, name: str, some: Mapping[str, float]) -> AlongParameter | None:
-        """The system as a function of one parameter, where others have some values."""
-        if self.is_oscillator or name not in self.spec.model:
+    def along(self, names: Sequence[str], some: Mapping[str, float]) -> AlongParameter | None:
+        """The system as a function of those parameters that are its own, others at some values."""
+        own = tuple(name for name in names if name in self.spec.model)
+        if self.is_oscillator or not own:
             return None
         values = {**self.spec.model, **some}
         assert isinstance(self._make, Maker)
-        return AlongParameter(self._make, {n: canonical(x) for n, x in values.items()}, name)
+        return AlongParameter(self._make, {n: canonical(x) for n, x in values.items()}, own)
 
     def check(self) -> None:
         """Refuse tables that do not fit the model.

@@ -152,9 +152,9 @@ TAKEN = {
     *ATTRACTOR_VARIABLES,
     *PARTS,
     *(EXTREMUM, SECTION_POINT, ATTRACTOR, MULTIPLIER, "n_attractors"),
-    # of branches.nc
+    # of branches.nc and curves.nc
     *("branch", "step", "state", "match", "stable", "special", "n_orbits", "n_lost"),
-    *("begins", "ends", "parent", "start_state"),
+    *("begins", "ends", "parent", "start_state", "curve_kind"),
     # of agreement.nc and timing.nc
     *("regime", "bound", "f1", "precision", "recall"),
     *("n_points", "n_compared", "n_failed", "n_unresolved"),

@@ -192,22 +192,51 @@ class BranchesTable(TomlTable):
     """Branches of periodic orbits, continued from the attractors."""
 
     along: str = "omega"
+    second: str | None = None  # of the curves of special points
+    range: Range | None = None
     follow: Annotated[int, Field(ge=0, le=10)] = 0
     max_steps: Annotated[int, Field(ge=2, le=100_000)] = 1000
     rtol: Annotated[float, Field(ge=SMALLEST_RTOL, le=LARGEST_RTOL)] | None = None
     atol: Positive | None = None
 
-    def problems(self, axes: Axes, contacts: Mapping[str, ContactTable]) -> Iterator[str]:
-        """Problems of the parameter, for the axes of a study."""
+    def problems(
+        self, axes: Axes, known: Mapping[str, float], contacts: Mapping[str, ContactTable]
+    ) -> Iterator[str]:
+        """Problems of the parameters, for the axes and the other parameters of a study."""
         names = [name for name in axes if name not in _NO_PARAMETERS and len(axes[name]) > 1]
         if self.along not in names:
             swept = ", ".join(names) or "none; write several values in [[sweep]]"
             yield f"branches.along = {self.along!r}: must be a swept parameter: {swept}"
-        name = "gap" if self.along in ("j_1", "j_2") else self.along
-        if any(getattr(contact, name, None) is not None for contact in contacts.values()):
-            yield f"branches.along = {self.along!r}: must be set in [[sweep]], not in [contact]"
+        for key, value in (("along", self.along), ("second", self.second)):
+            name = "gap" if value in WALLS else value or ""
+            if any(getattr(contact, name, None) is not None for contact in contacts.values()):
+                yield f"branches.{key} = {value!r}: must be set in [[sweep]], not in [contact]"
+        yield from self._problems_of_second(axes, known)
         if not any(map(is_followed, axes["representation"])):
             yield "branches: no representation of the study can be continued; add 'piecewise'"
+
+    def _problems_of_second(self, axes: Axes, known: Mapping[str, float]) -> Iterator[str]:
+        """Problems of the second parameter and its range."""
+        name, along = self.second, self.along
+        if name is None or self.range is None:
+            if (name is None) != (self.range is None):
+                yield "branches: give both or neither, as second = 'K_c' and range = [1.0, 2.0]"
+            return
+        others = {"representation", START, along, *(["gap"] if along in WALLS else [])}
+        allowed = [x for x in dict.fromkeys([*axes, *known, "K_ratio", *WALLS]) if x not in others]
+        if name not in allowed:
+            yield f"branches.second = {name!r}: must be one of {', '.join(allowed)}"
+            return
+        (low, high), of_name = self.range, {*WALLS} if name in WALLS else {name}
+        if any(len(axes[x]) > 1 for x in {*axes} & of_name - {along}):
+            yield f"branches.second = {name!r}: must have one value in [[sweep]]; range varies it"
+        value = axes[name][0] if name in axes else known.get(name)
+        if name in WALLS and "gap" in axes:
+            value = axes["gap"][0].j_2 if name == "j_2" else axes["gap"][0].j_1
+        if not low < high:
+            yield f"branches.range = {self.range}: must be ascending, as [{high:g}, {low:g}]"
+        elif value is not None and not low <= value <= high:
+            yield f"branches.range = {self.range}: must contain {name} = {value:g} of the study"
 
 
 def is_followed(label: str) -> bool:
@@ -225,6 +254,7 @@ class ReportTable(ModuleTable):
 
 # Axes along which no branch is continued.
 _NO_PARAMETERS = ("representation", "gap", START)
+WALLS = ("gap", "j_1", "j_2")
 # Tables that only studies of oscillators have.
 _OF_OSCILLATORS = ("oscillator", "auto", "history", "bench")
 

@@ -153,7 +153,8 @@ class Study:
         known = {**self.spec.model, **self.spec.parameters}
         lines = undecided(self.spec.history, known, self._axes)
         if self.spec.branches:
-            lines = chain(lines, self.spec.branches.problems(self._axes, self.spec.contact))
+            of_branches = self.spec.branches.problems(self._axes, known, self.spec.contact)
+            lines = chain(lines, of_branches)
         problems = [f"{self.source}: {line}" for line in lines]
         if problems:
             raise StudyError(problems)

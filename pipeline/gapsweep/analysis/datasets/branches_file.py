@@ -1,13 +1,14 @@
-"""Branches of periodic orbits in all cases of a study: ``branches.nc``.
+"""Branches of periodic orbits in all cases of a study, and curves of their special points.
 
 A case has one value of every swept parameter, except the parameter of the branches and the initial
-states. Its branches begin at its periodic attractors. Each case has a file next to the cache, by
-content key, so that an interrupted run computes only the missing cases.
+states. Its branches (``branches.nc``) begin at its periodic attractors, its curves (``curves.nc``)
+at the special points of its branches. Each case has a file next to the cache, by content key, so
+that an interrupted run computes only the missing cases.
 """
 
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +17,16 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from gapsweep.analysis.agreement.branch_agreement import MATCH, compared
-from gapsweep.continuation.dataset import ATTRACTOR, BRANCH, OF_BRANCH, VARIABLES
+from gapsweep.continuation.curves import KINDS
+from gapsweep.continuation.dataset import (
+    ATTRACTOR,
+    BRANCH,
+    OF_BRANCH,
+    OF_CURVE,
+    VARIABLES,
+    of_attractors,
+    special_points,
+)
 from gapsweep.continuation.family import Window
 from gapsweep.continuation.follow import DEFAULT_RTOL
 from gapsweep.continuation.seed import Attractor
@@ -27,20 +37,16 @@ from gapsweep.status import Status
 from gapsweep.store import netcdf
 from gapsweep.study.grid import START
 from gapsweep.study.schema import coordinates
-from gapsweep.study.spec import is_followed
+from gapsweep.study.spec import WALLS, is_followed
 from gapsweep.study.study import Study
 from gapsweep.user_code.package_digest import numerics_fingerprint
-from gapsweep.variables import SECTION_POINT, STATUS_FLAGS, Variable
+from gapsweep.variables import POINT, SECTION_POINT, STATUS_FLAGS, Variable
 
 FOLDER = "branches"
 OF_STUDY = {
     "n_lost": (
         BRANCH,
         Variable("i4", "1", "orbits and special points of the case that were not found"),
-    ),
-    "attractor_on_branch": (
-        ATTRACTOR,
-        Variable("i4", "1", "branch of the attractor, -1: none"),
     ),
     "attractor_number": (ATTRACTOR, Variable("i4", "1", "number of the attractor of the case")),
     "attractor_status": (
@@ -69,8 +75,10 @@ def branches(
     connect: Callable[[], AbstractContextManager[Any]],
     timeout: float,
     say: Callable[[str], None],
+    *,
+    is_curves: bool = False,
 ) -> xr.Dataset:
-    """Branches of all cases of a study.
+    """Branches of all cases of a study, or the curves of their special points.
 
     Parameters
     ----------
@@ -86,27 +94,40 @@ def branches(
         CPU time limit of a case with user code [s].
     say : callable
         Called with the progress.
+    is_curves : bool
+        Whether the curves are returned; branches that are not stored any more are computed again.
     """
     parts = [part for part in _parts(study, attractors) if part.scene.attractors]
-    missing = []
-    for part in parts:
-        # Each case has its folder, so that SHA256SUMS has one writer.
-        path = cache / FOLDER / part.scene.key / "scene.nc"
-        with suppress(StoreError):
-            part.found = Followed(Status.OK, branches=netcdf.read(path))
-        if part.found.branches is None:
-            missing.append((part, path))
-    if missing:
-        with connect() as client:
-            tasks = [part.scene for part, _ in missing]
-            arriving = followed(tasks, client, timeout, lambda: say("waiting for workers"))
-            for n_done, (number, found) in enumerate(arriving, len(parts) - len(missing) + 1):
-                part, path = missing[number]
-                part.found = found
-                if found.branches is not None:
-                    netcdf.write(found.branches, path, {})
-                say(f"making branches.nc, {n_done} of {len(parts)} cases")
-    return _assembled(study, parts)
+    for file in ("branches.nc", "curves.nc")[: 1 + is_curves]:
+        if file == "curves.nc":
+            parts = [part for part in map(_with_points, parts) if part.scene.points]
+        missing = []
+        for part in parts:
+            # Each case has its folder, so that SHA256SUMS has one writer.
+            path = cache / FOLDER / part.scene.key / "scene.nc"
+            with suppress(StoreError):
+                part.found = Followed(Status.OK, branches=netcdf.read(path))
+            if part.found.branches is None:
+                missing.append((part, path))
+        if missing:
+            with connect() as client:
+                tasks = [part.scene for part, _ in missing]
+                arriving = followed(tasks, client, timeout, lambda: say("waiting for workers"))
+                for n_done, (number, found) in enumerate(arriving, len(parts) - len(missing) + 1):
+                    part, path = missing[number]
+                    part.found = found
+                    if found.branches is not None:
+                        netcdf.write(found.branches, path, {})
+                    say(f"making {file}, {n_done} of {len(parts)} cases")
+    return _assembled(study, parts, is_curves=is_curves)
+
+
+def _with_points(part: _SceneBranches) -> _SceneBranches:
+    """A case with those special points of its branches that have curves; None: it has none."""
+    points = part.found.branches and special_points(part.found.branches)
+    points = points and points.isel({POINT: np.isin(points["special"], KINDS)})
+    points = points if points and points.sizes[POINT] else None
+    return replace(part, scene=replace(part.scene, points=points), found=Followed(Status.OK))
 
 
 def _parts(study: Study, attractors: xr.Dataset) -> Iterator[_SceneBranches]:
@@ -132,7 +153,7 @@ def _parts(study: Study, attractors: xr.Dataset) -> Iterator[_SceneBranches]:
         some = {name: axes[name][i] for name, i in at.items() if name in study.spec.model}
         scene = BranchScene(
             point=point,
-            system=study.model.along(along, some),
+            system=study.model.along((along, table.second or ""), some),
             window=window,
             table=table,
             attractors=tuple(_attractors(attractors.isel(at), along, numbers)),
@@ -143,7 +164,7 @@ def _parts(study: Study, attractors: xr.Dataset) -> Iterator[_SceneBranches]:
 def _attractors(here: xr.Dataset, along: str, numbers: NDArray[np.intp]) -> Iterator[Attractor]:
     """The periodic attractors of a case."""
     sections = [name for name in ("section_x", "section_v", "section_z") if name in here]
-    names = [name for name in (*sections, "period_multiple", "period") if name in here]
+    names = [name for name in (*sections, "period_multiple", "period", "x_max") if name in here]
     here = here[names].load()
     for i, k in numbers.tolist():
         one = here.isel({along: i, ATTRACTOR: k})
@@ -154,39 +175,48 @@ def _attractors(here: xr.Dataset, along: str, numbers: NDArray[np.intp]) -> Iter
             section=section[np.isfinite(section).all(axis=1)],
             period=float(one.get("period", np.nan)),
             multiple=int(one["period_multiple"]),
+            x_max=np.ravel(one["x_max"])[0].item(),
         )
 
 
-def _assembled(study: Study, parts: list[_SceneBranches]) -> xr.Dataset:
-    """The dataset ``branches.nc``, of the branches of all cases."""
+def _assembled(study: Study, parts: list[_SceneBranches], *, is_curves: bool) -> xr.Dataset:
+    """The dataset of the branches, or of the curves, of all cases."""
     table, grid = study.spec.branches, study.grid
     assert table is not None
     columns: dict[str, list[Any]] = {name: [] for name in OF_STUDY}
     several: list[xr.Dataset] = []
+    on_branch: list[int] = []
     of_branch: list[Mapping[str, int]] = []
     of_attractor: list[Mapping[str, int]] = []
     for part in parts:
         n, before = len(part.numbers), len(of_branch)
         on = np.full(n, -1)
         if (found := part.found.branches) is not None:
-            on = found["attractor_on_branch"].values
+            on = on if is_curves else found["attractor_on_branch"].values
             size, parent = found.sizes[BRANCH], found["parent"]
             parent[:] = np.where(parent < 0, -1, parent + before)
             several.append(found.drop_dims(ATTRACTOR).drop_vars(BRANCH))
             columns["n_lost"] += size * [found.attrs["n_lost"]]
             of_branch += size * [part.at]
-        columns["attractor_on_branch"] += np.where(on < 0, -1, on + before).tolist()
+        on_branch += np.where(on < 0, -1, on + before).tolist()
         columns["attractor_number"] += part.numbers[:, 1].tolist()
         columns["attractor_status"] += n * [part.found.status]
         columns["attractor_message"] += n * [part.found.message]
         of_attractor += [{**part.at, table.along: i} for i in part.numbers[:, 0].tolist()]
-    matches, of_match = compared(
-        [(part.at, part.found.branches) for part in parts], grid.representations, table.along
-    )
-    made = _joined(several).merge(matches)
+    scenes = [] if is_curves else [(part.at, part.found.branches) for part in parts]
+    matches, of_match = compared(scenes, grid.representations, table.along)
+    attractors = [each for part in parts for each in part.scene.attractors]
+    own = of_attractors(attractors, study.structure.n_states)
+    made = _joined(several).merge(matches).assign(own)
+    made["attractor_on_branch"][:] = on_branch
     for name, (dim, form) in OF_STUDY.items():
         made[name] = (dim, np.array(columns[name], form.dtype), form.attributes)
     described, values = coordinates(grid.dims, grid.structure), grid.coordinates()
+    others = {"second", "range"}
+    if is_curves:  # the second parameter is a variable; attractors are there for their statuses
+        swept, others = {*WALLS} if table.second in WALLS else {table.second}, set()
+        described = {name: form for name, form in described.items() if name not in swept}
+        made = made.drop_vars(["attractor_on_branch", *matches])
     places = (BRANCH, "", of_branch), (ATTRACTOR, "attractor_", of_attractor)
     for dim, prefix, where in (*places, (MATCH, "match_", of_match)):
         for name, (over, variable) in described.items():
@@ -196,7 +226,7 @@ def _assembled(study: Study, parts: list[_SceneBranches]) -> xr.Dataset:
     made.coords[BRANCH] = np.arange(made.sizes[BRANCH])
     made.coords.update({name: list(of) for name, of in grid.parts.items() if name in made.dims})
     axis = grid.axes[table.along]
-    settings = {"rtol": DEFAULT_RTOL, **table.model_dump(exclude_none=True)}
+    settings = {"rtol": DEFAULT_RTOL, **table.model_dump(exclude_none=True, exclude=others)}
     return made.assign_attrs(
         **study.attributes,
         numerics_fingerprint=numerics_fingerprint(),
@@ -210,7 +240,7 @@ def _joined(several: list[xr.Dataset]) -> xr.Dataset:
     """Concatenated branches of all cases; shorter branches are padded with missing values."""
     if not several:
         return xr.Dataset({"stable": ((BRANCH, "step"), np.zeros((0, 0), np.int8))})
-    missing = {name: each.missing for name, each in (VARIABLES | OF_BRANCH).items()}
+    missing = {name: each.missing for name, each in (VARIABLES | OF_BRANCH | OF_CURVE).items()}
     first = several[0]
     fill = {name: missing.get(str(name), np.nan) for name in first.data_vars}
     made = xr.concat(several, BRANCH, join="outer", fill_value=fill, combine_attrs="override")
