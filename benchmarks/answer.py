@@ -34,7 +34,7 @@ from workflows.paper.answer import (  # noqa: E402
     judged,
     spread,
 )
-from workflows.paper.language import SETTINGS, At  # noqa: E402
+from workflows.paper.language import At  # noqa: E402
 from workflows.paper.measures import cost  # noqa: E402
 from workflows.paper.scenes import EXACT, STRONG, TABLE_CASES, WEAK  # noqa: E402
 
@@ -62,7 +62,8 @@ number in bold decides. Blank: not computed, or failed at all frequencies.
   has to be better than that for a verdict.
 - **±**: the 95 % interval includes a threshold, or there are too few frequencies for an interval.
 - **Smallest adequate ε**: 1e5: the next smaller one of this study is not adequate; ≤: no smaller
-  one was tried; >: none is adequate up to this.
+  one was tried (below 3e3 /m the layer 1/ε is as wide as half of the gap of 0.4/0.4 mm); >: none is
+  adequate up to this.
 - **tanh: one well**: ε above which tanh has no false equilibrium, which is necessary and not
   sufficient.
 - `piecewise-noevents` is the exact force without located contacts. It is no approximation: it shows
@@ -82,8 +83,9 @@ from run to run. For times with this pair see [one method](benchmarks.md).
 OF_DEFAULTS = """
 **(b) The default solver of gapsweep for each law**, a Taylor series for the exact law and tanh, an
 explicit Runge–Kutta method of order 8 for the others: processor time per forcing period, the 95 %
-interval from the choice of frequencies and the repeatability of timings in this run. In six runs of
-the same study on one machine, ratios differed by up to a factor of 2.1. "?": no interval.
+interval from the choice of frequencies and the repeatability of timings in this run. In runs of
+six versions of the code, with equal errors and shares, on one machine, ratios differed by up to a
+factor of 2.1. "?": no interval.
 
 """
 OF_SCIPY = """
@@ -210,8 +212,8 @@ def finding(run: Run) -> str:
         f"Locate contacts and write the force by contact mode: errors after four periods fall at "
         f"least {least:.0f}-fold; with one expression, at most {math.ceil(most)}-fold. A smooth "
         f"law is [accurate](docs/answer.md) if its force error is below {percent(ENOUGH)} of the "
-        f"forcing (tanh: ε ≥ {SHARPNESS:.0f} K_c/p). In the paper's {len(found)} cases, tanh can "
-        f"be in {count(found, 'tanh')}, polynomials and rational fits in {count(found, *FITS)}."
+        f"forcing (tanh: ε ≥ {SHARPNESS:.0f} K_c/p). Among the paper's {len(found)} cases, tanh "
+        f"suits {count(found, 'tanh')}; polynomials and rational fits suit {count(found, *FITS)}."
     )
 
 
@@ -221,7 +223,7 @@ def work(run: Run) -> list[dict[str, float]]:
         {law: (f"{law}@paper", f"{EXACT}@paper", case) for law in laws}
         for laws, case in zip((WEAK, STRONG), TABLE_CASES.values(), strict=True)
     ]
-    at = At(run, {name: next(iter(values)) for name, values in SETTINGS.items()})
+    at = At(run, {})
     return [
         {n: read(at).value for n, read in cost("right-hand sides", "nfev", one).parts} for one in of
     ]
@@ -232,7 +234,7 @@ def page(run: Run) -> str:
     found, about = judged(run), run["agreement"].attrs
     first, *others = answer(run)
     said = "".join(f"{n}. {line}\n" for n, line in enumerate([f"**{first}**", *others], 1))
-    has_rule = (ROOT / "docs" / RULE).exists()
+    has_rule = (ROOT / "docs/images/rule.png").exists()
     picture = f"{PICTURE}\n\n[The rule: how it was found and tested, where it fails]({RULE})\n\n"
     made = (
         f"Made by `python benchmarks/answer.py` from the run of study `{about['study']}` of "
@@ -266,7 +268,9 @@ def main(folder: Path) -> None:
         f"{start} {', '.join(f'{found[verdict]} {verdict}' for verdict in VERDICTS)}"
         for start, found in tallies.items()
     )
-    picture = f"\n{PICTURE.replace('images', 'docs/images')}\n" * (ROOT / "docs" / RULE).exists()
+    picture = (
+        f"\n{PICTURE.replace('images', 'docs/images')}\n" * (ROOT / "docs/images/rule.png").exists()
+    )
     written(ROOT / "README.md", "answer", f"{finding(run)}\n{picture}")
     for place in ("README.md", "docs/explanation/claims.md"):
         written(ROOT / place, "claims", counts)

@@ -102,6 +102,8 @@ def _static() -> Iterator[tuple[str, ...]]:
         yield _row(name, ["case", "x"], variable)
     for name, variable in (static.SCENE_VARIABLES | static.FORCED_VARIABLES).items():
         yield _row(name, ["case"], variable)
+    for name, variable in static.VISITED_VARIABLES.items():
+        yield _row(name, ["K_c", "gap", "forcing"], variable)
     for name, variable in static.CONTACT_VARIABLES.items():
         yield _row(name, ["K_c", "gap"], variable)
     for name, variable in static.LIST_VARIABLES.items():

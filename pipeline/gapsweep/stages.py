@@ -339,7 +339,8 @@ def _responses(run: RunContext) -> None:
 def _static(run: RunContext) -> "xr.Dataset":
     from gapsweep.analysis.datasets.static import static
 
-    return static(run.study, with_own_laws=False)  # users' laws are called on workers only
+    with run.datasets() as found:  # users' laws are called on workers only
+        return static(run.study, found.get("responses"), with_own_laws=False)
 
 
 def _agreement(run: RunContext) -> "Content":
@@ -433,7 +434,7 @@ PAGE = Stage(
 STAGES = (
     Stage(RESPONSES, (), (SETTINGS, POINTS), _responses),
     Stage(ATTRACTORS, (), (SETTINGS, POINTS), _responses),
-    Stage(STATIC, (), (SETTINGS,), _static, _has_contacts_to_fit),
+    Stage(STATIC, (RESPONSES,), (SETTINGS,), _static, _has_contacts_to_fit),
     Stage(AGREEMENT, (RESPONSES, ATTRACTORS), (), _agreement, _compares),
     Stage(TIMING, (RESPONSES,), (), _timing),
     Stage(

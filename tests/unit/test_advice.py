@@ -2,6 +2,7 @@
 
 import json
 import math
+import re
 
 import numpy as np
 import pytest
@@ -9,15 +10,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 from scipy.integrate import quad
-from scipy.optimize import minimize_scalar
 from tests.machine import PAPER, TOML
 from tests.stored import point
 
 import gapsweep as gs
+from gapsweep.analysis.datasets.contact_errors import ADEQUATE, expected_range
 from gapsweep.analysis.datasets.recommendations import advice, sentences
 from gapsweep.cli.main import FAULT, FINISHED, exit_code
 from gapsweep.model.systems import paper_oscillator
-from gapsweep.study.least_model import Model, advise, approximation, approximations
+from gapsweep.study.least_model import Model, advise
 
 GAP = gs.Gap(0.4e-3, 0.4e-3)
 
@@ -101,20 +102,64 @@ def test_a_wall_at_the_origin_is_always_reached():
     assert advise(paper_oscillator(), 1.4e4, gs.Gap(0.0, 0.8e-3), 30.0).model is Model.EXACT
 
 
-def test_static_error_of_a_smooth_law():
-    layer = minimize_scalar(lambda u: -u * (1 - math.tanh(u)) / 2, bounds=(0, 3), method="bounded")
-    found = approximation("tanh-1e6", 1.4e4, GAP, 4.0, error=1e-3)
-    assert_allclose(found.force_error, -layer.fun * 1.4e4 / 1e6 / 4.0, rtol=1e-4)
-    assert found.is_adequate
-    assert not approximation("tanh-1e5", 1.4e4, GAP, 4.0, error=1e-3).is_adequate
+def rms_by_sums(law, low, high):
+    """RMS force error [N] by the trapezoidal rule on points graded to the walls."""
+    steps = np.geomspace(1e-14, 2.0 * (high - low), 20_001)
+    near = np.add.outer([-law.gap.j_1, law.gap.j_2], [*-steps, 0.0, *steps]).ravel()
+    x = np.union1d(np.clip(near, low, high), np.linspace(low, high, 20_001))
+    below, above = np.minimum(x + law.gap.j_1, 0.0), np.maximum(x - law.gap.j_2, 0.0)
+    error = law.force(x) - law.K_c * (law.K_ratio * below + above)
+    return math.sqrt(np.trapezoid(error**2, x) / (high - low))
 
 
-def test_the_least_smooth_laws_are_one_decade_from_failing():
-    for one in approximations(1.4e6, GAP, 4.0, error=1e-2):
-        family, _, decade = one.label.partition("-1e")
-        assert one.is_adequate
-        coarser = approximation(f"{family}-1e{int(decade) - 1}", 1.4e6, GAP, 4.0, error=1e-2)
-        assert not coarser.is_adequate
+@pytest.mark.parametrize("label", ["tanh-1e4", "arctan-1e6", "logarctan-1e5", "poly-13"])
+@pytest.mark.parametrize("gap", [GAP, gs.Gap(0.0, 0.8e-3)])
+def test_force_error_over_the_forcing_and_the_parameter_it_needs(label, gap):
+    """Of the named parameter the error is at most the limit, of a smaller one above it."""
+    visited = (-1.1e-3, 2.3e-3)
+    is_fit = label.startswith("poly")
+    walls = (140.0 if is_fit else 1.4e3), gap
+    law = gs.contact_law(label, *walls, K_ratio=0.4)
+    found = gs.static_error(law, visited, forcing=-4.0)
+    assert_allclose(found.force_error, rms_by_sums(law, *visited) / 4.0, rtol=1e-5)
+    assert found.force_error == found.rmse / 4.0
+    family = label.partition("-")[0]
+    errors = [
+        rms_by_sums(gs.contact_law(f"{family}-{value:g}", *walls, K_ratio=0.4), *visited) / 4.0
+        for value in (found.needed, found.needed - 1 if is_fit else 0.9 * found.needed)
+    ]
+    assert errors[0] <= ADEQUATE * (1 + 1e-5) < errors[1]
+
+
+def test_force_error_needs_a_forcing_and_a_law_with_a_parameter():
+    tanh = gs.Tanh(1.4e4, GAP, 1e4)
+    assert np.isnan(gs.static_error(tanh)[2:]).all()
+    error = gs.static_error(tanh, forcing=0.0)
+    assert math.isinf(error.force_error)
+    assert math.isnan(error.needed)
+    assert gs.static_error(gs.Piecewise(1.4e4, GAP), forcing=4.0)[2] == 0.0
+    hard = gs.Polynomial(1.4e6, GAP, 13)
+    assert math.isnan(gs.static_error(hard, forcing=4.0).needed)
+
+
+def test_expected_range_is_that_of_the_main_resonance():
+    """In closed form without contact; with contact, that of a sweep through the resonance."""
+    linear = gs.Oscillator(mass=2.0, omega_n=3.0, zeta=0.05, forcing=0.5)
+    peak = 0.5 / (2.0 * 0.05 * 2.0 * linear.omega_n_rad**2)
+    for gap in (gs.Gap(1.0, 2.0), gs.Gap(0.1 * peak, 0.2 * peak)):
+        free = gs.Piecewise(0.0, gap)
+        assert_allclose(expected_range(linear, free), [-peak, peak], rtol=1e-2)
+    wall = gs.Piecewise(2e4, gs.Gap(0.1 * peak, 0.3 * peak))
+    omega = np.linspace(2.0, 12.0, 101)
+    swept = [gs.respond(linear, wall, omega, x_0=x * peak) for x in (0.0, 0.5)]
+    low = min(one.x_min.min() for one in swept)
+    high = max(one.x_max.max() for one in swept)
+    expected = expected_range(linear, wall)
+    assert expected[0] <= low
+    assert expected[1] >= high
+    assert expected[1] - expected[0] <= 1.6 * (high - low)
+    undamped = gs.Oscillator(mass=2.0, omega_n=3.0, zeta=0.0, forcing=0.5)
+    assert expected_range(undamped, wall, 7e-3) == (-7e-3, 7e-3)
 
 
 @pytest.mark.parametrize("error", [0.0, 1e-12, 0.5, math.nan])
@@ -230,7 +275,11 @@ def test_command_advises_without_computing(tmp_path, monkeypatch, capsys):
     assert exit_code(["advise", "s.toml", "--error", "1e-2"]) == FINISHED
     text = " ".join(capsys.readouterr().out.split())
     assert " 7 7 exact " in text
-    assert "; others: tanh-1e4" in text
+    named = re.search(r"tanh: epsilon >= (\S+) /m", text)
+    law = gs.Tanh(1.4e4, GAP, float(named[1]))
+    visited = expected_range(paper_oscillator(), law)
+    assert 0.9 * ADEQUATE < rms_by_sums(law, *visited) / 4.0 <= ADEQUATE
+    assert "tanh-1e4 (" in text
     assert exit_code(["advise", "s.toml", "--json"]) == FINISHED
     assert json.loads(capsys.readouterr().out)["error"] == 1e-3
     assert "not assessed" not in text

@@ -198,7 +198,7 @@ class Drawn(Run):
             x = np.linspace(-4e-3, 4e-3, 81)
             axes = {**laws, **scene, "x": x, "equilibrium": np.arange(3)}
             names = ("rmse", "r_squared", "rmse_in_gap", "rmse_outside", "n_wells",
-                     "in_gap_force_ratio", "in_gap_frequency_error")  # fmt: skip
+                     "in_gap_force", "in_gap_frequency_error")  # fmt: skip
             dims = dict.fromkeys(names, ("representation", "K_c", "gap"))
             dims |= {"force_error": (*dims["rmse"], "x"), "forcing": ()}
             dims |= dict.fromkeys(

@@ -5,6 +5,7 @@ beside the test. `test_equilibria` tests the search for equilibria.
 """
 
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +17,7 @@ from tests import strategies as own
 from tests.machine import PAPER
 
 import gapsweep as gs
+from gapsweep.analysis.datasets.contact_errors import expected_range
 from gapsweep.analysis.datasets.static import displacements, static
 from gapsweep.model.equilibria import linear_stiffness
 from gapsweep.store import netcdf
@@ -108,7 +110,7 @@ def test_walls_are_on_the_displacement_grid():
 def test_errors_are_those_of_static_error(dataset):
     for label in LABELS[:-1]:
         scene = at(dataset, label, gap="0/0.8")
-        rmse, r_squared = gs.static_error(gs.contact_law(label, SOFT, ASYMMETRIC))
+        rmse, r_squared, *_ = gs.static_error(gs.contact_law(label, SOFT, ASYMMETRIC))
         assert (float(scene["rmse"]), float(scene["r_squared"])) == (rmse, r_squared)
 
 
@@ -124,7 +126,7 @@ def test_static_error_is_an_integral_however_thin_the_layer(label, gap):
     exact = gs.Piecewise(SOFT, gap, K_ratio=0.3).force(x)
     residual = np.trapezoid((law.force(x) - exact) ** 2, x)
     mean = np.trapezoid(exact, x) / (2.0 * RANGE)
-    rmse, r_squared = gs.static_error(law)
+    rmse, r_squared, *_ = gs.static_error(law)
     assert_allclose(rmse, math.sqrt(residual / (2.0 * RANGE)), rtol=1e-5)
     lost = residual / np.trapezoid((exact - mean) ** 2, x)
     assert_allclose(1.0 - r_squared, lost, rtol=1e-5, atol=4e-16)
@@ -173,7 +175,40 @@ def test_asymmetric_logarctan_breaks_the_quality_rule(dataset):
 def test_in_gap_force_of_polynomials(dataset, label, force):
     scene = at(dataset, label)
     assert f"{float(scene['in_gap_force']):.2f}" == force
-    assert_allclose(scene["in_gap_force_ratio"], scene["in_gap_force"] / OSCILLATOR.forcing)
+
+
+def test_force_error_is_over_the_displacements_that_the_exact_law_visits():
+    labels, levels, frequencies = ["piecewise", "tanh-1e4", "poly-13"], [2.0, 8.0], [7.0, 9.0]
+    axes = {"omega": frequencies, "forcing": levels, "zeta": [0.03, 0.1]}
+    sweep = {"representation": labels, "K_c": [SOFT], "gap": [[0.0, 0.8e-3]]} | axes
+    one = gs.Study.from_dict({"study": {"name": "s"}, "oscillator": PAPER, "sweep": [sweep]})
+    ends = {"x_min": -np.linspace(1e-3, 2e-3, 24), "x_max": np.linspace(0.7e-3, 3e-3, 24)}
+    dims = ("representation", "K_c", "gap", "omega", "forcing", "zeta", "initial_condition")
+    shape = (3, 1, 1, 2, 2, 2, 1)
+    responses = xr.Dataset(
+        {name: (dims, np.reshape(values, shape)) for name, values in ends.items()},
+        {"representation": labels},
+    )
+    found = static(one, responses)
+    assert found["force_error_ratio"].dims == ("representation", "K_c", "gap", "forcing")
+    for i, p in enumerate(levels):
+        low = responses["x_min"][0, 0, 0, :, i].values.min()
+        high = responses["x_max"][0, 0, 0, :, i].values.max()
+        here = found.isel(forcing=i)
+        assert (here["visited_min"].item(), here["visited_max"].item()) == (low, high)
+        for label in labels[1:]:
+            law = gs.contact_law(label, SOFT, ASYMMETRIC)
+            x = np.linspace(low, high, 400_001)
+            error = law.force(x) - SOFT * (np.minimum(x, 0.0) + np.maximum(x - 0.8e-3, 0.0))
+            rms = math.sqrt(np.trapezoid(error**2, x) / (high - low)) / p
+            assert_allclose(here["force_error_ratio"].sel(representation=label), rms, rtol=1e-5)
+    without = static(one)
+    expected = [expected_range(replace(OSCILLATOR, forcing=p), gs.Piecewise(SOFT, ASYMMETRIC))
+                for p in levels]  # fmt: skip
+    assert_allclose(without["visited_max"].squeeze(), [high for _, high in expected])
+    assert (
+        without["force_error_ratio"].attrs["visited"] != found["force_error_ratio"].attrs["visited"]
+    )
 
 
 @pytest.mark.parametrize(
@@ -218,7 +253,7 @@ def test_force_is_proportional_to_stiffness_and_so_r_squared_is_not(label, gap, 
     x = np.linspace(-RANGE, RANGE, 101)
     unit, law = gs.contact_law(label, 1.0, gap), gs.contact_law(label, K_c, gap)
     assert_allclose(law.force(x), K_c * unit.force(x), atol=1e-12 * K_c * RANGE)
-    (rmse, r_squared), (unit_rmse, unit_r_squared) = gs.static_error(law), gs.static_error(unit)
+    (rmse, r_squared, *_), (unit_rmse, unit_r_squared, *_) = map(gs.static_error, (law, unit))
     assert_allclose(rmse, K_c * unit_rmse, rtol=1e-6, atol=1e-12 * K_c * RANGE)
     assert_allclose(r_squared, unit_r_squared, atol=1e-12)
 

@@ -9,7 +9,11 @@ from tests import strategies as own
 from tests.stored import all_keys
 
 import gapsweep as gs
-from gapsweep.analysis.datasets.contact_errors import predicted_threshold, tanh_threshold
+from gapsweep.analysis.datasets.contact_errors import (
+    expected_range,
+    predicted_threshold,
+    tanh_threshold,
+)
 from gapsweep.analysis.datasets.recommendations import advice, sentences
 from gapsweep.analysis.datasets.static import static
 from gapsweep.execution.layout import Layout
@@ -168,7 +172,14 @@ def test_advice_compares_with_the_force_of_the_walls(tables):
     found = advice(study, 1e-3)
     error = found.force_error.sel(approximation="tanh-1e4").squeeze()
     assert error.dims == ("K_ratio",)
-    assert_allclose(error.values[1] / error.values[0], 5.0, rtol=0.02)  # the upper wall's, then
+    # Squares of the walls' stiffnesses add up, over the length of the range.
+    gap = gs.Gap(*(float(found[name].item()) for name in ("j_1", "j_2")))
+    lengths = [
+        np.ptp(expected_range(study.oscillator, gs.Piecewise(found["K_c"].item(), gap, K_ratio=r)))
+        for r in (0.2, 5.0)
+    ]
+    expected = np.sqrt((1.0 + 25.0) / lengths[1] / ((1.0 + 0.04) / lengths[0]))
+    assert_allclose(error.values[1] / error.values[0], expected, rtol=1e-3)
     assert [scene["K_ratio"] for scene in sentences(found)] == [0.2, 5.0]
 
 

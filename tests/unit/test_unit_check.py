@@ -28,6 +28,13 @@ DOUBTS = {
     "wide layers": ({"label": "tanh-500"}, "epsilon = 500"),
     "wide layers of log": ({"label": "logarctan-500"}, "gamma = 500"),
     "layers that fit": ({"label": "arctan-1e4"}, None),
+    "force in the gap": ({"label": "tanh-1e4", "K_c": 1e8}, "epsilon = 10000 /m: between"),
+    "force in the gap of log": (
+        {"label": "logarctan-1e4", "K_c": 1e8},
+        "gamma = 10000 /m: between",
+    ),
+    "sharper": ({"label": "tanh-1e6", "K_c": 1e8}, None),
+    "unforced": ({"label": "tanh-1e4", "K_c": 1e8, "forcing": 0.0}, None),
     "nanometres": ({"scale": 1e-9}, None),
     "kilometres": ({"scale": 1e3}, None),
     "gap of mm in nanometres": ({"scale": 1e-9, "gap": (0.15, 0.3)}, "gap = 1.5e-10 m:"),
@@ -83,6 +90,15 @@ def test_a_call_and_a_study_have_the_same_doubts(name):
     oscillator = gs.Oscillator(**machine)
     given = dict(zip(("x_0", "v_0"), start, strict=True))
     assert warned(gs.simulate, oscillator, law, omega, **given, n_periods=1) == found
+
+
+def test_a_force_in_the_gap_is_reported_where_the_softest_wall_has_it():
+    coarse = {"label": "tanh-1e4"}
+    assert not [*doubts_of(study_of(coarse, K_c=[1e4, 1e8]))]
+    assert [text[:16] for text in doubts_of(study_of(coarse, K_c=[1e7, 1e8]))] == [
+        "epsilon = 10000 "
+    ]
+    assert not [*doubts_of(study_of(coarse, K_c=[1e7, 1e8], forcing=[50.0, 5e4]))]
 
 
 def test_each_call_warns_once_where_it_is_written():

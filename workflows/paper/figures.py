@@ -240,7 +240,8 @@ def _histories(histories: xr.Dataset) -> Iterator[Figured]:
     """Figure 11."""
     K_c, gap = HARD_ASYMMETRIC
     here = (histories["K_c"] == K_c) & (histories["gap"] == gap)
-    laws = [law + "@paper" for law in LIMITS if law + "@paper" in labels_of(histories)]
+    laws = [*(law + "@paper" for law in LIMITS), EXACT + "@paper-mode"]
+    laws = [law for law in laws if law in labels_of(histories)]
     scene = swept(histories.isel(history=here.values).sel(representation=laws).load())
     if EXACT + "@paper" not in labels_of(scene):
         return

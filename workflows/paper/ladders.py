@@ -110,7 +110,7 @@ def _errors(gap: Gap, x_max: float) -> dict[str, Array]:
     ratios = _stacked([_of_rational(f"ratpoly-{ratio}", gap, x_max) for ratio in RATIOS])
     smooth = np.array(
         [
-            [static_error(contact_law(f"{family}-{p!r}", 1.0, gap), x_max) for p in PARAMETERS]
+            [static_error(contact_law(f"{family}-{p!r}", 1.0, gap), x_max)[:2] for p in PARAMETERS]
             for family in TANGENTS
         ]
     )
@@ -133,7 +133,7 @@ def _of_polynomial(force: Force, gap: Gap, x_max: float) -> dict[str, Any]:
 def _of_rational(label: str, gap: Gap, x_max: float) -> dict[str, Any]:
     try:
         law = contact_law(label, 1.0, gap, x_max)
-        found = (*static_error(law, x_max), largest_in_gap(law, x_max))
+        found = (*static_error(law, x_max)[:2], largest_in_gap(law, x_max))
     except ModelError:  # the fit has a pole
         found = (np.nan,) * 3
     return dict(

@@ -89,8 +89,8 @@ def histories_and_spectra(histories: xr.Dataset) -> Figure:
         backdrop.walls(motion, one)
         for label, line in lines(labels).items():
             own = one.sel(representation=label)
-            style = {"color": colour(label), "linewidth": widths.get(law_of(label), 0.9)}
-            style["label"] = f"_{label}"
+            width = 1.2 if label.endswith("-mode") else widths.get(law_of(label), 0.9)
+            style = {"color": colour(label), "linewidth": width, "label": f"_{label}"}
             motion.plot(*_last_periods(own), line, **style)
             spectrum.plot(own["frequency"] / one["omega"], drawn(own["spectrum"]), line, **style)
         top = np.nanmax(drawn(one["spectrum"]), initial=0.0) or 1.0

@@ -95,12 +95,12 @@ def doubts_of(study: "Study", far: str = "", own: bool = True) -> Iterator[str]:
     points = [dict(zip(axes, end, strict=True)) for end in ends]  # bound the rules of oscillators
     if not model.is_oscillator:
         points = [*model.swept(grid.axes, grid.requested)] or [{}]
-    ratio, K_c = max(grid.axes.get("K_ratio", (1.0,))), max(grid.axes.get("K_c", (0.0,)))
+    ratio, K_c = max(grid.axes.get("K_ratio", (1.0,))), grid.axes.get("K_c", (0.0,))
     gaps = grid.gaps if {"gap", "j_1"} & grid.axes.keys() else (Gap(0.0, 0.0),)
     laws = []
-    for label, gap in product(grid.representations, gaps):
+    for label, gap, stiffness in product(grid.representations, gaps, {min(K_c), max(K_c)}):
         with suppress(ModelError):  # an invalid law is reported at its use
-            laws.append(tuple(_laws(study, label, K_c, gap, ratio, own)))
+            laws.append(tuple(_laws(study, label, stiffness, gap, ratio, own)))
     omega, starts = grid.axes.get("omega", 0.0), starts_of(grid.axes).states
     yield from doubts([model.at(some) for some in points], laws, omega, starts) if laws else ()
     yield from [far] * bool(far)

@@ -246,8 +246,16 @@ def _short(text: str) -> str:
     help="Allowed relative error of the steady amplitude, 1e-9 to 0.1.  "
     "[default: [auto] of the study, else 1e-3]",
 )
+@click.option(
+    "--share",
+    type=float,
+    default=0.95,
+    show_default=True,
+    help="Share of the exact law's periodic attractors that a smooth law is to find: 0.95, 0.9 "
+    "or 0.8.",
+)
 @options.as_json
-def advise(study: Path, error: float | None, as_json: bool) -> int:
+def advise(study: Path, error: float | None, share: float, as_json: bool) -> int:
     """Recommend the simplest adequate model for each case.
 
     \b
@@ -258,7 +266,7 @@ def advise(study: Path, error: float | None, as_json: bool) -> int:
     from gapsweep.console import print_table, print_text
 
     loaded = options.loaded(study, None)
-    found = advice(loaded, error)
+    found = advice(loaded, error, share)
     scenes, error, own = sentences(found), found.attrs["error"], loaded.own_laws
     if as_json:
         echo(json.dumps({"error": error, "not_assessed": own, "scenes": scenes}))

@@ -351,7 +351,7 @@ def _bend(orbits: list[Orbit]) -> Array:
 
 
 def reversed_orbit(orbit: Orbit) -> Orbit:
-    """The same orbit of a branch that is followed the other way."""
+    """Reverse the direction in which a branch is followed from an orbit."""
     return replace(orbit, tangent=-orbit.tangent, branching=-orbit.branching)
 
 

@@ -25,7 +25,7 @@ class Branches:
     """The branches of one family."""
 
     equations: OrbitEquations
-    max_steps: int  # orbits of a branch on either side of its start, at most
+    max_steps: int  # most orbits of a branch on either side of its first one
     found: list[Branch] = field(default_factory=list)
     attractors: list[Attractor] = field(default_factory=list)
     n_lost: int = 0  # starts, special points and branches that Newton's method did not find

@@ -57,7 +57,7 @@ OF_BRANCH = {
     ),
     "parent": Variable("i4", "1", "branch from which this branch bifurcates, -1: none", -1),
 }
-# Of attractors that branches start from: names in `Attractor`, and variables.
+# Names in `Attractor` and variables of the attractors that branches start from.
 OF_ATTRACTOR = {
     "on_branch": ("branch", Variable("i4", "1", "branch of the attractor, -1: none")),
     "period_multiple": ("multiple", Variable("i4", "1", "forcing periods in one period of it")),

@@ -247,7 +247,7 @@ def _attractor(response: Response, value: float, n_states: int) -> Attractor:
 
 
 def _periods(equations: OrbitEquations, value: float, state: Array) -> int:
-    """Forcing periods after which a motion first comes back near its start; 1 if it does not."""
+    """Forcing periods until a motion first returns near its initial state; 1 if it does not."""
     windows = equations.windows
     models = equations.family.models(windows, np.asarray(windows[0].place([[value]])))
     t_end = Steady().max_period_multiple / models.omega

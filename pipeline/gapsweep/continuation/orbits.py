@@ -46,12 +46,12 @@ class Reference:
     rate: Array
 
     def take(self, lanes: Any) -> "Reference":
-        """Those of some branches."""
+        """The references of some branches."""
         return Reference(**{name: getattr(self, name)[lanes] for name in self.__slots__})
 
     @classmethod
     def joined(cls, parts: "Sequence[Reference]") -> "Reference":
-        """Those of several."""
+        """The references of several groups of branches, in one."""
         names = cls.__slots__
         return cls(**{name: np.concatenate([getattr(x, name) for x in parts]) for name in names})
 
@@ -69,7 +69,7 @@ class Orbit:
     multipliers: NDArray[np.complex128]
     x_max: Array  # shape (n,); of every coordinate [m]
     x_min: Array
-    # Of every contact's gap the maxima and the minima [m], in descending order.
+    # Maxima and minima of the gap at every contact [m], in descending order.
     turning: list[tuple[Array, Array]]
     n_contacts: int  # wall crossings in a period, in and out
     branching: float  # determinant of the equations and the tangent: zero where branches cross
@@ -261,7 +261,7 @@ class OrbitEquations:
     def _section(self, state: Array, section: Array, phase: Array) -> Array:
         """Section points of an orbit, each once; at least its initial state.
 
-        A maximum at the start of an unforced orbit may be found at its end too.
+        A maximum at the initial state of an unforced orbit may be found at its end too.
         """
         if not len(section):
             return state[None, :]

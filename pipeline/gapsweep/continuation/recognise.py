@@ -36,7 +36,7 @@ def is_known(equations: OrbitEquations, branch: Branch, others: Sequence[Branch]
     """
     inner = branch.orbits[1:-1]
     parts = np.array_split(np.arange(len(inner)), min(COMPARED, len(inner)))
-    # Of each part the orbit that is farthest from a fold.
+    # The orbit of each part that is farthest from a fold.
     numbers = [max(part.tolist(), key=lambda i: abs(float(inner[i].tangent[-1]))) for part in parts]
     some = replace(branch, orbits=[inner[i] for i in numbers if not inner[i].special])
     return any(number >= 0 for number in on_branches(equations, some, others))

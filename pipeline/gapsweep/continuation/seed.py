@@ -16,7 +16,7 @@ Array = NDArray[np.float64]
 
 @dataclass(slots=True, kw_only=True)
 class Attractor:
-    """A periodic orbit that is known: a start for a branch.
+    """A known periodic orbit, from which a branch can be followed.
 
     Its section are states, shape (n, n_states), at whole forcing periods, or at maxima of the first
     coordinate.

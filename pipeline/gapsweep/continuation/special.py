@@ -73,7 +73,7 @@ class Special(IntEnum):
         return ("", "LP", "PD", "NS", "BP", "GR", "SB", "H", "?", "CP", "R1", "R2")[self]
 
 
-# Of strong resonances, the value of two multipliers.
+# Value of two multipliers at a strong resonance.
 RESONANCES: dict[int, float] = {Special.RESONANCE_1_1: 1.0, Special.RESONANCE_1_2: -1.0}
 
 

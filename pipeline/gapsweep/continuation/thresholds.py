@@ -5,7 +5,7 @@ Lengths are in scaled unknowns: the size of the state is 1, and so is the range 
 
 # --- equations ------------------------------------------------------------------------------------
 
-# Of a range, for derivatives by a parameter: contacts keep their order within it.
+# Share of a range, for derivatives by a parameter: contacts keep their order within it.
 DIFFERENCE = 1e-9
 # The same for a crossing, where rounding over it must not move the root; and steps in all unknowns
 # for second derivatives there, which Newton's method needs only roughly.
@@ -82,7 +82,7 @@ RESIDUAL, SINGULAR = 1e-9, 1e-5
 CROSSING_STEP = 1e-9
 # Grazes that are nearer are one: symmetric orbits touch both walls at once.
 AT_ONCE = 1e-9
-# A point beside a graze: there the multipliers jump.
+# Distance of a point from a graze, where the multipliers jump.
 BESIDE_GRAZE = 1e-6
 # Imaginary parts of real multipliers.
 REAL = 1e-9
@@ -103,7 +103,7 @@ BEYOND_WALLS, DISPLACED = 2.0, (1e-3, 0.03, 1.0, 30.0)
 
 # --- curves of special points ---------------------------------------------------------------------
 
-# Of the scaled unknowns, for derivatives of the condition: that of multipliers has errors of 1e-10.
+# Change of the scaled unknowns for derivatives of the condition: multipliers have errors of 1e-10.
 CONDITION_DIFFERENCE = 1e-7
 # Largest component of a cusp's tangent along the parameters: at a corner they do not stand still.
 STANDS_STILL = 1e-4

@@ -22,6 +22,7 @@ Array = NDArray[np.float64]
 
 _FAST, _SOFT = 30.0, 1e-3  # times the natural frequency, and the stiffness of the spring
 _FAR = 10.0  # times the amplitude of the linear resonance
+_GRADED = np.geomspace(1e-4, 1.0, 60)  # distances from a wall, in gap widths
 _OWN = UserLaw, ForceTable  # their K_c is no force
 _BETWEEN = "gapsweep.study.study", called_as.__module__  # study.run(), and checks of arguments
 
@@ -66,8 +67,11 @@ def doubts(
                 f"gap = {wall:g}{unit}{at}: more than {_FAR:g} times the amplitude of the linear "
                 f"resonance, {reach:.2g}{unit}; gaps are in metres, as coordinates are"
             )
-    for law in {repr(law): law for each in laws for law in each}.values():
-        yield from _of_table(law) if isinstance(law, ForceTable) else _of_layers(law)
+    distinct = list({repr(law): law for each in laws for law in each}.values())
+    for law in distinct:
+        if isinstance(law, ForceTable):
+            yield from _of_table(law)
+    yield from _of_layers([law for law in distinct if law.is_sharpened and law.K_c], models)
 
 
 def warn_of(found: Iterable[str]) -> None:
@@ -133,16 +137,36 @@ def _from(starts: Array, along: Array, model: Oscillator | System) -> Array:
     return found
 
 
-def _of_layers(law: ContactLaw) -> Iterator[str]:
-    """A warning of a smooth law whose layers at the walls are wider than half the gap."""
-    name = "gamma" if hasattr(law, "gamma") else "epsilon"
-    sharpness, half = getattr(law, name, math.inf), 0.5 * law.gap.width
-    if law.K_c and sharpness * half < 1.0 and half:
-        yield (
-            f"{name} = {sharpness:g} /m: the force rises over 1/{name} = {1.0 / sharpness:.2g} m, "
-            f"more than half the gap, {half:.2g} m: there is no clearance; write {name} = "
-            f"{10.0 / half:.0e} or more"
-        )
+def _of_layers(laws: Sequence[ContactLaw], models: Sequence[Oscillator | System]) -> Iterator[str]:
+    """Warnings of smooth laws without clearance, and with too large a force between the walls."""
+    forcing = max((abs(one.forcing) for one in models if isinstance(one, Oscillator)), default=0.0)
+    loud: dict[str, float] = {}
+    wide = {}
+    for law in laws:
+        name = "gamma" if hasattr(law, "gamma") else "epsilon"
+        said, half = f"{name} = {1.0 / law.layer:g} /m", 0.5 * law.gap.width
+        if law.layer > half > 0.0:
+            wide[said, half] = (
+                f"{said}: the force rises over 1/{name} = {law.layer:.2g} m, more than half the "
+                f"gap, {half:.2g} m: there is no clearance; write {name} = {10.0 / half:.0e} or "
+                "more"
+            )
+        elif half:
+            loud[said] = min(loud.get(said, math.inf), _in_gap_force(law))
+    yield from wide.values()
+    for said, force in loud.items():
+        if force > forcing > 0.0:
+            yield (
+                f"{said}: between the walls the force is up to {force:.2g} N, more than the "
+                f"forcing, {forcing:.2g} N; gs.static_error(law, forcing={forcing:g}).needed is "
+                "a parameter to use"
+            )
+
+
+def _in_gap_force(law: ContactLaw) -> float:
+    """Largest force between the walls [N], from points graded towards both walls."""
+    steps = law.gap.width * _GRADED
+    return float(np.abs(law.force(np.append(steps - law.gap.j_1, law.gap.j_2 - steps))).max())
 
 
 def _of_table(table: ForceTable) -> Iterator[str]:

@@ -345,7 +345,7 @@ def how_many(n: int, found: Sequence[Contact]) -> str:
 
 def _recommendation(found: Sequence[Contact]) -> list[str]:
     if any(contact.picks for contact in found):
-        return [f"Approximations {_adequate(found)}.", f"Adequate: {_picked(found)}."]
+        return [f"Approximations {_adequate(found)}: {_picked(found)}."]
     laws = [one for contact in found for one in contact.laws if one.is_approximation]
     is_open = any(contact.is_open for contact in found)
     how = "has been shown to be adequate" if is_open else "is adequate"

@@ -19,6 +19,7 @@ from gapsweep.analysis.dimensions import scenes as all_scenes
 from gapsweep.errors import StoreError
 from gapsweep.model.labels import EXACT
 from gapsweep.report.answer import (
+    LIMITS,
     MOST_CONTACTS,
     SIGNS,
     Contact,
@@ -147,6 +148,7 @@ def head(inputs: Inputs) -> dict[str, Any]:
         "headline": own or answer[:1],
         "answer": answer[0 if own else 1 :],
         "signs": SIGNS,
+        "limits": LIMITS,
         "groups": GROUPS,
         "verdicts": VERDICTS,
         "stiffnesses": heads(contact.K_c for contact in listed),

@@ -9,7 +9,6 @@ Nothing is integrated, so no result can influence the choice (docs/decisions/001
   plain Duffing, whose motion is the same.
 - *The cubic spring is negligible.* By the same bound it changes the steady motion by at most
   ``L |α| b³ / m``, now with the linear steady amplitude as b_0. Below the error: linear.
-- *A smooth law is adequate* if its force error is below the error times the forcing.
 - *A tolerance* of a tenth of the error is enough where that bound holds: then the steady motion is
   the only one, because the loop gain of the cubic spring is below one. If walls may be reached,
   there may be several, and the tolerance is the one that decides between them: errors of the
@@ -21,23 +20,14 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from enum import IntEnum
 
-import numpy as np
-from numpy.typing import NDArray
-
 from gapsweep.errors import ModelError
-from gapsweep.model.contact import FIT_RANGE, ContactLaw
-from gapsweep.model.labels import FAMILIES, contact_law
 from gapsweep.model.oscillator import OSCILLATOR, Gap, Oscillator, checked
 from gapsweep.study.points import Points
-
-Array = NDArray[np.float64]
 
 DEFAULT_ERROR = 1e-3
 SMALLEST_ERROR, LARGEST_ERROR = 1e-9, 0.1
 # Solver tolerance: per allowed error, and largest one if it may decide between attractors.
 _TOLERANCE, _CHOOSING_RTOL = 0.1, 1e-9
-_SHARPENED = [name for name, law in FAMILIES.items() if law.is_sharpened]
-_DECADES = range(2, 13)
 
 
 class Model(IntEnum):
@@ -71,23 +61,6 @@ class Advice:
     oscillator: Oscillator
     K_c: float
     rtol: float
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Approximation:
-    """Force error of a smooth law in a case.
-
-    Attributes
-    ----------
-    label : str
-    force_error : float
-        Largest difference from the exact force, relative to the forcing [-].
-    is_adequate : bool
-    """
-
-    label: str
-    force_error: float
-    is_adequate: bool
 
 
 def advise(
@@ -153,66 +126,6 @@ def check_error(error: float) -> float:
     if not SMALLEST_ERROR <= error <= LARGEST_ERROR:
         raise ModelError(f"error = {error:g}: must be in {SMALLEST_ERROR:g}..{LARGEST_ERROR:g}")
     return error
-
-
-def approximations(
-    K_c: float, gap: Gap, forcing: float, *, error: float, K_ratio: float = 1.0
-) -> list[Approximation]:
-    """Return, per family, the smooth law with the smallest adequate power of ten as parameter.
-
-    Families without one up to 1e12 /m are left out.
-    """
-    found = []
-    for family in _SHARPENED:
-        for decade in _DECADES:
-            label = f"{family}-1e{decade}"
-            one = approximation(label, K_c, gap, forcing, error=error, K_ratio=K_ratio)
-            if one.is_adequate:
-                found.append(one)
-                break
-    return found
-
-
-def approximation(
-    label: str,
-    K_c: float,
-    gap: Gap,
-    forcing: float,
-    *,
-    error: float,
-    fit_range: float = FIT_RANGE,
-    K_ratio: float = 1.0,
-) -> Approximation:
-    """Return the force error of one smooth law, and whether the law is adequate.
-
-    Parameters
-    ----------
-    label : str
-        As in a study.
-    forcing : float
-        Forcing amplitude [N].
-    fit_range : float
-        Half-width [m] of the range in which forces are compared, and polynomials fitted.
-    K_ratio : float
-        Stiffness of the lower wall over the stiffness of the upper wall [-].
-    """
-    law = contact_law(label, K_c, gap, fit_range, K_ratio=K_ratio)
-    largest = _largest_force_error(law, fit_range)
-    relative = largest / abs(forcing) if forcing else math.inf
-    return Approximation(
-        label=label, force_error=relative, is_adequate=relative <= check_error(error)
-    )
-
-
-def _largest_force_error(law: ContactLaw, reach: float) -> float:
-    # Errors of smooth laws are largest in the layer at a wall, however thin; of fits, in between.
-    steps = np.concatenate([[0.0], np.geomspace(1e-13, 2.0 * reach, 600)])
-    walls = (-law.gap.j_1, law.gap.j_2)
-    x = np.concatenate(
-        [np.linspace(-reach, reach, 2001), *(w + s * steps for w in walls for s in (-1, 1))]
-    )
-    x = x[np.abs(x) <= reach]
-    return float(np.max(np.abs(law.force(x) - law.exact.force(x))))
 
 
 def _linear_motion(

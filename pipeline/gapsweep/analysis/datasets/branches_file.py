@@ -95,7 +95,7 @@ def branches(
     say : callable
         Called with the progress.
     is_curves : bool
-        Whether the curves are returned; branches that are not stored any more are computed again.
+        Whether the curves are returned; missing branches are recomputed.
     """
     parts = [part for part in _parts(study, attractors) if part.scene.attractors]
     for file in ("branches.nc", "curves.nc")[: 1 + is_curves]:

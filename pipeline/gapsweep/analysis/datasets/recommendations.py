@@ -1,20 +1,30 @@
 """The simplest adequate model for each parameter set of a study: ``advice.nc``.
 
-`gapsweep.study.least_model` has the criteria.
+`gapsweep.study.least_model` derives it; smooth laws are chosen by `contact_errors.ADEQUATE`.
 """
 
 from collections.abc import Iterator
+from contextlib import suppress
+from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
 import xarray as xr
 
+from gapsweep.analysis.datasets.contact_errors import (
+    TOO_COARSE,
+    allowed_error,
+    expected_range,
+    needed,
+    rms_error,
+)
 from gapsweep.errors import ModelError, StudyError
-from gapsweep.model.contact import Piecewise
-from gapsweep.model.labels import family, law_of
-from gapsweep.model.oscillator import Gap
+from gapsweep.model.contact import ContactLaw, Piecewise
+from gapsweep.model.labels import FAMILIES, canonical_label, contact_law, family, law_of
+from gapsweep.model.oscillator import OSCILLATOR, Gap, Oscillator
 from gapsweep.study.grid import START
-from gapsweep.study.least_model import Approximation, Model, approximation, approximations
+from gapsweep.study.least_model import Model
 from gapsweep.study.schema import coordinates
 from gapsweep.study.study import Study
 from gapsweep.variables import Variable
@@ -29,16 +39,20 @@ VARIABLES = {
     "bound": Variable("f8", "m", "bound of the displacement, inf: unknown"),
 }
 SCREENED = {
-    "force_error": Variable("f8", "1", "largest force error over the forcing amplitude"),
+    "force_error": Variable("f8", "1", "RMS force error over the forcing amplitude"),
     "is_adequate": Variable(
-        "i1", "1", "whether force_error is below the allowed error", -1, (("no", 0), ("yes", 1))
+        "i1", "1", "whether force_error is allowed", -1, (("no", 0), ("yes", 1))
     ),
 }
+# Per family any law of it, to find the smallest parameter; the last only for studies with fits.
+_SEEDS = {name: f"{name}-1e4" for name, law in FAMILIES.items() if law.is_sharpened}
+_FITTED = {"poly": "poly-13"}
+_SYMBOLS = {"tanh": "epsilon", "arctan": "epsilon", "logarctan": "gamma", "poly": "degree"}
 _MOST_STARTS = 3  # initial conditions that are named one by one
 _PART = 65_536  # points whose numbers are in memory at a time
 
 
-def advice(study: Study, error: float | None = None) -> xr.Dataset:
+def advice(study: Study, error: float | None = None, share: float = 0.95) -> xr.Dataset:
     """Advice for every point of a study, and static screening of smooth laws.
 
     Parameters
@@ -46,13 +60,16 @@ def advice(study: Study, error: float | None = None) -> xr.Dataset:
     study : Study
     error : float, optional
         Error of the steady amplitude to meet; that of the study's ``[auto]`` if None.
+    share : float
+        Share of the exact law's attractors that smooth laws are to find, as in `static_error`.
 
     Returns
     -------
     Dataset
         `VARIABLES` over every dimension but the representation, -1 for cells without a point;
         `SCREENED` over the dimensions of parameter sets and `approximation`: the study's smooth
-        laws and, per family, the one with the smallest adequate power of ten. Attribute `error`.
+        laws and, per family, the one with the smallest adequate parameter, in the displacements
+        of `expected_range`. Attributes `error`, `share` and `allowed_force_error`.
     """
     if not study.model.is_oscillator:
         raise StudyError(
@@ -77,7 +94,7 @@ def advice(study: Study, error: float | None = None) -> xr.Dataset:
         name: (grid.dims[1:], values, VARIABLES[name].attributes)
         for name, values in (("model", model), ("rtol", rtol), ("bound", bound))
     }
-    labels, screened = _screened(study, error)
+    labels, screened = _screened(study, share)
     for name, values in screened.items():
         variables[name] = ((*grid.scene_dims, APPROXIMATION), values, SCREENED[name].attributes)
     values = grid.coordinates()
@@ -90,53 +107,61 @@ def advice(study: Study, error: float | None = None) -> xr.Dataset:
                 for name, (along, variable) in coordinates(grid.dims[1:], grid.structure).items()
             },
         },
-        {"study": study.name, "title": study.title, "error": error},
+        {
+            "study": study.name,
+            "title": study.title,
+            "error": error,
+            "share": share,
+            "allowed_force_error": allowed_error(share),
+        },
     )
 
 
-def _screened(study: Study, error: float) -> tuple[list[str], dict[str, Any]]:
+def _screened(study: Study, share: float) -> tuple[list[str], dict[str, Any]]:
     """Labels of smooth laws, and their force error and adequacy in every parameter set.
 
-    They are the study's smooth laws and, per family, the one with the smallest adequate power of
-    ten as its parameter.
+    They are the study's smooth laws and, per family, the one with the smallest adequate parameter.
     """
     grid = study.grid
     own = dict.fromkeys(law_of(label) for label in grid.representations)
     smooth = [r for r in own if family(r) not in (None, Piecewise)]
+    seeds = _SEEDS | (_FITTED if any(label.startswith("poly") for label in smooth) else {})
     others = tuple(i for i, dim in enumerate(grid.dims) if dim not in grid.scene_dims)
     asked = grid.requested.any(axis=others)
-    screened = {}
+    screened: dict[Any, dict[str, float]] = {}
     for at in zip(*np.nonzero(asked), strict=True):
         here = dict(zip(grid.scene_dims, map(int, at), strict=True))
         axes = {name: grid.axes[name][i] for name, i in here.items()}
         gap = axes["gap"] if "gap" in axes else Gap(axes["j_1"], axes["j_2"])
-        forcing = axes.get("forcing", study.oscillator.forcing)
-        K_ratio = axes.get("K_ratio", 1.0)
-        least = approximations(axes["K_c"], gap, forcing, error=error, K_ratio=K_ratio)
-        rest = [label for label in smooth if label not in {one.label for one in least}]
-        given = {"error": error, "fit_range": study.spec.fit.range, "K_ratio": K_ratio}
-        screened[at] = [*least, *_each(rest, axes["K_c"], gap, forcing, **given)]
-    labels = list(dict.fromkeys(one.label for scene in screened.values() for one in scene))
+        walls = axes["K_c"], gap, axes.get("K_ratio", 1.0)
+        oscillator = replace(study.oscillator, **{n: axes[n] for n in OSCILLATOR if n in axes})
+        forcing = abs(oscillator.forcing)
+        placed = partial(_placed, oscillator, *walls, study.spec.fit.range)
+        least = ((name, needed(*placed(seed), forcing, share)) for name, seed in seeds.items())
+        labels = [canonical_label(f"{name}-{value:g}") for name, value in least if value > 0.0]
+        screened[at] = {}
+        for label in dict.fromkeys([*labels, *smooth]):
+            screened[at][label] = np.inf
+            with suppress(ModelError):  # of a fit with a pole in its range
+                law, visited = placed(label)
+                screened[at][label] = rms_error(law, *visited) / forcing if forcing else np.inf
+    labels = list(dict.fromkeys(label for scene in screened.values() for label in scene))
     force_error = np.full((*asked.shape, len(labels)), np.nan)
-    is_adequate = np.full(force_error.shape, -1, "i1")
     for at, some in screened.items():
-        for one in some:
-            place = (*at, labels.index(one.label))
-            force_error[place], is_adequate[place] = one.force_error, one.is_adequate
+        for label, value in some.items():
+            force_error[(*at, labels.index(label))] = value
+    is_adequate = np.where(np.isnan(force_error), -1, force_error <= allowed_error(share)).astype(
+        "i1"
+    )
     return labels, {"force_error": force_error, "is_adequate": is_adequate}
 
 
-def _each(
-    labels: list[str], K_c: float, gap: Gap, forcing: float, **given: float
-) -> list[Approximation]:
-    found = []
-    for label in labels:
-        try:
-            one = approximation(label, K_c, gap, forcing, **given)
-        except ModelError:  # a fit with a pole in its range
-            one = Approximation(label=label, force_error=np.inf, is_adequate=False)
-        found.append(one)
-    return found
+def _placed(
+    oscillator: Oscillator, K_c: float, gap: Gap, K_ratio: float, fit_range: float, label: str
+) -> tuple[ContactLaw, tuple[float, float]]:
+    """A law, and the displacements that are expected of the oscillator with it."""
+    law = contact_law(label, K_c, gap, fit_range, K_ratio=K_ratio)
+    return law, expected_range(oscillator, law, fit_range)
 
 
 def sentences(found: xr.Dataset) -> list[dict[str, Any]]:
@@ -229,19 +254,32 @@ def _reason(model: Model, bound: float) -> str:
 
 
 def _approximations(here: xr.Dataset) -> str:
-    rows = [
-        (str(label), float(value), int(yes))
-        for label, value, yes in zip(
-            here[APPROXIMATION].values,
-            here["force_error"].values,
-            here["is_adequate"].values,
-            strict=True,
-        )
-        if yes >= 0
-    ]
-    good = ", ".join(f"{label} ({value:.2g})" for label, value, yes in rows if yes)
-    bad = ", ".join(f"{label} ({value:.2g})" for label, value, yes in rows if not yes)
-    text = f"smooth laws whose force error is below the allowed error: {good or 'none'}"
-    text = f"{text}; others: {bad}" if bad else text
-    how = "in brackets: maximum force error / forcing (no bound on the response; run the study)"
-    return f"{text}; {how}" if rows else text
+    labels = [str(label) for label in here[APPROXIMATION].values]
+    rows = {
+        label: (float(here["force_error"][i]), bool(here["is_adequate"][i]))
+        for i, label in enumerate(labels)
+        if here["is_adequate"][i] >= 0
+    }
+    least: dict[str, float] = {}
+    for label, (_, is_adequate) in rows.items():
+        name, _, parameter = label.partition("-")
+        if is_adequate and name in _SYMBOLS:
+            least[name] = min(float(parameter), least.get(name, np.inf))
+    good = "; ".join(
+        f"{name}: {_SYMBOLS[name]} >= {value:g}{'' if name == 'poly' else ' /m'}"
+        for name, value in least.items()
+    )
+    limit = float(here.attrs["allowed_force_error"])
+    text = (
+        f"smooth laws that find {here.attrs['share']:.0%} of the exact law's periodic attractors "
+        f"(RMS force error at most {limit:g} of the forcing): {good or 'none'}"
+    )
+    for words, low, high in (
+        ("Run the study to judge", limit, TOO_COARSE),
+        ("Too coarse", TOO_COARSE, np.inf),
+    ):
+        some = [
+            f"{label} ({value:.2g})" for label, (value, _) in rows.items() if low < value <= high
+        ]
+        text += f". {words}: {', '.join(some)}" * bool(some)
+    return text

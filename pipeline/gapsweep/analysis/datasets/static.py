@@ -2,8 +2,9 @@
 
 For every representation, stiffness and gap, and for other swept parameters of spring, mass and
 walls: force curve and force error (A1 of the metrics), frequency of small motions in the gap (A2),
-static equilibria and their barriers (A3); and for every stiffness and gap the sharpness from which
-tanh has no false equilibrium.
+static equilibria and their barriers (A3); for every stiffness and gap the sharpness from which tanh
+has no false equilibrium; and the RMS force error over the visited displacements as a share of the
+forcing, by which a law is chosen (docs/explanation/rule.md).
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -17,17 +18,20 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from gapsweep.analysis.datasets.contact_errors import (
+    ADEQUATE,
     error_of_parts,
+    expected_range,
     in_gap,
     largest_in_gap,
+    rms_error,
     static_error,
     tanh_threshold,
 )
 from gapsweep.analysis.dimensions import Array
 from gapsweep.errors import ModelError
-from gapsweep.model.contact import ContactLaw
+from gapsweep.model.contact import ContactLaw, Piecewise
 from gapsweep.model.equilibria import equilibria, linear_stiffness, restoring_slope
-from gapsweep.model.labels import AUTO, law_of
+from gapsweep.model.labels import AUTO, EXACT, law_of
 from gapsweep.model.oscillator import Gap, Oscillator
 from gapsweep.study.schema import COORDINATES
 from gapsweep.study.study import Study
@@ -68,8 +72,15 @@ SCENE_VARIABLES = {
     "lowest_barrier": Variable("f8", "J", "lowest energy to leave a static well"),
     "refusal": Variable("str", "1", "reason why the law is invalid, else empty"),
 }
+# Over the forcing, too, where it is swept.
+VISITED_VARIABLES = {
+    "visited_min": Variable("f8", "m", "lowest displacement of the exact law"),
+    "visited_max": Variable("f8", "m", "highest displacement of the exact law"),
+}
 FORCED_VARIABLES = {
-    "in_gap_force_ratio": Variable("f8", "1", "largest force between the walls over the forcing"),
+    "force_error_ratio": Variable(
+        "f8", "1", "RMS force error over the visited displacements, over the forcing amplitude"
+    ),
 }
 _STABILITY = (("none", -1), ("unstable", 0), ("stable", 1))
 CONTACT_VARIABLES = {
@@ -86,7 +97,9 @@ LIST_VARIABLES = {
 }
 
 
-def static(study: Study, *, with_own_laws: bool = True) -> xr.Dataset:
+def static(
+    study: Study, responses: xr.Dataset | None = None, *, with_own_laws: bool = True
+) -> xr.Dataset:
     """Force, errors, frequencies and equilibria of laws over all swept parameters.
 
     A law that cannot be built or evaluated leaves NaN and its reason in ``refusal``.
@@ -95,6 +108,10 @@ def static(study: Study, *, with_own_laws: bool = True) -> xr.Dataset:
     ----------
     study : Study
         Its representations are evaluated without protocols, each once.
+    responses : Dataset, optional
+        Responses of the study, for the displacements that the exact law visits. Without them, or
+        without the exact law, the range is that of `expected_range`; attribute `visited` of
+        ``force_error_ratio`` says which.
     with_own_laws : bool
         Whether to evaluate user laws in this process, which they could hang or end; otherwise
         they are refused.
@@ -152,7 +169,8 @@ def static(study: Study, *, with_own_laws: bool = True) -> xr.Dataset:
         "numerics_fingerprint": numerics_fingerprint(),
         "fit_range": x_max,
     }
-    return _beside_the_forcing(xr.Dataset(variables, coords, attributes), study)
+    laws = [values.get("law") for values in of_all]
+    return _with_forcing(xr.Dataset(variables, coords, attributes), study, laws, models, responses)
 
 
 def _model(
@@ -164,18 +182,62 @@ def _model(
     return replace(oscillator, **spring), *walls
 
 
-def _beside_the_forcing(dataset: xr.Dataset, study: Study) -> xr.Dataset:
-    """Add to a dataset the forcing amplitude, and forces in the gap relative to it."""
+def _with_forcing(
+    dataset: xr.Dataset,
+    study: Study,
+    laws: Sequence[ContactLaw | None],
+    models: Sequence[tuple[Oscillator, *tuple[Any, ...]]],
+    responses: xr.Dataset | None,
+) -> xr.Dataset:
+    """Add the forcing, an axis where it is swept, the visited range and the force error in it."""
     dims, described = COORDINATES["forcing"]
     swept = study.grid.axes.get("forcing")
+    forcing = np.array([study.oscillator.forcing] if swept is None else swept)
     if swept is None:
-        dataset["forcing"] = (), study.oscillator.forcing, described.attributes
+        dataset["forcing"] = (), forcing[0], described.attributes
     else:
-        dataset = dataset.assign_coords(forcing=(dims, list(swept), described.attributes))
-    forcing = abs(dataset["forcing"])
-    ratio = (dataset["in_gap_force"] / forcing).where(forcing > 0.0)
+        dataset = dataset.assign_coords(forcing=(dims, forcing, described.attributes))
+    over = [*map(str, dataset["in_gap_force"].dims), *(() if swept is None else ("forcing",))]
+    shape = [*(dataset.sizes[dim] for dim in over)]
+    cases = [
+        (replace(oscillator, forcing=p), Piecewise(K_c, gap, K_ratio=ratio))
+        for oscillator, K_c, gap, ratio in models
+        for p in forcing.tolist()
+    ]
+    ranges, x_max = _visited(dataset, responses, over[1:]), study.spec.fit.range
+    is_expected = ranges is None
+    if ranges is None:
+        ranges = np.array([expected_range(*case, x_max) for case in cases])
+
+    def error(law: ContactLaw | None, at: int) -> float:
+        oscillator, p = cases[at][0], abs(cases[at][0].forcing)
+        if law is None or not p:
+            return np.nan
+        low, high = expected_range(oscillator, law, x_max) if is_expected else ranges[at].tolist()
+        return rms_error(law, low, high) / p if low < high else np.nan
+
+    n = len(forcing)
+    errors = [error(law, i % len(models) * n + k) for i, law in enumerate(laws) for k in range(n)]
+    said = "expected at the main resonance" if is_expected else "by the exact law's responses"
+    for (name, variable), values in zip(VISITED_VARIABLES.items(), ranges.T, strict=True):
+        dataset[name] = over[1:], values.reshape(shape[1:]), variable.attributes
     ((name, variable),) = FORCED_VARIABLES.items()
-    return dataset.assign({name: ratio.assign_attrs(variable.attributes)})
+    about = {**variable.attributes, "visited": said, "adequate": ADEQUATE}
+    return dataset.assign({name: (over, np.reshape(errors, shape), about)})
+
+
+def _visited(
+    dataset: xr.Dataset, responses: xr.Dataset | None, dims: Sequence[str]
+) -> Array | None:
+    """Lowest and highest displacement [m] of the exact law in every case, if there are any."""
+    if responses is None or EXACT not in responses["representation"]:
+        return None
+    some = responses[["x_min", "x_max"]].sel(representation=EXACT)
+    if "gap" not in some.dims:
+        some = some.drop_vars("gap", errors="ignore").stack(gap=("j_1", "j_2"), create_index=False)
+    rest = [dim for dim in some.dims if dim not in dims]
+    low, high = some["x_min"].min(rest), some["x_max"].max(rest)
+    return np.stack([one.transpose(*dims).values.ravel() for one in (low, high)], axis=1)
 
 
 def _coordinates(labels: Sequence[str], axes: Mapping[str, Sequence[Any]]) -> dict[str, Any]:
@@ -237,7 +299,7 @@ def _of_spring(oscillator: Oscillator, of_walls: Values, x_max: float) -> Values
 
 
 def _errors(law: ContactLaw, x_max: float) -> Values:
-    rmse, r_squared = static_error(law, x_max)
+    rmse, r_squared, *_ = static_error(law, x_max)
     within, rest = error_of_parts(law, x_max)
     return {
         "rmse": rmse,
