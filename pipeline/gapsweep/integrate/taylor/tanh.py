@@ -313,7 +313,7 @@ class Layers:
         is_fast = is_fast & (beta <= _MOST_BENT) & (kappa <= _MOST_BENT)
         # It turns back beyond the layer, the other wall's layer is farther, and no section point or
         # end of the motion falls within.
-        # Slowed down by the contact, by the acceleration at the wall and by its growth alone, it
+        # Slowed down by the contact, by the acceleration at the wall and by its growth, it
         # needs v^2 = k w^2, 2 |a| w and 9 |a'| w^2 / (8 |v|) to get through a layer of width w.
         braking = fma(hurry * 3.0, width / speed, fma(k, width * 1.5, absolute(outward) * 3.0))
         is_fast = is_fast & (middle >= braking * width)
