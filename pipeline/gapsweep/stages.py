@@ -456,7 +456,7 @@ STAGES = (
     ),
     Stage(
         CURVES,
-        (ATTRACTORS,),
+        (ATTRACTORS, BRANCHES),
         (SETTINGS,),
         partial(_branches, is_curves=True),
         lambda study: study.spec.branches is not None and study.spec.branches.second is not None,

@@ -162,6 +162,30 @@ def test_expected_range_is_that_of_the_main_resonance():
     assert expected_range(undamped, wall, 7e-3) == (-7e-3, 7e-3)
 
 
+@pytest.mark.parametrize(("zeta", "forcing"), [(1.0, 4.0), (2.0, 10.0)])
+def test_expected_range_includes_slow_motions_of_strong_damping(zeta, forcing):
+    oscillator, law = paper_oscillator(zeta=zeta, forcing=forcing), gs.Piecewise(1.4e4, GAP)
+    slow = gs.respond(oscillator, law, 0.1)
+    assert_allclose(expected_range(oscillator, law), (slow.x_min, slow.x_max), rtol=0.01)
+
+
+def test_a_fit_that_does_not_reach_the_walls_is_left_out():
+    tables = {
+        "study": {"name": "fits"},
+        "oscillator": PAPER,
+        "sweep": [
+            {
+                "representation": ["piecewise", "auto", "poly-13"],
+                "K_c": [1.4e4],
+                "gap": [[0.4e-3, 0.4e-3], [5e-3, 5e-3]],  # the default range is 4 mm
+                "omega": [6.0],
+            }
+        ],
+    }
+    found = advice(gs.Study.from_dict(tables)).sel(approximation="poly-13")
+    assert np.isfinite(found.force_error.values.ravel()).tolist() == [True, False]
+
+
 @pytest.mark.parametrize("error", [0.0, 1e-12, 0.5, math.nan])
 def test_absurd_errors_are_refused(error):
     with pytest.raises(gs.ModelError, match="error"):

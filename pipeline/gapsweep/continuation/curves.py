@@ -191,6 +191,9 @@ def curves(
             f"between = {(second.low, second.high)}: must contain the value "
             f"{second.name} = {fixed:g} of the branch"
         )
+    for end in (second.low, second.high):  # an invalid value ends here, not within a curve
+        family.model_at({**values, second.name: end})
+        family.laws_at({**values, second.name: end})
     omega = None if "omega" in values else family.omega
     both = Family(family.model, family.law, omega, (*values,), {**family.values, **values})
     equations = OrbitEquations(both, windows, solver)

@@ -60,7 +60,7 @@ class Window:
         checked(f"between of {name}", low, low=0.0 if is_positive else -math.inf, strict=True)
         checked(f"between of {name}", high)
         if not low < high:
-            raise ModelError(f"between = {between!r}: must be ascending, as ({high:g}, {low:g})")
+            raise ModelError(f"between = {between!r}: must be ascending, of two different values")
         return cls(name, low, high)
 
     @property

@@ -153,7 +153,8 @@ class Graze:
 
     def __call__(self, orbit: Orbit) -> float:
         wall = walls(self.equations, orbit, self.contact)[self.side]
-        assert wall is not None
+        if wall is None:  # it has lost its stiffness: the curve ends
+            return np.nan
         beyond = _beyond(orbit, self.contact, self.side, wall)[0 if self.is_outer else 1]
         least = -abs(wall) - 1e-9
         return float(beyond[self.rank]) if self.rank < len(beyond) else least

@@ -82,8 +82,8 @@ def _local(workers: int, dashboard: bool) -> Iterator[Client]:
     place = tempfile.gettempdir()
     if os.name == "posix" and len(os.fsencode(place)) > _LONGEST_PLACE:
         raise ClusterError(
-            f"TMPDIR = {place}: must have <= {_LONGEST_PLACE} characters (of the names of workers' "
-            "sockets); write TMPDIR=/tmp gapsweep run ..."
+            f"TMPDIR = {place}: too long for the names of the workers' sockets; must have at most "
+            f"{_LONGEST_PLACE} bytes, as TMPDIR=/tmp"
         )
     # Free ports on the loopback, so that no other cluster is disturbed. Temporary TLS keys, so that
     # no other process of the machine can run code in the workers or in this process.

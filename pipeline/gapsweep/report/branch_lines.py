@@ -22,6 +22,7 @@ from gapsweep.report import scales
 from gapsweep.report.scales import drawn
 from gapsweep.report.selection import places, scene
 from gapsweep.report.style import colour
+from gapsweep.status import Status
 from gapsweep.study.grid import COORDINATE
 from gapsweep.study.schema import COORDINATES
 from gapsweep.variables import MULTIPLIER, POINT, to_dataframe
@@ -153,6 +154,12 @@ def behind(
         name_points(axes, branches, along, heights[0])
 
 
+def on_no_branch(found: xr.Dataset) -> NDArray[np.bool_]:
+    """Whether each attractor lies on no branch of its case, if that has branches."""
+    is_followed = found["attractor_status"].values == Status.OK
+    return np.asarray(is_followed & (found["attractor_on_branch"].values < 0))
+
+
 def caption(found: xr.Dataset | None, here: xr.Dataset, along: str) -> str:
     """Caption sentences on branches, with a leading blank; empty if none is drawn."""
     branches = of_scene(found, here, along)
@@ -162,7 +169,7 @@ def caption(found: xr.Dataset | None, here: xr.Dataset, along: str) -> str:
     words = f" Lines: periodic orbits, dashed where unstable. {', '.join(marks)}{'.' * bool(marks)}"
     if "attractor_on_branch" in found:
         inside = in_scene(found, here, ATTRACTOR, "attractor_")
-        n = int((found["attractor_on_branch"].values[inside] < 0).sum())
+        n = int(on_no_branch(found)[inside].sum())
         words += f" {n} of {inside.sum()} periodic attractors lie on no branch." * bool(n)
     return words
 

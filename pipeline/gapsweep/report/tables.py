@@ -12,7 +12,14 @@ from gapsweep.analysis.dimensions import At, by_coordinate, scene_dims
 from gapsweep.continuation.dataset import ATTRACTOR
 from gapsweep.continuation.special import Special
 from gapsweep.model.labels import EXACT
-from gapsweep.report.branch_lines import KINDS, REPRESENTATION, in_scene, of_orbits, of_scene
+from gapsweep.report.branch_lines import (
+    KINDS,
+    REPRESENTATION,
+    in_scene,
+    of_orbits,
+    of_scene,
+    on_no_branch,
+)
 from gapsweep.report.branch_lines import label as of_axis
 from gapsweep.report.parts import Table
 from gapsweep.report.scales import drawn
@@ -194,7 +201,7 @@ def special_points(found: xr.Dataset | None, here: xr.Dataset, along: str) -> It
 def _lost_attractors(found: xr.Dataset, here: xr.Dataset, along: str) -> Iterator[Table]:
     """Periodic attractors of a parameter set that lie on no branch."""
     inside = in_scene(found, here, ATTRACTOR, "attractor_")
-    lost = found.isel({ATTRACTOR: inside & (found["attractor_on_branch"].values < 0)})
+    lost = found.isel({ATTRACTOR: inside & on_no_branch(found)})
     names = f"attractor_{along}", "attractor_x_max"
     values = [drawn(lost[name]) for name in names]
     others = (lost[f"attractor_{name}"].values for name in ("period_multiple", "start_state"))

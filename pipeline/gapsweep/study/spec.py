@@ -230,11 +230,11 @@ class BranchesTable(TomlTable):
         (low, high), of_name = self.range, {*WALLS} if name in WALLS else {name}
         if any(len(axes[x]) > 1 for x in {*axes} & of_name - {along}):
             yield f"branches.second = {name!r}: must have one value in [[sweep]]; range varies it"
-        value = axes[name][0] if name in axes else known.get(name)
+        value = axes[name][0] if name in axes else {"K_ratio": 1.0, **known}.get(name)
         if name in WALLS and "gap" in axes:
             value = axes["gap"][0].j_2 if name == "j_2" else axes["gap"][0].j_1
         if not low < high:
-            yield f"branches.range = {self.range}: must be ascending, as [{high:g}, {low:g}]"
+            yield f"branches.range = {self.range}: must be ascending, of two different values"
         elif value is not None and not low <= value <= high:
             yield f"branches.range = {self.range}: must contain {name} = {value:g} of the study"
 

@@ -109,6 +109,7 @@ def static_error(
     (True, True)
     """
     low, high = _range(visited)
+    allowed_error(share)
     exact, weights, error = _sampled(checked_law(law), low, high)[1:]
     residual, length = (error**2 * weights).sum(), weights.sum()
     spread = ((exact - (exact * weights).sum() / length) ** 2 * weights).sum()
@@ -181,7 +182,10 @@ def expected_range(
     stiffness = k or exact.K_c * min(exact.K_ratio, 1.0)
     if not stiffness:
         return -fit_range, fit_range
-    far = p / c * math.sqrt(m / stiffness) + 2.0 * abs(oscillator.mean_load) / stiffness
+    far = (
+        p * max(math.sqrt(m / stiffness) / c, 1.0 / stiffness)
+        + 2.0 * abs(oscillator.mean_load) / stiffness
+    )
     far = 1.01 * far + (0.0 if k else j_1 + j_2)
     x = np.linspace(-far, far, _N_BALANCE)
     energy = potential(x)
@@ -197,7 +201,10 @@ def expected_range(
     levels = np.sort(energy)
     at = bisect_left(levels, 0.0, key=lambda level: turning_points(level)[2])
     low, high, _ = turning_points(levels[min(at, len(levels) - 1)])
-    return max(low, -end), min(high, end)
+    if k:  # of strong damping slow forcing moves it farther
+        held = x[np.abs(np.gradient(energy, x)) <= p]
+        low, high = held.min(initial=low), held.max(initial=high)
+    return float(max(low, -end)), float(min(high, end))
 
 
 def error_of_parts(law: ContactLaw, x_max: float) -> tuple[float, float]:
@@ -216,11 +223,13 @@ def error_of_parts(law: ContactLaw, x_max: float) -> tuple[float, float]:
 
 def _range(visited: Any) -> tuple[float, float]:
     """The lowest and highest displacement of a range, if it is one."""
-    if isinstance(visited, Sequence) and not isinstance(visited, str) and len(visited) == 2:
+    if np.shape(visited) == (2,):
         low, high = (checked("visited", x) for x in visited)
         if low < high:
             return low, high
         raise ModelError(f"visited = {visited}: must be the lowest displacement, then the highest")
+    if np.ndim(visited):
+        raise ModelError(f"visited = {visited}: must be a number, or (lowest, highest)")
     high = checked("visited", visited, low=0.0, strict=True)
     return -high, high
 

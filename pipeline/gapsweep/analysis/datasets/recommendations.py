@@ -137,14 +137,17 @@ def _screened(study: Study, share: float) -> tuple[list[str], dict[str, Any]]:
         oscillator = replace(study.oscillator, **{n: axes[n] for n in OSCILLATOR if n in axes})
         forcing = abs(oscillator.forcing)
         placed = partial(_placed, oscillator, *walls, study.spec.fit.range)
-        least = ((name, needed(*placed(seed), forcing, share)) for name, seed in seeds.items())
-        labels = [canonical_label(f"{name}-{value:g}") for name, value in least if value > 0.0]
+        labels = []
+        for name, seed in seeds.items():
+            with suppress(ModelError):  # of a fit whose range does not reach the walls
+                value = needed(*placed(seed), forcing, share)
+                labels += [canonical_label(f"{name}-{value:g}")] if value > 0.0 else []
         screened[at] = {}
         for label in dict.fromkeys([*labels, *smooth]):
             screened[at][label] = np.inf
             with suppress(ModelError):  # of a fit with a pole in its range
                 law, visited = placed(label)
-                screened[at][label] = rms_error(law, *visited) / forcing if forcing else np.inf
+                screened[at][label] = rms_error(law, *visited) / forcing if forcing else np.nan
     labels = list(dict.fromkeys(label for scene in screened.values() for label in scene))
     force_error = np.full((*asked.shape, len(labels)), np.nan)
     for at, some in screened.items():
@@ -260,6 +263,8 @@ def _approximations(here: xr.Dataset) -> str:
         for i, label in enumerate(labels)
         if here["is_adequate"][i] >= 0
     }
+    if not rows:
+        return "smooth laws are judged by their force error over the forcing, which is 0"
     least: dict[str, float] = {}
     for label, (_, is_adequate) in rows.items():
         name, _, parameter = label.partition("-")
