@@ -212,8 +212,8 @@ def finding(run: Run) -> str:
         f"Locate contacts and write the force by contact mode: errors after four periods fall at "
         f"least {least:.0f}-fold; with one expression, at most {math.ceil(most)}-fold. A smooth "
         f"law is [accurate](docs/answer.md) if its force error is below {percent(ENOUGH)} of the "
-        f"forcing (tanh: ε ≥ {SHARPNESS:.0f} K_c/p). Among the paper's {len(found)} cases, tanh "
-        f"suits {count(found, 'tanh')}; polynomials and rational fits suit {count(found, *FITS)}."
+        f"forcing (tanh: ε ≥ {SHARPNESS:.0f} K_c/p suffices). Among the paper's {len(found)} "
+        f"cases, tanh suits {count(found, 'tanh')}; polynomials and rational fits suit {count(found, *FITS)}."
     )
 
 

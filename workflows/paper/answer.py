@@ -62,16 +62,16 @@ def answer(run: Run) -> list[str]:
     fits = ", ".join(one.place for one in found if count([one], *FITS))
     return [
         f"Write the contact force by contact mode, locate every contact and switch the mode there: "
-        f"at the paper's tolerance the error after four forcing periods is "
+        f"at the paper's rtol of 1e-4 the error after four forcing periods is "
         f"{spread(by_mode, '.0f')} times smaller than without location (hard contact, 0/0.8 mm). "
         f"Location with the force as one expression of x (the paper's Eq. 1b) makes it "
         f"{spread(as_written, '.1f')} times smaller. With scipy's RK45 the factors are "
         f"{spread(SCIPY_BY_MODE, '.0f')} by mode and {spread(SCIPY_AS_WRITTEN, '.1f')} with one "
         f"expression.",
         f"A smooth law is accurate enough if its force error, the root mean square over the "
-        f"displacements that occur, is below {percent(ENOUGH)} of the forcing p; for tanh, if "
-        f"ε ≥ {SHARPNESS:.0f} K_c/p.{_by_the_rule(run, found)} gapsweep advise computes the ε, γ "
-        f"or degree for other machines.",
+        f"displacements that occur, is below {percent(ENOUGH)} of the forcing p; for tanh, "
+        f"ε ≥ {SHARPNESS:.0f} K_c/p is enough.{_by_the_rule(run, found)} gapsweep advise computes "
+        f"the smallest ε, γ or degree for any machine.",
         f"In this study tanh with a suitable ε is accurate enough in {count(found, 'tanh')} of "
         f"{len(found)} cases, arctan in {count(found, 'arctan')}, polynomials and rational fits in "
         f"{count(found, *FITS)}{f' ({fits})' * bool(fits)}.",

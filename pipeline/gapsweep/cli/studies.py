@@ -271,7 +271,7 @@ def advise(study: Path, error: float | None, share: float, as_json: bool) -> int
     if as_json:
         echo(json.dumps({"error": error, "not_assessed": own, "scenes": scenes}))
         return FINISHED
-    print_text(f"allowed relative error of the steady amplitude: {error:g}")
+    print_text(f"allowed relative error of the steady amplitude, for the simplest model: {error:g}")
     for scene in scenes:
         print_text(_case(scene))
         for one in scene["starts"]:

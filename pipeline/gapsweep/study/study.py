@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from gapsweep.errors import ModelError, StudyError
 from gapsweep.integrate.problem import Solver
-from gapsweep.model.contact import ContactLaw
+from gapsweep.model.contact import ContactLaw, Piecewise
 from gapsweep.model.labels import AUTO, EXACT, contact_law, law_of
 from gapsweep.model.oscillator import Gap, Oscillator
 from gapsweep.model.own_law import OwnLaw, checked
@@ -154,7 +154,7 @@ class Study:
         lines = undecided(self.spec.history, known, self._axes)
         if self.spec.branches:
             of_branches = self.spec.branches.problems(self._axes, known, self.spec.contact)
-            lines = chain(lines, of_branches)
+            lines = chain(lines, of_branches, self._problems_of_range())
         problems = [f"{self.source}: {line}" for line in lines]
         if problems:
             raise StudyError(problems)
@@ -167,6 +167,24 @@ class Study:
                 ]
             )
         return self
+
+    def _problems_of_range(self) -> Iterator[str]:
+        """Values of the second parameter of [branches] that no model can have."""
+        table = self.spec.branches
+        assert table is not None
+        for value in table.range or ():
+            try:
+                match table.second:
+                    case "gap" | "j_1" | "j_2":
+                        Gap(value, value)
+                    case "K_c":
+                        Piecewise(value, Gap(0.0, 0.0))
+                    case "K_ratio":
+                        Piecewise(1.0, Gap(0.0, 0.0), K_ratio=value)
+                    case str(name) if self.model.is_oscillator and name in self.spec.model:
+                        replace(self.oscillator, **{name: value})
+            except ModelError as error:
+                yield f"branches.range = {table.range}: {error}"
 
     def _check_modules(self) -> None:
         """Refuse modules of [claims] and [report] that cannot be read; none of them is run."""

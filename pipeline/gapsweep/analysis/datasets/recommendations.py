@@ -284,7 +284,9 @@ def _approximations(here: xr.Dataset) -> str:
         ("Too coarse", TOO_COARSE, np.inf),
     ):
         some = [
-            f"{label} ({value:.2g})" for label, (value, _) in rows.items() if low < value <= high
+            f"{label} (force error {value:.2g})"
+            for label, (value, _) in rows.items()
+            if low < value <= high
         ]
         text += f". {words}: {', '.join(some)}" * bool(some)
     return text
