@@ -213,7 +213,8 @@ def finding(run: Run) -> str:
         f"least {least:.0f}-fold; with one expression, at most {math.ceil(most)}-fold. A smooth "
         f"law is [accurate](docs/answer.md) if its force error is below {percent(ENOUGH)} of the "
         f"forcing (tanh: ε ≥ {SHARPNESS:.0f} K_c/p suffices). Among the paper's {len(found)} "
-        f"cases, tanh suits {count(found, 'tanh')}; polynomials and rational fits suit {count(found, *FITS)}."
+        f"cases, tanh suits {count(found, 'tanh')}; polynomials and rational fits suit "
+        f"{count(found, *FITS)}."
     )
 
 
