@@ -269,10 +269,7 @@ def main(folder: Path) -> None:
         f"{start} {', '.join(f'{found[verdict]} {verdict}' for verdict in VERDICTS)}"
         for start, found in tallies.items()
     )
-    picture = (
-        f"\n{PICTURE.replace('images', 'docs/images')}\n" * (ROOT / "docs/images/rule.png").exists()
-    )
-    written(ROOT / "README.md", "answer", f"{finding(run)}\n{picture}")
+    written(ROOT / "README.md", "answer", f"{finding(run)}\n")
     for place in ("README.md", "docs/explanation/claims.md"):
         written(ROOT / place, "claims", counts)
     written(ROOT / "README.md", "run", f"{about['created'][:10]}, {about['numerics_fingerprint']}")

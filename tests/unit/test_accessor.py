@@ -22,6 +22,7 @@ from tests.made import chaotic, datasets, failed, periodic, tables
 import gapsweep as gs
 import gapsweep.report.accessor  # plain xarray.load_dataset does not bring it along
 from gapsweep.analysis.agreement.comparison import agreement
+from gapsweep.continuation.special import Special
 from gapsweep.model.systems import paper_oscillator
 from gapsweep.report.branch_lines import caption, of_scene
 from gapsweep.report.figure_marks import as_csv
@@ -401,7 +402,8 @@ def test_special_points_are_numbered_in_a_table(branched):
 def test_a_curve_is_one_line_over_both_parameters(ax):
     made = of_branches(np.ones((1, 6), "i1"), [[0, 0, 9, 0, 0, 0]])
     made["forcing"] = 2.0 * made["omega"]
-    made.attrs |= {"curve": "period_doubling", "second": "forcing"}
+    made["curve_kind"] = ("branch", np.array([Special.PERIOD_DOUBLING], "i1"))
+    made.attrs["second"] = "forcing"
     made.isel(branch=0, drop=True).gapsweep.branches(ax=ax)
     assert ax.get_ylabel().startswith("forcing amplitude")
     assert marks(ax) == {"CP cusp": [12.0]}

@@ -155,9 +155,11 @@ def behind(
 
 
 def on_no_branch(found: xr.Dataset) -> NDArray[np.bool_]:
-    """Whether each attractor lies on no branch of its case, if that has branches."""
-    is_followed = found["attractor_status"].values == Status.OK
-    return np.asarray(is_followed & (found["attractor_on_branch"].values < 0))
+    """Whether each attractor lies on no branch; false in cases of a study that failed."""
+    is_lost = found["attractor_on_branch"].values < 0
+    if "attractor_status" in found:
+        is_lost &= found["attractor_status"].values == Status.OK
+    return np.asarray(is_lost)
 
 
 def caption(found: xr.Dataset | None, here: xr.Dataset, along: str) -> str:
