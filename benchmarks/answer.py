@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 import gapsweep as gs
-from gapsweep.analysis.claims import VERDICTS, Run
+from gapsweep.analysis.claims import VERDICTS, NotInRunError, Run
 from gapsweep.report.answer import SIGNS, Contact, Judged, contacts, times, verdict
 from gapsweep.report.scales import plain
 from gapsweep.report.tables import percent
@@ -36,7 +36,7 @@ from workflows.paper.answer import (  # noqa: E402
 )
 from workflows.paper.language import At  # noqa: E402
 from workflows.paper.measures import cost  # noqa: E402
-from workflows.paper.scenes import EXACT, STRONG, TABLE_CASES, WEAK  # noqa: E402
+from workflows.paper.scenes import EXACT, NO_EVENTS, STRONG, TABLE_CASES, WEAK  # noqa: E402
 
 RULE = "explanation/rule.md"
 PICTURE = "![Share of attractors found over the force error](images/rule.png)"
@@ -44,6 +44,7 @@ FAMILIES = ("tanh", "arctan", "logarctan", "poly", "ratpoly")
 NUMBERS = [
     "law",
     "verdict",
+    "force error / forcing",
     "error, median",
     "95 %",
     "attractors found",
@@ -106,12 +107,14 @@ def table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
     return "".join(f"| {' | '.join(row)} |\n" for row in [head, ["---"] * len(head), *rows])
 
 
-def numbers(contact: Contact) -> str:
+def numbers(run: Run, contact: Contact) -> str:
     """The numbers behind the verdicts in one case, as a table."""
+    place = contact.K_c, contact.gap
     rows = [
         [
             f"`{one.law}`",
             f"{one.verdict}{'' if one.is_firm else ' ±'}",
+            force_error(run, one.law, *place),
             percent(one.values["median"][0]),
             percent(one.values["p95"][0]),
             f"{percent(one.values['found'][0])} of {one.n_exact}",
@@ -122,8 +125,19 @@ def numbers(contact: Contact) -> str:
         for one in in_order(contact.laws)
     ]
     floors = [percent(contact.floors[name][0]) for name in ("median", "p95", "found")]
-    rows.append(["exact law, other settings", "", *floors, times(contact.floor_cost_ratio), "", ""])
+    rows.append(
+        ["exact law, other settings", "", "", *floors, times(contact.floor_cost_ratio), "", ""]
+    )
     return f"### {contact.place}\n\n{table(NUMBERS, rows)}"
+
+
+def force_error(run: Run, law: str, K_c: float, gap: str) -> str:
+    """The force error of a law over the forcing; empty for the exact force and in runs without."""
+    try:
+        at = run.scene("static", law, K_c, gap, "force_error_ratio")
+    except NotInRunError:
+        return ""
+    return f"{float(at['force_error_ratio']):.2g}" if law != NO_EVENTS else ""
 
 
 def in_order(laws: Iterable[Judged]) -> list[Judged]:
@@ -246,7 +260,7 @@ def page(run: Run) -> str:
     return (
         f"# Which contact law is accurate enough, and its cost\n\n{said}\n{picture * has_rule}"
         f"{signs(found)}\n{SIGNS_SAY}\n{made}\n\n{costs(run, found)}\n"
-        f"{chr(10).join(map(numbers, every))}"
+        f"{chr(10).join(numbers(run, one) for one in every)}"
     )
 
 
