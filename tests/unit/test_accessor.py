@@ -397,6 +397,8 @@ def test_special_points_are_numbered_in_a_table(branched):
     none = made.isel(step=[0, 1]).gapsweep.special_points()
     assert none.columns.tolist() == table.columns.tolist()
     assert none.empty
+    with pytest.raises(gs.DatasetError, match="branches: none in this dataset"):
+        made.drop_vars("special").gapsweep.special_points()
 
 
 def test_a_curve_is_one_line_over_both_parameters(ax):

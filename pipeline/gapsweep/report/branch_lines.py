@@ -81,7 +81,7 @@ def shown(found: xr.Dataset, names: Sequence[str], wanted: Mapping[str, Any]) ->
 def special_table(found: xr.Dataset) -> Any:
     """Special points as a `pandas.DataFrame`; see `GapsweepAccessor.special_points`."""
     names = [str(found.attrs.get(name, "")) for name in ("along", "second")]
-    points = special_points(found)
+    points = special_points(_checked(found))
     parts = points["multiplier_real"] + 1j * points["multiplier_imag"]
     off = abs(abs(parts.fillna(0.0)) - 1.0)
     symbols = [Special(kind).symbol for kind in points["special"].values.tolist()]
