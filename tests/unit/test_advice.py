@@ -305,7 +305,10 @@ def test_command_advises_without_computing(tmp_path, monkeypatch, capsys):
     assert 0.9 * ADEQUATE < rms_by_sums(law, *visited) / 4.0 <= ADEQUATE
     assert "tanh-1e4 (" in text
     assert exit_code(["advise", "s.toml", "--json"]) == FINISHED
-    assert json.loads(capsys.readouterr().out)["error"] == 1e-3
+    found = json.loads(capsys.readouterr().out)
+    assert (found["error"], found["share"]) == (1e-3, 0.95)
+    for each in found["scenes"][0]["laws"]:
+        assert each["is_adequate"] == (each["force_error"] <= ADEQUATE)
     assert "not assessed" not in text
     assert exit_code(["advise", "s.toml", "--error", "2"]) == FAULT
     assert "error = 2: must be in" in capsys.readouterr().err

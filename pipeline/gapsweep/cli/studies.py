@@ -269,7 +269,7 @@ def advise(study: Path, error: float | None, share: float, as_json: bool) -> int
     found = advice(loaded, error, share)
     scenes, error, own = sentences(found), found.attrs["error"], loaded.own_laws
     if as_json:
-        echo(json.dumps({"error": error, "not_assessed": own, "scenes": scenes}))
+        echo(json.dumps({"error": error, "share": share, "not_assessed": own, "scenes": scenes}))
         return FINISHED
     print_text(f"allowed relative error of the steady amplitude, for the simplest model: {error:g}")
     for scene in scenes:
@@ -297,7 +297,7 @@ def _case(scene: dict[str, Any]) -> str:
     from gapsweep.study.schema import UNITS
 
     words = [f"K_c = {scene['K_c']:g} N/m", f"gap {scene['gap']} mm"]
-    swept = scene.keys() - {"K_c", "gap", "starts", "approximations", "j_1", "j_2"}
+    swept = scene.keys() - {"K_c", "gap", "starts", "approximations", "laws", "j_1", "j_2"}
     others = [f"{name} = {scene[name]:g} {UNITS.get(name, '')}".strip() for name in sorted(swept)]
     return ", ".join(words + others)
 

@@ -192,6 +192,11 @@ def sentences(found: xr.Dataset) -> list[dict[str, Any]]:
                     {"start": _starts(some), "advice": _ranges(some)} for some in _alike(here)
                 ],
                 "approximations": _approximations(here),
+                "laws": [
+                    {"law": label, "force_error": error, "is_adequate": is_adequate}
+                    for label, (error, is_adequate) in _assessed(here).items()
+                    if np.isfinite(error)  # a fit that could be made
+                ],
             }
         )
     return scenes
@@ -256,13 +261,17 @@ def _reason(model: Model, bound: float) -> str:
     return f"{stays}{'; the cubic stiffness is negligible' if model is Model.LINEAR else ''}"
 
 
-def _approximations(here: xr.Dataset) -> str:
-    labels = [str(label) for label in here[APPROXIMATION].values]
-    rows = {
-        label: (float(here["force_error"][i]), bool(here["is_adequate"][i]))
-        for i, label in enumerate(labels)
+def _assessed(here: xr.Dataset) -> dict[str, tuple[float, bool]]:
+    """Force error of each assessed law of a case, and whether it is small enough."""
+    return {
+        str(label): (float(here["force_error"][i]), bool(here["is_adequate"][i]))
+        for i, label in enumerate(here[APPROXIMATION].values)
         if here["is_adequate"][i] >= 0
     }
+
+
+def _approximations(here: xr.Dataset) -> str:
+    rows = _assessed(here)
     if not rows:
         return "smooth laws are judged by their force error over the forcing, which is 0"
     least: dict[str, float] = {}
