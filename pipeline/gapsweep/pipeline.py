@@ -599,7 +599,8 @@ def _computed(
 ) -> Progress:
     """Compute the missing points of a plan; without missing points no cluster is started.
 
-    `begin` is called before the computation, once the cluster is connected.
+    `begin` is called once: before the computation, when the cluster is connected, or at once if
+    no point is missing.
     """
     before = planned.progress
     if not planned.n_missing:

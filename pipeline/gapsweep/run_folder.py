@@ -109,7 +109,9 @@ def check_writable(folder: Path, other: str = "another folder with --out") -> No
 
 @contextmanager
 def locked_run(folder: Path) -> Iterator[None]:
-    """Lock the folder of a run, so that no other process writes into it.
+    """Lock the folder of a run in the block, so that no other run writes into it.
+
+    Waits while another process holds the lock.
 
     Raises
     ------

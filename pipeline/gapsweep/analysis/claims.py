@@ -295,7 +295,7 @@ def stated(names: Mapping[str, Any]) -> list[Claim]:
 
 
 def claim(id: int, place: str, text: str, why: str) -> Callable[[Callable[["Run"], Found]], Claim]:
-    """Return a decorator that makes a claim of a function."""
+    """Return a decorator that replaces a function by a `Claim` with it as `find`."""
     return lambda find: Claim(id, place, text, why, find)
 
 

@@ -46,7 +46,7 @@ def point_dims(responses: xr.Dataset) -> tuple[str, ...]:
 
 
 def scene_dims(dims: Iterable[Hashable]) -> list[str]:
-    """The dimensions of parameter sets among those of a sweep point, in their order."""
+    """The given dimensions except representation, frequency and initial condition, in order."""
     return [str(dim) for dim in dims if dim not in (REPRESENTATION, *SWEPT)]
 
 

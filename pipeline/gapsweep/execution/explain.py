@@ -72,7 +72,25 @@ def explain(study: Study, plan: Plan, cache: Cache | None, limit: int) -> Iterat
 def _differing(
     asked: Points, previous: NDArray[np.void], slab: Slab, contents: Stored
 ) -> Differences:
-    """Fields in which a requested point differs from the most similar point of a slab."""
+    """Fields in which a requested point differs from the most similar point of a slab.
+
+    For systems of another structure these are only fields that all points of the slab share.
+
+    Parameters
+    ----------
+    asked : Points
+        The requested point.
+    previous : ndarray of key, shape (1,)
+        Key of the preceding point of its sweep; zero without one.
+    slab : Slab
+    contents : Stored
+        The points of the slab.
+
+    Returns
+    -------
+    dict of str to (str, str)
+        Requested and stored value, by field.
+    """
     differing = _differences(_fields(asked.kind.identity), _fields(slab.identity))
     stored, (numbers,) = contents.numbers, asked.numbers
     if stored.shape[1] != len(numbers):  # points of systems of another structure

@@ -53,7 +53,10 @@ def findings(inputs: Inputs, found: Sequence[Contact]) -> list[str]:
 
 
 def _doubtful(responses: xr.Dataset) -> list[str]:
-    """Sentences on oscillator numbers probably in another unit; user code is not called."""
+    """Warnings of numbers of an oscillator study that probably have a wrong unit or sign.
+
+    User code is not called; a study of systems has no warnings.
+    """
     tables = json.loads(responses.attrs.get("study_json", "{}"))
     if "oscillator" not in tables:
         return []
@@ -140,9 +143,11 @@ def _counted(values: NDArray[np.integer]) -> Counter[int]:
 
 
 def _along(responses: xr.Dataset) -> Iterator[str]:
-    """Sentences on intervals without periodic responses, if a run has a single swept axis.
+    """Sentences on intervals with chaotic or quasiperiodic responses, or with equilibria.
 
-    They are of the exact law if it was computed, else of the first law.
+    An interval has such responses from at least one initial condition. There are no sentences if
+    a run sweeps several axes, or fewer than 10 values. They are of the exact law if it was
+    computed, else of the first law.
     """
     kinds = responses["response_class"]
     long = [dim for dim in kinds.dims if kinds.sizes[dim] > 1]

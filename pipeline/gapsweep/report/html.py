@@ -208,7 +208,13 @@ def _script(name: str) -> Markup:
 
 
 def _write(folder: Path, files: Mapping[str, bytes]) -> set[str]:
-    """Write files next to the report; returns their names."""
+    """Write files into the report's folder of figures; returns their names.
+
+    Raises
+    ------
+    StoreError
+        If the folder is a symbolic link, or cannot be written.
+    """
     if folder.is_symlink():
         raise StoreError(f"{folder}: a symbolic link, which could lead anywhere: remove it")
     for name, data in files.items():

@@ -59,7 +59,10 @@ def scene_along(
 
 
 def finished(axes: "Axes", shown: xr.Dataset, along: str) -> "Axes":
-    """Label the horizontal axis, and add title and legend; returns the axes."""
+    """Label the horizontal axis, and add title and legend; returns the axes.
+
+    The axis contains all values of `along`, and is logarithmic if `is_log`.
+    """
     axes.set_xlabel(axis_label(shown[along]))
     # The whole axis is shown, also values without dots.
     axes.update_datalim(np.column_stack([drawn(shown[along])] * 2), updatey=False)

@@ -156,7 +156,10 @@ def _axes(responses: xr.Dataset) -> tuple[list[str], list[str]]:
 
 
 def plane_of(responses: xr.Dataset) -> list[str]:
-    """``x_0`` and ``v_0`` if the initial conditions form a grid; else empty."""
+    """Names ``x_0`` and ``v_0`` if fixed initial conditions form a grid of at least 5 by 5.
+
+    Otherwise, and for systems, the list is empty.
+    """
     if COORDINATE in responses.dims:
         return []
     try:

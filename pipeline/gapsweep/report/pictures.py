@@ -49,7 +49,7 @@ def pictures(figure: Figure) -> dict[str, str]:
 
 
 def packed(data: bytes) -> str:
-    """Compressed bytes of a file as base64 text, for JSON."""
+    """Compress bytes with zlib; returns them as base64 text, for JSON."""
     return base64.b64encode(zlib.compress(data, 9)).decode()
 
 

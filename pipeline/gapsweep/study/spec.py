@@ -280,7 +280,17 @@ class StudySpec(TomlTable):
     @model_validator(mode="before")
     @classmethod
     def _with_parameters_apart(cls, given: Any) -> Any:
-        """Move the model's parameters in every block and history to a table within it."""
+        """Return a study's tables, each block and history with its parameters in a table within it.
+
+        A missing number of the oscillator that all blocks sweep gets its first value there, and
+        blocks with only user laws, without walls, get zeros for `K_c` and `gap`.
+
+        Raises
+        ------
+        ValueError
+            If a name in [parameters] is reserved or no identifier, or if a table is not allowed
+            with [system].
+        """
         if not isinstance(given, dict):
             return given
         own = given.get("parameters") or {}

@@ -59,10 +59,21 @@ OF_STUDY = {
 
 @dataclass(slots=True, kw_only=True)
 class _SceneBranches:
-    """A case of a study: its position, the inputs of its branches, and the result."""
+    """A case of a study, and the result of the continuation of its branches.
 
-    at: Mapping[str, int]  # its position on the axes
-    # Shape (n, 2): positions of its n attractors along the parameter and in ``attractors.nc``.
+    Attributes
+    ----------
+    at : mapping of str to int
+        Position of the case on the axes of the study.
+    numbers : ndarray of int, shape (n, 2)
+        Positions of its n periodic attractors along the parameter and in ``attractors.nc``.
+    scene : BranchScene
+        Inputs of the continuation.
+    found : Followed
+        Its outcome, with the branches or curves.
+    """
+
+    at: Mapping[str, int]
     numbers: NDArray[np.intp]
     scene: BranchScene
     found: Followed
