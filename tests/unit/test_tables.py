@@ -84,7 +84,7 @@ def test_advice_fits(capsys):
     assert exit_code(["advise", "wide.toml"]) == FINISHED
     text = shown(capsys)
     assert "simplest model" in text
-    assert "logarctan-1e4 (0." in " ".join(text.split())
+    assert "logarctan-1e4 (force error 0." in " ".join(text.split())
 
 
 def test_plan_fits(capsys):
