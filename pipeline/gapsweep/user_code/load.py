@@ -27,7 +27,7 @@ from types import ModuleType
 from typing import Any
 
 from gapsweep.errors import ClusterError, ModelError, StudyError, described
-from gapsweep.user_code.snapshot import ABSENT, BESIDE, Module, Snapshot, version_of
+from gapsweep.user_code.snapshot import ABSENT, LOOSE, Module, Snapshot, version_of
 
 _PREFIX = "gapsweep_user_"
 # Environment variable: a folder for temporary files, which another process removes.
@@ -83,7 +83,7 @@ def load_for_law(snapshot: Snapshot, label: str) -> ModuleType:
 
 def plain(name: str) -> str:
     """The text with module names as the user knows them, without the private package."""
-    return re.sub(rf"{_PREFIX}[0-9a-f]+\.?({BESIDE}\.)?", "", name)
+    return re.sub(rf"{_PREFIX}[0-9a-f]+\.?({LOOSE}\.)?", "", name)
 
 
 def inner_name(module: str, snapshot: Snapshot) -> str | None:

@@ -21,7 +21,7 @@ from pathlib import Path, PurePosixPath
 from gapsweep.errors import ModelError
 
 ABSENT = ""  # the version of a module that was not found
-BESIDE = "_"  # package name for a file outside packages, so that it can import its neighbours
+LOOSE = "_"  # package name for a file outside packages, so that it can import its neighbours
 _INSTALLED = {"site-packages", "dist-packages"}
 _OURS = "gapsweep"  # keys hold the digest of its source
 
@@ -140,8 +140,8 @@ class Snapshot:
             If a file cannot be read or is not Python.
         """
         path = path.absolute()
-        name, search = f"{BESIDE}.{path.stem}", _ImportScan(path.stem, [path.parent, *folders])
-        search.add_folder(BESIDE, [path.parent])
+        name, search = f"{LOOSE}.{path.stem}", _ImportScan(path.stem, [path.parent, *folders])
+        search.add_folder(LOOSE, [path.parent])
         search.add(name, path, is_package=False)
         return cls(name, search.modules, search.versions)
 
