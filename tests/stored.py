@@ -5,14 +5,13 @@ import numpy as np
 from gapsweep.execution.plan import plan
 from gapsweep.execution.task import Tile, respond_to
 from gapsweep.integrate.problem import Solver
+from gapsweep.model.labels import EXACT
 from gapsweep.response.result import Responses, Steady
 from gapsweep.store.cache import Cache
 from gapsweep.store.slab import slabs
 from gapsweep.study.points import KEY, Kind, Points
 
-KIND = Kind(
-    representation="piecewise", contacts=("piecewise",), solver=Solver.of(), steady=Steady()
-)
+KIND = Kind(representation=EXACT, contacts=(EXACT,), solver=Solver.of(), steady=Steady())
 
 
 def points(*names, kind=KIND):

@@ -22,6 +22,7 @@ from gapsweep.analysis.datasets import branches_file as branches_of_study
 from gapsweep.continuation.orbits import integrated
 from gapsweep.execution import branch_tasks
 from gapsweep.integrate.problem import Models, Solver
+from gapsweep.model.labels import Representation
 from gapsweep.model.own_law import OwnLaw
 
 # The oscillator of pyvib: m = 1, c = .05, k = 1, 3 more beyond ±.1745, force .03.
@@ -305,7 +306,9 @@ def test_what_becomes_of_a_scene_whose_process_ends_or_hangs_is_its_status(
 ):
     sound = scene(folder)
     own = OwnLaw.of("tests.laws:spinning", [Path(__file__).parents[2]])
-    point = replace(sound.point, kind=replace(sound.point.kind, contacts=(own.label,), own=own))
+    point = replace(
+        sound.point, kind=replace(sound.point.kind, contacts=(Representation(own.label),), own=own)
+    )
     scenes = [Deadly(), replace(sound, point=point), sound]
     found = dict(branch_tasks.followed(scenes, client, 3.0, lambda: None))
     assert found[0].status == gs.Status.KILLED

@@ -16,6 +16,7 @@ from gapsweep.execution.isolated import Isolated
 from gapsweep.execution.task import response_of
 from gapsweep.integrate.problem import Solver
 from gapsweep.integrate.stepping import batch
+from gapsweep.model.labels import Representation
 from gapsweep.model.own_law import OwnLaw
 from gapsweep.store.cache import Cache
 from gapsweep.study.points import Kind
@@ -108,8 +109,9 @@ def test_no_point_is_timed_out_for_its_machine_code(one_point, tmp_path):
 def test_no_point_alone_is_timed_out_for_what_it_loads(tmp_path):
     (tmp_path / "slow_to_load.py").write_text("import time\ntime.sleep(7)\ndef law(x): return x\n")
     own, solver = OwnLaw.of("slow_to_load:law", [tmp_path]), Solver.of("scipy", 1e-3)
-    given = {"representation": own.label, "law_code": own.key, "own": own}
-    settings = {"contacts": (own.label,), "solver": solver, "steady": gs.Steady(t_max=1.0)}
+    law = Representation(own.label)
+    given = {"representation": law, "law_code": own.key, "own": own}
+    settings = {"contacts": (law,), "solver": solver, "steady": gs.Steady(t_max=1.0)}
     kind = Kind(**given, **settings)
     with Isolated(5.0) as isolated:  # an orbit of rtol 1e-3 is confirmed at 1e-9
         response = response_of(isolated, points(1.0, kind=kind), np.zeros(2)).row(0)

@@ -17,6 +17,7 @@ from workflows.paper.figures import sections
 from gapsweep.analysis.agreement.comparison import agreement
 from gapsweep.analysis.claims import Run
 from gapsweep.analysis.datasets.timing import repeatability, timing, widened
+from gapsweep.model.labels import Representation
 from gapsweep.report.answer import (
     COLUMNS,
     Contact,
@@ -316,9 +317,8 @@ def test_about_one_is_said_of_what_is_known_to_be_near_it(high, said):
 def judged(law, verdict="use", cost_ratio=4.0, width=1.1, firm=True, median=0.01):
     values = {"median": np.array([median, median / width, median * width])}
     possible = frozenset({verdict.replace("exact here", "use"), *(() if firm else COLUMNS)})
-    return Judged(
-        law, values, 9, verdict, possible, cost_ratio, cost_ratio / width, cost_ratio * width
-    )
+    costs = cost_ratio, cost_ratio / width, cost_ratio * width
+    return Judged(Representation(law), values, 9, verdict, possible, *costs)
 
 
 def contact(*laws, K_c=1e4, gap="0.4/0.4", floor=0.0, swept=()):
@@ -403,6 +403,12 @@ def test_a_law_of_ones_own_is_a_approximation_whatever_its_module_is_called():
     assert judged("piecewise_fits:spring").is_approximation
 
 
+def test_tables_of_the_user_are_no_family():
+    """Two files of forces are two laws, whatever their names have in common."""
+    picks = contact(judged("stop-1.csv:mm"), judged("stop-2.csv:mm")).picks
+    assert [one.law for one in picks] == ["stop-1.csv:mm", "stop-2.csv:mm"]
+
+
 def test_prices_have_two_digits():
     assert [times(v) for v in (0.52, 4.0, 9.96, 17.4, float("nan"))] == [
         "0.52\u00a0×", "4.0\u00a0×", "10\u00a0×", "17\u00a0×", "–",
@@ -468,8 +474,8 @@ def papers_responses(tmp_path_factory):
 
     def at(place):
         label, K_c = grid.representations[place["representation"]], grid.K_c[place["K_c"]]
-        law = label.partition("@")[0]
-        sharpness = {"tanh": 4.0, "arctan": 2.0}.get(law.partition("-")[0], 0.2)
+        law = label.law
+        sharpness = {"tanh": 4.0, "arctan": 2.0}.get(law.family, 0.2)
         error = 0.0
         if not law.startswith("piecewise"):
             power = float(law[-1]) if law[-3:-1] == "1e" else 4.0

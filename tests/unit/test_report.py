@@ -20,7 +20,7 @@ from tests.unit.test_system_tables import TWO_MASSES
 from gapsweep.analysis.agreement.comparison import agreement
 from gapsweep.analysis.datasets.timing import timing
 from gapsweep.errors import StoreError
-from gapsweep.model.labels import FAMILIES, contact_law
+from gapsweep.model.labels import FAMILIES, Representation, contact_law
 from gapsweep.model.oscillator import Gap
 from gapsweep.report import model as model_module
 from gapsweep.report.answer import Contact, Judged, contacts
@@ -430,7 +430,7 @@ def contact(laws, **where):
     """A contact where each law has a verdict, an error, a share found and a cost ratio."""
     judged = [
         Judged(
-            law,
+            Representation(law),
             {"median": np.array([error]), "p95": np.array([error]), "found": np.array([share])},
             9, said, frozenset({said}), cost_ratio, cost_ratio, cost_ratio,
         )

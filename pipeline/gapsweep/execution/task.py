@@ -12,7 +12,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, nullcontext, suppress
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import cache, partial
 from typing import TypeVar
 
 import numpy as np
@@ -252,26 +252,41 @@ def _starts(points: Points, states: States) -> States:
     return found
 
 
+def laws_of(kind: Kind, walls: States) -> tuple[ContactLaw, ...]:
+    """The laws of all contacts of a point.
+
+    Parameters
+    ----------
+    kind : Kind
+    walls : ndarray, shape (number of contacts * len(OF_CONTACT),)
+        Stiffness [N/m], distances [m] and stiffness ratio of the walls of every contact.
+
+    Raises
+    ------
+    ModelError
+        If a law cannot be built.
+    """
+    found = []
+    rows = walls.reshape(-1, len(OF_CONTACT)).tolist()
+    for one, (K_c, j_1, j_2, K_ratio) in zip(kind.contacts, rows, strict=True):
+        gap = Gap(j_1, j_2)
+        if not one.is_own:
+            found.append(contact_law(one, K_c, gap, kind.fit_range, K_ratio=K_ratio))
+        elif kind.own is None:
+            raise ModelError(f"{one}: the code of this user law is not stored")
+        else:
+            found.append(kind.own.law(K_c, gap, K_ratio))
+    return tuple(found)
+
+
 def models_of(points: Points) -> tuple[tuple[Rows, Models], dict[int, ModelError]]:
     """Rows of valid points and their models, and the errors of the other rows."""
     kind = points.kind
     n, n_states = len(kind.contacts) * len(OF_CONTACT), kind.n_states
 
-    def law(label: str, K_c: float, j_1: float, j_2: float, K_ratio: float) -> ContactLaw:
-        gap = Gap(j_1, j_2)
-        if ":" not in label:
-            return contact_law(label, K_c, gap, kind.fit_range, K_ratio=K_ratio)
-        if kind.own is None:
-            raise ModelError(f"{label}: the code of this user law is not stored")
-        return kind.own.law(K_c, gap, K_ratio)
-
-    def laws(row: States) -> tuple[ContactLaw, ...]:
-        walls = row.reshape(-1, len(OF_CONTACT)).tolist()
-        return tuple(law(label, *each) for label, each in zip(kind.contacts, walls, strict=True))
-
     walls, omega, others = np.split(points.numbers[:, :-n_states], [n, n + 1], axis=1)
     systems, its_system, no_system = _made(kind.structure.system, others)
-    several, its_laws, no_laws = _made(laws, walls)
+    several, its_laws, no_laws = _made(partial(laws_of, kind), walls)
     refused = no_system | no_laws
     rows = np.array([row for row in range(len(points)) if row not in refused], np.intp)
     columns = {"system": its_system[rows], "law": its_laws[rows], "omega": omega[rows, 0]}

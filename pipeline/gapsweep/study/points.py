@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from gapsweep.integrate.problem import Solver
 from gapsweep.model.contact import FIT_RANGE
-from gapsweep.model.labels import is_fitted
+from gapsweep.model.labels import Representation
 from gapsweep.model.oscillator import Gap
 from gapsweep.model.own_law import OwnLaw
 from gapsweep.model.structure import AnyStructure, OscillatorStructure, read_structure
@@ -38,7 +38,7 @@ Numbers = NDArray[np.intp]
 class Kind:
     """Common settings of the points of a table: everything but numbers that affects results."""
 
-    representation: str  # canonical label, without a protocol
+    representation: Representation  # without a protocol
     solver: Solver
     steady: Steady
     fit_range: float = FIT_RANGE  # half-width [m] of the range of fitted laws
@@ -48,7 +48,7 @@ class Kind:
     # Added to a fixed initial displacement [m], to measure the reproducibility of the exact law.
     start_jitter: float = 0.0
     law_code: str | None = None  # key of a user law
-    contacts: tuple[str, ...]  # label of every contact's law
+    contacts: tuple[Representation, ...]  # of every contact
     structure: AnyStructure = _OSCILLATOR  # the arrays of systems are among the numbers
     # The law of that key; None in a kind that was read from a cache.
     own: OwnLaw | None = field(default=None, compare=False, repr=False)
@@ -88,7 +88,8 @@ class Kind:
             values["law_code"] = values.pop("law")
             values |= {"solver": Solver(**values["solver"]), "steady": Steady(**values["steady"])}
             values["structure"] = read_structure(values["structure"])
-            values["contacts"] = tuple(values["contacts"])
+            values["representation"] = Representation(values["representation"])
+            values["contacts"] = tuple(map(Representation, values["contacts"]))
             return cls(**values)
         except (TypeError, KeyError, AttributeError, RecursionError) as error:
             raise ValueError(f"{type(error).__name__}: {error}") from None
@@ -100,7 +101,7 @@ def _identity(kind: Kind) -> str:
     values = asdict(replace(kind, own=None))
     values["law"] = values.pop("law_code")
     del values["own"]
-    if not any(map(is_fitted, kind.contacts)):
+    if not any(contact.is_fitted for contact in kind.contacts):
         del values["fit_range"]
     whole = {
         "numbers": kind.numbers,
