@@ -10,7 +10,6 @@ import xarray as xr
 
 from gapsweep.analysis.dimensions import Array
 from gapsweep.errors import DatasetError
-from gapsweep.execution.task import models_of
 from gapsweep.integrate.problem import Models, Solver
 from gapsweep.integrate.simulate import simulate
 from gapsweep.integrate.trajectory import SystemTrajectory, Trajectory
@@ -82,7 +81,7 @@ def motions(
     where = [shown.isel(dict(zip(dims, at, strict=True))) for at in there.tolist()]
     cells = np.array([_cell(study.grid, one) for one in where], dtype=np.int64)
     for rows, points in study.points(cells):
-        (some, models), refused = models_of(points)
+        (some, models), refused = points.models()
         for error in refused.values():
             raise error
         for number, row in enumerate(rows[some].tolist()):
