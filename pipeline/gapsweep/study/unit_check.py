@@ -3,7 +3,7 @@
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from itertools import product
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,9 +16,7 @@ from gapsweep.model.oscillator import Gap
 from gapsweep.model.table import ForceTable
 from gapsweep.status import Status
 from gapsweep.study.grid import START, starts_of
-
-if TYPE_CHECKING:
-    from gapsweep.study.study import Study
+from gapsweep.study.study import Study
 
 _IN_CASE = ("representation", "omega", START)  # dimensions within a parameter set
 _SAMPLED = 16  # every 16th point shows for most parameter sets that a wall may be reached
@@ -56,20 +54,20 @@ def never_reached(values: Callable[[str], Any], dims: Sequence[str], labels: Seq
     )
 
 
-def out_of_range(status: NDArray[Any], labels: Sequence[str]) -> Iterator[str]:
-    """A sentence for each representation all of whose points left the range of its law."""
-    for label, some in zip(
-        map(Representation, labels), status, strict=False
-    ):  # none if the file cannot be read
+def _out_of_range(status: NDArray[Any], labels: Sequence[Representation]) -> Iterator[str]:
+    """Yield a sentence for each representation of which all points left the range of its law."""
+    for label, some in zip(labels, status, strict=False):  # none if the file cannot be read
         n = np.count_nonzero(some != Status.NOT_REQUESTED)
         if 0 < n == np.count_nonzero(some == Status.OUT_OF_FIT_RANGE):
             remedy = "increase range in [fit]" if label.is_fitted else "extend its table"
             yield f"{label}: all {n} points leave its range (out_of_fit_range); {remedy}"
 
 
-def bounded(study: "Study") -> str:
-    """Sentence of `never_reached` before the run of a study, from the bounds of `advise`."""
+def bounded(study: Study) -> str:
+    """Sentence of `never_reached` before a run, from the bounds of `advise`; empty for systems."""
     grid = study.grid
+    if not study.model.is_oscillator:
+        return ""
     asked = grid.requested.any(axis=0)
     within = tuple(i for i, dim in enumerate(grid.dims[1:]) if dim in _IN_CASE)
     bound = np.full(asked.shape, np.nan)
@@ -82,7 +80,7 @@ def bounded(study: "Study") -> str:
     return never_reached(values.__getitem__, grid.dims, [EXACT])
 
 
-def doubts_of(study: "Study", far: str = "", own: bool = True) -> Iterator[str]:
+def doubts_of(study: Study, far: str = "", own: bool = True) -> Iterator[str]:
     """Warnings of numbers of a study that are probably in another unit, by the rules of calls.
 
     A sentence `far` on walls that are not reached comes last. User functions of contact laws, which
@@ -108,8 +106,21 @@ def doubts_of(study: "Study", far: str = "", own: bool = True) -> Iterator[str]:
     yield from [far] * bool(far)
 
 
+def doubts_of_run(study: Study, values: Callable[[str], Any]) -> Iterator[str]:
+    """Warnings of `doubts_of`, and of results: walls not reached, laws that all motions leave.
+
+    `values` is as for `never_reached`.
+    """
+    grid = study.grid
+    far = ""
+    if study.model.is_oscillator:
+        far = never_reached(values, grid.dims, grid.representations)
+    yield from doubts_of(study, far)
+    yield from _out_of_range(values("status"), grid.representations)
+
+
 def _laws(
-    study: "Study", swept: Representation, K_c: float, gap: Gap, ratio: float, own: bool
+    study: Study, swept: Representation, K_c: float, gap: Gap, ratio: float, own: bool
 ) -> Iterator[ContactLaw]:
     """The laws of all contacts; the exact law in place of fits and of user functions."""
     for name, one in zip(study.model.contacts, study.model.laws(swept.law), strict=True):
