@@ -19,6 +19,7 @@ import numpy as np
 import psutil
 import pytest
 import xarray as xr
+from benchmarks import overhead
 from distributed import Client, LocalCluster
 from tests.stored import n_stored
 
@@ -335,3 +336,7 @@ def test_an_asynchronous_client_is_refused_and_disturbs_no_run_without_it(tables
                 assert (ds["status"] == gs.Status.OK).all()
 
     asyncio.run(main())
+
+
+def test_the_benchmark_of_overhead_integrates_nothing(tmp_path):
+    assert overhead.run(tmp_path, 60)["t_simulated"] == 0.0
