@@ -15,7 +15,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
-from gapsweep.model.labels import EXACT, FAMILIES, law_of
+from gapsweep.model.labels import EXACT, NOT_LOCATED, Representation
 
 GREY = "#767676"
 BLANK = "#ffffff"
@@ -101,7 +101,7 @@ def looks(labels: Iterable[str]) -> dict[str, Look]:
     used: Counter[str] = Counter()
     found = {}
     for label in labels:
-        law = law_of(label)
+        law = Representation(label).law
         (shade, n), more = _law(law), used[law]
         used[law] += 1
         dashes, marker = _LINES[(n + more) % len(_LINES)], _MARKERS[(n - more) % len(_MARKERS)]
@@ -111,24 +111,23 @@ def looks(labels: Iterable[str]) -> dict[str, Look]:
 
 def colour(label: str) -> str:
     """Colour of the law of a representation, or of a family."""
-    return _law(law_of(label))[0]
+    return _law(Representation(label).law)[0]
 
 
-def _law(law: str) -> tuple[str, int]:
+def _law(law: Representation) -> tuple[str, int]:
     """Colour of a law, and the number of its line style."""
-    name, _, parameter = law.partition("-")
-    if name == EXACT:
-        return (_NOEVENTS, 1) if parameter else ("#000000", 0)
-    family = _FAMILIES.get(name, _USER)
-    if family is _USER:  # distinct laws of users rarely agree in this number
-        steps = zlib.crc32(law.encode()) % 8 + _STEPS[0]
-    elif parameter:
-        parts = sum(map(float, parameter.split("/")))
-        number = math.log10(parts) if FAMILIES[name].is_sharpened else parts
+    if law in (EXACT, NOT_LOCATED):
+        return ("#000000", 0) if law == EXACT else (_NOEVENTS, 1)
+    family = _FAMILIES.get(law.family, _USER)
+    low, high = _STEPS
+    if law.law_type is None:  # distinct laws of users rarely agree in this number
+        steps = zlib.crc32(law.encode()) % 8 + low
+    elif law.parameter:
+        number = sum(map(float, law.parameter.split("/")))
+        number = math.log10(number) if law.law_type.is_sharpened else number
         steps = (number - family.reference) / family.step
     else:
         steps = 0.0
-    low, high = _STEPS
     return _mixed(family, min(max((steps - low) / (high - low), 0.0), 1.0)), round(steps)
 
 
