@@ -201,7 +201,7 @@ def test_a_wall_of_a_system_sets_no_axis():
 
 def test_a_figure_of_a_system_names_the_coordinate_and_what_is_fixed():
     (axes,) = bifurcation(of_system("arm")).axes
-    assert axes.get_ylabel() == "arm: extrema"
+    assert axes.get_ylabel() == "arm: extrema [unit of arm]"
     both = [of_system("arm"), of_system("arm")]
     shown = xr.concat(both, "initial_condition", coords="minimal", compat="override")
     shown = shown.assign_coords(
@@ -209,7 +209,7 @@ def test_a_figure_of_a_system_names_the_coordinate_and_what_is_fixed():
     )
     for number, said in enumerate(("initial_condition = sweep_up", "initial_condition = 1")):
         axes = shown.gapsweep.bifurcation(initial_condition=number, ax=Figure().subplots())
-        assert axes.get_ylabel() == "arm: steady extrema"
+        assert axes.get_ylabel() == "arm: steady extrema [unit of arm]"
         assert axes.get_xlabel() == "forcing frequency [Hz]"
         title = axes.get_title(loc="left")
         assert title.startswith("tanh-10000, ")

@@ -139,8 +139,8 @@ def _quantity(run: Trajectory, coordinate: str | None) -> tuple[Array, str, floa
     if name not in known:
         names = f"coordinates {', '.join(own)}, contacts {', '.join(run.system.contacts) or 'none'}"
         raise ModelError(f"coordinate = {coordinate!r}: must be one of {names}")
-    # Without unit: only the user knows whether it is a length or an angle.
-    return np.asarray(known[name]), name, 1.0, ""
+    # Only the user knows whether it is a length or an angle.
+    return np.asarray(known[name]), name, 1.0, f" [unit of {name}]"
 
 
 def _walls(run: Trajectory, along: Array) -> list[float]:
