@@ -32,7 +32,7 @@ from gapsweep.model.labels import FAMILIES, Representation, contact_law
 from gapsweep.model.oscillator import Gap
 from gapsweep.report import model as model_module
 from gapsweep.report.answer import Contact, Judged, contacts
-from gapsweep.report.figure_marks import as_csv
+from gapsweep.report.figure_data import as_csv
 from gapsweep.report.findings import findings
 from gapsweep.report.heat import cell, heads, heat, swept_columns
 from gapsweep.report.html import (

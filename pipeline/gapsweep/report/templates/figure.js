@@ -5,6 +5,14 @@
   const NEAR = 20; // pixels from a point at which it is meant
   const SAME = 1; // pixels within which points have one place on an axis
   const SQUARES = 3000; // points from which on circles would take too long
+  // Corners of symbols as shares of their radius; other symbols are circles.
+  const CORNERS = {
+    "^": [[0, -1], [1, 1], [-1, 1]],
+    v: [[0, 1], [1, -1], [-1, -1]],
+    s: [[-1, -1], [1, -1], [1, 1], [-1, 1]],
+    D: [[0, -1], [1, 0], [0, 1], [-1, 0]],
+    "|": [[0, -1], [0, 1]],
+  };
   const numbers = (text) => new Float32Array(Uint8Array.from(atob(text), (c) => c.charCodeAt(0)).buffer);
   const law = (mark) => mark.series.split(", ")[0];
   const off = new Set();
@@ -203,8 +211,11 @@
         const r = ((mark.size[n] ?? mark.size[0]) * 2) / 3;
         if (mark.x.length > SQUARES) return pen.fillRect(x - r, y - r, 2 * r, 2 * r);
         pen.beginPath();
-        pen.arc(x, y, Math.max(r, 1), 0, 2 * Math.PI);
-        mark.hollow ? pen.stroke() : pen.fill();
+        const corners = CORNERS[mark.marker];
+        if (corners) corners.forEach(([a, b]) => pen.lineTo(x + a * Math.max(r, 1), y + b * Math.max(r, 1)));
+        else pen.arc(x, y, Math.max(r, 1), 0, 2 * Math.PI);
+        pen.closePath();
+        mark.hollow || mark.marker === "|" ? pen.stroke() : pen.fill();
       });
     }
     tick(pen, mark) {
