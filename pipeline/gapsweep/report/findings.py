@@ -109,7 +109,7 @@ def outcomes(responses: xr.Dataset) -> str:
     of_laws = zip(labels_of(responses), left.sum(others_than).values, strict=True)
     n_left = Counter[bool]()
     for label, n in of_laws:
-        n_left[":" in label] += int(n)  # among user laws, only tables have ends
+        n_left[label.is_own] += int(n)  # among user laws, only tables have ends
     beyond = "".join(
         f"; {n_left[is_table]} with a steady response beyond {words}"
         for is_table, words in ((False, "the range of their fit"), (True, "the table's ends"))
@@ -202,7 +202,7 @@ def _agreeing(agreement: xr.Dataset) -> Iterator[str]:
         of_scenes = by_coordinate.max(COORDINATE)
         of_scenes[recall] = by_coordinate[recall].min(COORDINATE)
     pooled = condensed(of_scenes)
-    numbers = {
+    numbers: dict[str, dict[str, NDArray[np.float64]]] = {
         label: {
             name: np.array([pooled[long].sel(representation=label)]) for name, long in SHOWN.items()
         }

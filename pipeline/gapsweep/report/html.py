@@ -87,7 +87,7 @@ def write_report(path: Path, inputs: Inputs, made_from: str = "") -> Path:
         "parts": [part | {"is_own": i < len(own)} for i, part in enumerate(parts)],
         "measured_on": inputs.timing.attrs["measured_on"],
         "is_compared": inputs.agreement is not None,
-        "has_protocols": any("@" in label for label in labels_of(responses)),
+        "has_protocols": any(label.protocol for label in labels_of(responses)),
     }
     page = environment.get_template("report.html").render(
         **shared,
@@ -239,7 +239,9 @@ def _hero(responses: xr.Dataset, found: Sequence[Contact]) -> dict[str, Any] | N
         return None
     contact = max(found, key=lambda one: (len(list(filter(None, one.columns.values()))), one.K_c))
     scene = Scenes(responses).at(contact.at)
-    laws = {o.law: f"{o.law}: {o.verdict}{' ±' * (not o.is_firm)}" for o in _telling(contact)}
+    laws: dict[str, str] = {
+        o.law: f"{o.law}: {o.verdict}{' ±' * (not o.is_firm)}" for o in _telling(contact)
+    }
     if scene is None or not laws:
         return None
     description = (
@@ -376,5 +378,5 @@ def _where_few(found: xr.Dataset, scene: xr.Dataset) -> str:
 
 def _without_protocols(scene: xr.Dataset) -> xr.Dataset:
     """The parameter set without protocols such as ``@half``; with them if all laws have one."""
-    plain = [i for i, label in enumerate(scene["representation"].values) if "@" not in str(label)]
+    plain = [i for i, label in enumerate(labels_of(scene)) if not label.protocol]
     return swept(scene.isel(representation=plain)) if plain else scene

@@ -21,7 +21,7 @@ from gapsweep.analysis.dimensions import (
     swept,
 )
 from gapsweep.errors import DatasetError
-from gapsweep.model.labels import EXACT
+from gapsweep.model.labels import EXACT, Representation
 from gapsweep.report.backdrop import caption_of_bands, caption_of_missing, caption_of_walls
 from gapsweep.report.branch_lines import caption as caption_of_branches
 from gapsweep.report.branch_lines import of_scene
@@ -79,7 +79,7 @@ def overview(inputs: Inputs) -> Part:
     responses, attractors, branches = inputs.responses, inputs.attractors, inputs.branches
     asked = responses["status"].load() != Status.NOT_REQUESTED
     n_points = asked.sum([dim for dim in asked.dims if dim != REPRESENTATION])
-    labels = [str(label) for label in asked[REPRESENTATION].values[n_points.values > 0]]
+    labels = [Representation(one) for one in asked[REPRESENTATION].values[n_points.values > 0]]
     n_scenes = int(asked.any((REPRESENTATION, *swept(asked))).sum())
     axes, few = _axes(responses)
     cuts = [{axis: [i]} for axis in few for i in range(responses.sizes[axis])] or [{}]
@@ -99,7 +99,7 @@ def overview(inputs: Inputs) -> Part:
     is_alike = bool((n_of_each == n_scenes).all())
     over = f", median over {'' if is_alike else 'the computed ones of '}{n_scenes} parameter sets"
     over = over if n_scenes > 1 else ""
-    plain = [label for label in labels if "@" not in label] or labels
+    plain = [label for label in labels if not label.protocol] or labels
     title = "All parameter sets" if n_scenes > 1 else "Results"
     return Part(
         "overview",

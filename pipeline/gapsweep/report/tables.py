@@ -11,7 +11,7 @@ from gapsweep.analysis.agreement.metrics import BOUND
 from gapsweep.analysis.dimensions import At, by_coordinate, scene_dims
 from gapsweep.continuation.dataset import ATTRACTOR
 from gapsweep.continuation.special import Special
-from gapsweep.model.labels import EXACT
+from gapsweep.model.labels import EXACT, Representation
 from gapsweep.report.branch_lines import (
     KINDS,
     REPRESENTATION,
@@ -35,7 +35,7 @@ VERDICTS = ("refuted", "partly", "confirmed", "undecidable")
 def scene_tables(
     agreement: xr.Dataset | None,
     timing: xr.Dataset,
-    labels: list[str],
+    labels: Sequence[str],
     over: str = "",
     apart: Sequence[tuple[str, At]] = (),
 ) -> list[Table]:
@@ -52,7 +52,9 @@ def scene_tables(
     apart : sequence of (str, position)
         Parameter sets, in words, whose agreement has separate rows.
     """
-    labels = sorted(labels, key=lambda label: "@" in label)  # laws first, then protocols
+    labels = sorted(
+        labels, key=lambda label: Representation(label).protocol != ""
+    )  # laws first, then protocols
     tables = []
     if agreement is not None and agreement.attrs["reference"] in labels:
         for part, suffix in by_coordinate(agreement):

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from gapsweep.model.labels import canonical_representation
+from gapsweep.model.labels import Representation
 from gapsweep.study.points import canonical
 
 _MANY, _ENDS = 8, 3  # most values in a message; of more values, the number at either end
@@ -63,6 +63,22 @@ def positions(
     return np.unique(np.array(found, dtype=np.int64))
 
 
+def numbers_of_sweeps(wanted: Any, kinds: Sequence[str]) -> Any:
+    """Return selected initial conditions with numbers for the names of sweeps.
+
+    Parameters
+    ----------
+    wanted : object
+        Numbers, or ``"sweep_up"`` and ``"sweep_down"``, or a sequence of both.
+    kinds : sequence of str
+        ``fixed`` or the name of the sweep, for each initial condition.
+    """
+    if is_several(wanted) and not isinstance(wanted, slice):
+        return [numbers_of_sweeps(each, kinds) for each in wanted]
+    is_name = isinstance(wanted, str) and [*kinds].count(wanted) == 1
+    return [*kinds].index(wanted) if is_name else wanted
+
+
 def is_several(wanted: Any) -> bool:
     """Whether a selection is a slice or a sequence of values, not a single value."""
     if isinstance(wanted, str):
@@ -103,7 +119,7 @@ def _key(name: str, axis: NDArray[Any], value: Any) -> Any:
             return canonical(value)
         text = str(value)
         if name == "representation":
-            return canonical_representation(text)
+            return Representation.parsed(text)
         if name == "gap":
             return tuple(canonical(float(distance)) for distance in text.split("/"))
     except (TypeError, ValueError, OverflowError):

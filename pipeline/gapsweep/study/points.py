@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from gapsweep.errors import ModelError
 from gapsweep.integrate.problem import Models, Solver
 from gapsweep.model.contact import FIT_RANGE, ContactLaw
-from gapsweep.model.labels import contact_law, is_fitted
+from gapsweep.model.labels import Representation, contact_law
 from gapsweep.model.oscillator import Gap
 from gapsweep.model.own_law import OwnLaw
 from gapsweep.model.structure import AnyStructure, OscillatorStructure, read_structure
@@ -41,7 +41,7 @@ Made = TypeVar("Made")
 class Kind:
     """Common settings of the points of a table: everything but numbers that affects results."""
 
-    representation: str  # canonical label, without a protocol
+    representation: Representation  # without a protocol
     solver: Solver
     steady: Steady
     fit_range: float = FIT_RANGE  # half-width [m] of the range of fitted laws
@@ -51,7 +51,7 @@ class Kind:
     # Added to a fixed initial displacement [m], to measure the reproducibility of the exact law.
     start_jitter: float = 0.0
     law_code: str | None = None  # key of a user law
-    contacts: tuple[str, ...]  # label of every contact's law
+    contacts: tuple[Representation, ...]  # of every contact
     structure: AnyStructure = _OSCILLATOR  # the arrays of systems are among the numbers
     # The law of that key; None in a kind that was read from a cache.
     own: OwnLaw | None = field(default=None, compare=False, repr=False)
@@ -87,13 +87,13 @@ class Kind:
         several = walls.reshape(-1, len(OF_CONTACT)).tolist()
         return tuple(self._law(*each) for each in zip(self.contacts, several, strict=True))
 
-    def _law(self, label: str, walls: list[float]) -> ContactLaw:
+    def _law(self, one: Representation, walls: list[float]) -> ContactLaw:
         K_c, j_1, j_2, K_ratio = walls
         gap = Gap(j_1, j_2)
-        if ":" not in label:
-            return contact_law(label, K_c, gap, self.fit_range, K_ratio=K_ratio)
+        if not one.is_own:
+            return contact_law(one, K_c, gap, self.fit_range, K_ratio=K_ratio)
         if self.own is None:
-            raise ModelError(f"{label}: the code of this user law is not stored")
+            raise ModelError(f"{one}: the code of this user law is not stored")
         return self.own.law(K_c, gap, K_ratio)
 
     @property
@@ -116,7 +116,8 @@ class Kind:
             values["law_code"] = values.pop("law")
             values |= {"solver": Solver(**values["solver"]), "steady": Steady(**values["steady"])}
             values["structure"] = read_structure(values["structure"])
-            values["contacts"] = tuple(values["contacts"])
+            values["representation"] = Representation(values["representation"])
+            values["contacts"] = tuple(map(Representation, values["contacts"]))
             return cls(**values)
         except (TypeError, KeyError, AttributeError, RecursionError) as error:
             raise ValueError(f"{type(error).__name__}: {error}") from None
@@ -128,7 +129,7 @@ def _identity(kind: Kind) -> str:
     values = asdict(replace(kind, own=None))
     values["law"] = values.pop("law_code")
     del values["own"]
-    if not any(map(is_fitted, kind.contacts)):
+    if not any(contact.is_fitted for contact in kind.contacts):
         del values["fit_range"]
     whole = {
         "numbers": kind.numbers,

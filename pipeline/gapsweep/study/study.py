@@ -18,13 +18,13 @@ from numpy.typing import NDArray
 from gapsweep.errors import ModelError, StudyError
 from gapsweep.integrate.problem import Solver
 from gapsweep.model.contact import ContactLaw, Piecewise
-from gapsweep.model.labels import AUTO, EXACT, contact_law, law_of
+from gapsweep.model.labels import EXACT, Representation, contact_law
 from gapsweep.model.oscillator import Gap, Oscillator
 from gapsweep.model.own_law import OwnLaw, checked
 from gapsweep.model.structure import AnyStructure
 from gapsweep.response.result import Steady
 from gapsweep.study.axes import MAX_POINTS, forms
-from gapsweep.study.axis_selection import listed, positions
+from gapsweep.study.axis_selection import listed, numbers_of_sweeps, positions
 from gapsweep.study.blocks import expanded, requested_of, union
 from gapsweep.study.grid import START, Axes, Grid, Selection, Starts
 from gapsweep.study.least_model import Advice, advised
@@ -35,7 +35,6 @@ from gapsweep.study.spec import (
     ModuleTable,
     SolverTable,
     StudySpec,
-    SweepTable,
     check,
     read,
 )
@@ -302,8 +301,8 @@ class Study:
         ModelError
             If the code of the law cannot be read.
         """
-        name = law_of(label)
-        if ":" not in name:
+        name = Representation(label).law
+        if not name.is_own:
             return None
         if name not in self._known_laws:
             self._known_laws[name] = OwnLaw.of(name, self.folders)
@@ -321,22 +320,19 @@ class Study:
         own = self.own_law(label)
         if own is not None:
             return own.law(K_c, gap, K_ratio)
-        return contact_law(law_of(label), K_c, gap, self.spec.fit.range, K_ratio=K_ratio)
+        law = Representation(label).law
+        return contact_law(law, K_c, gap, self.spec.fit.range, K_ratio=K_ratio)
 
     @property
-    def own_laws(self) -> tuple[str, ...]:
-        """Labels of the user laws of the study, as ``module:name``."""
-        tables: list[SweepTable | HistoryTable] = [*self.spec.sweep, *self.spec.history]
-        labels = [label for table in tables for label in table.representation]
-        labels += [method.label for method in self.spec.bench.method] if self.spec.bench else []
-        return tuple(dict.fromkeys(law_of(x) for x in labels if ":" in x))
+    def own_laws(self) -> tuple[Representation, ...]:
+        """The user laws of the study, as ``module:name``."""
+        return tuple(dict.fromkeys(one.law for one in self.spec.representations if one.is_own))
 
     @property
     def names_code(self) -> bool:
         """Whether the study has user code: laws, the function of a system, modules."""
-        made = self.spec.system.function if self.spec.system else None
-        modules = self.spec.claims, self.spec.report
-        return bool(self.own_laws) or ":" in (made or "") or any(modules)
+        system, modules = self.spec.system, (self.spec.claims, self.spec.report)
+        return bool(self.own_laws or (system and system.user_function)) or any(modules)
 
     def with_engine(self, engine: str) -> "Study":
         """Return the study with another engine."""
@@ -400,8 +396,8 @@ class Study:
             Values by dimension: a value, a list or, for numbers, a slice that includes both
             ends. `representation` and `gap` have labels, as ``"tanh-1e4"`` and ``"0.4/0.4"``; a
             gap may also be a pair [m], as ``(4e-4, 4e-4)``, or a list of pairs.
-            `initial_condition` has numbers from 0. Numbers are compared after rounding to 12
-            significant digits.
+            `initial_condition` has numbers from 0; sweeps also have names, as ``"sweep_up"``.
+            Numbers are compared after rounding to 12 significant digits.
 
         Raises
         ------
@@ -420,7 +416,10 @@ class Study:
         found = []
         for name, axis in axes.items():
             try:
-                found.append(positions(name, axis, wanted.get(name, slice(None)), "the study"))
+                values = wanted.get(name, slice(None))
+                if name == START:
+                    values = numbers_of_sweeps(values, [kind for kind, _ in self.grid.starts])
+                found.append(positions(name, axis, values, "the study"))
             except ValueError as error:
                 named = f": {self._starts_in_words()}" if name == START else ""
                 problems.append(f"{self.source}: {error}{named}")
@@ -454,36 +453,38 @@ class Study:
             chooses.
         """
         tables = []
-        for rows, table, label in self._requested(cells):
-            found = self._adequate(table) if label == AUTO else [(np.arange(len(rows)), table)]
+        for rows, table, one in self._requested(cells):
+            found = self._adequate(table) if one.is_auto else [(np.arange(len(rows)), table)]
             tables += [(rows[some], points) for some, points in found]
         return tables
 
     def _requested(
         self, cells: NDArray[np.int64]
-    ) -> Iterator[tuple[NDArray[np.intp], Points, str]]:
-        """Yield tables of the points of some cells, and their labels, with ``auto`` unresolved."""
+    ) -> Iterator[tuple[NDArray[np.intp], Points, Representation]]:
+        """Yield tables of the points of some cells and their representation, maybe ``auto``."""
         axes, starts, names = self.grid.axes, self.grid.starts, self._law_parameters
         at = dict(zip(axes, np.unravel_index(cells, self.grid.shape), strict=True))
         kind = at["representation"] * len(Starts.KINDS) + starts.kind[at[START]]
         for one in np.unique(kind).tolist():
             rows = np.flatnonzero(kind == one)
             r, start = divmod(one, len(Starts.KINDS))
-            label = axes["representation"][r]
-            swept = [name for name in names.get(law_of(label), ()) if name in axes]
+            found = self.grid.representations[r]
+            swept = [name for name in names.get(found.law, ()) if name in axes]
             places = np.column_stack([0 * rows, *(at[name][rows] for name in swept)])
             for place in np.unique(places, axis=0):
                 some = rows[(places == place).all(axis=1)]
                 here = {name: of[some] for name, of in at.items()}
                 named = {n: axes[n][i] for n, i in zip(swept, place[1:].tolist(), strict=True)}
                 numbers = self.model.numbers(axes, here, len(some))
-                yield some, Points(self._kind(label, Starts.KINDS[start], named), numbers), label
+                yield some, Points(self._kind(found, Starts.KINDS[start], named), numbers), found
 
     @cached_property
     def _law_parameters(self) -> dict[str, list[str]]:
         """Names of the parameters of each user law; refuse parameters that nothing uses."""
-        laws = {law_of(label): self.own_law(label) for label in self.grid.representations}
-        found = {n: [name for name, _ in checked(own).parameters] for n, own in laws.items() if own}
+        laws = {one.law: self.own_law(one) for one in self.grid.representations}
+        found: dict[str, list[str]] = {
+            law: [name for name, _ in checked(own).parameters] for law, own in laws.items() if own
+        }
         system = self.spec.system
         taken = (system.scales if system else set()).union(*found.values())
         unused = self.spec.parameters.keys() - taken
@@ -505,7 +506,7 @@ class Study:
         values = given | table.parameters | walls
         return {n: (x,) for n, x in values.items()} | {START: Starts.fixed([table.start])}
 
-    def history_point(self, table: HistoryTable, label: str) -> Points:
+    def history_point(self, table: HistoryTable, one: Representation) -> Points:
         """Return the sweep point, a table of one row, in which a motion of a history starts.
 
         Raises
@@ -516,21 +517,21 @@ class Study:
         axes = self.history_axes(table)
         named = {name: axes[name][0] for name in self.spec.parameters}
         places = dict.fromkeys(axes, np.zeros(1, np.intp))
-        return Points(self._kind(label, FIXED, named), self.model.numbers(axes, places, 1))
+        return Points(self._kind(one, FIXED, named), self.model.numbers(axes, places, 1))
 
-    def _kind(self, label: str, start: str, parameters: Mapping[str, float]) -> Kind:
-        representation, own = law_of(label), self.own_law(label, **parameters)
+    def _kind(self, one: Representation, start: str, parameters: Mapping[str, float]) -> Kind:
+        own = self.own_law(one, **parameters)
         own = None if own is None else checked(own)
         return Kind(
-            representation=representation,
-            solver=self.solver(label),
+            representation=one.law,
+            solver=self.solver(one),
             steady=self.steady,
             fit_range=self.spec.fit.range,
             start=start,
-            start_jitter=self.start_jitter(label),
+            start_jitter=self.start_jitter(one),
             law_code=None if own is None else own.key,
             structure=self.structure,
-            contacts=self.model.labels(representation),
+            contacts=self.model.laws(one.law),
             own=own,
         )
 
@@ -570,12 +571,13 @@ class Study:
 
         For ``auto`` they are the loosest settings that it may choose for a point.
         """
-        solver = self._protocols[label.partition("@")[2]][0]
-        return solver.with_rtol(self.spec.auto.error) if label == AUTO else solver
+        one = Representation(label)
+        solver = self._protocols[one.protocol][0]
+        return solver.with_rtol(self.spec.auto.error) if one.is_auto else solver
 
     def start_jitter(self, label: str) -> float:
         """Return the shift [m] of fixed initial displacements by a representation's protocol."""
-        return self._protocols[label.partition("@")[2]][1]
+        return self._protocols[Representation(label).protocol][1]
 
 
 def _lists(tables: Any) -> Any:

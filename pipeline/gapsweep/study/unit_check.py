@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from gapsweep.errors import ModelError
 from gapsweep.model.contact import ContactLaw
 from gapsweep.model.doubts import doubts
-from gapsweep.model.labels import AUTO, EXACT, is_fitted, law_of
+from gapsweep.model.labels import EXACT, Representation
 from gapsweep.model.oscillator import Gap
 from gapsweep.model.table import ForceTable
 from gapsweep.status import Status
@@ -54,12 +54,12 @@ def never_reached(values: Callable[[str], Any], dims: Sequence[str], labels: Seq
     )
 
 
-def _out_of_range(status: NDArray[Any], labels: Sequence[str]) -> Iterator[str]:
+def _out_of_range(status: NDArray[Any], labels: Sequence[Representation]) -> Iterator[str]:
     """Yield a sentence for each representation of which all points left the range of its law."""
     for label, some in zip(labels, status, strict=False):  # none if the file cannot be read
         n = np.count_nonzero(some != Status.NOT_REQUESTED)
         if 0 < n == np.count_nonzero(some == Status.OUT_OF_FIT_RANGE):
-            remedy = "increase range in [fit]" if is_fitted(label) else "extend its table"
+            remedy = "increase range in [fit]" if label.is_fitted else "extend its table"
             yield f"{label}: all {n} points leave its range (out_of_fit_range); {remedy}"
 
 
@@ -120,16 +120,16 @@ def doubts_of_run(study: Study, values: Callable[[str], Any]) -> Iterator[str]:
 
 
 def _laws(
-    study: Study, label: str, K_c: float, gap: Gap, ratio: float, own: bool
+    study: Study, swept: Representation, K_c: float, gap: Gap, ratio: float, own: bool
 ) -> Iterator[ContactLaw]:
     """The laws of all contacts; the exact law in place of fits and of user functions."""
-    for name, one in zip(study.model.contacts, study.model.labels(law_of(label)), strict=True):
+    for name, one in zip(study.model.contacts, study.model.laws(swept.law), strict=True):
         given: dict[str, Any] = {"K_c": K_c, "gap": (gap.j_1, gap.j_2), "K_ratio": ratio}
         if name in study.spec.contact:
             given |= study.spec.contact[name].model_dump(exclude_none=True)
         law = study.own_law(one)  # its module has been imported in another process before
         source = law and (law.load() if own else law.source)
         is_code = law is not None and not isinstance(source, ForceTable)
-        is_exact = one == AUTO or is_fitted(one) or is_code
+        is_exact = one.is_auto or one.is_fitted or is_code
         walls = Gap(*given["gap"])
         yield study.law(EXACT if is_exact else one, given["K_c"], walls, given["K_ratio"])

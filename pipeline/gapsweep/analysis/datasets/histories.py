@@ -17,6 +17,7 @@ from gapsweep.errors import ModelError
 from gapsweep.execution.isolated import CallError, Isolated
 from gapsweep.execution.progress import DEFAULT_TIMEOUT
 from gapsweep.integrate.simulate import motion_of
+from gapsweep.model.labels import Representation
 from gapsweep.response.section import period_multiple, scaled, unit_of
 from gapsweep.status import Status
 from gapsweep.study.grid import START
@@ -164,7 +165,7 @@ def _scene(study: Study, table: HistoryTable) -> dict[str, Any]:
 def _history(study: Study, table: HistoryTable, label: str, process: Isolated) -> dict[str, Any]:
     """The variables of one motion by name; only its status if it has failed."""
     try:
-        point = study.history_point(table, label)
+        point = study.history_point(table, Representation(label))
         motion = point, table.omega, table.t_end
         return process(_motion, *motion) if point.kind.own else _motion(*motion)
     except ModelError:

@@ -29,9 +29,9 @@ from gapsweep.analysis.datasets.contact_errors import (
 )
 from gapsweep.analysis.dimensions import Array
 from gapsweep.errors import ModelError
-from gapsweep.model.contact import ContactLaw, Piecewise
+from gapsweep.model.contact import ContactLaw, Piecewise, Tanh
 from gapsweep.model.equilibria import equilibria, linear_stiffness, restoring_slope
-from gapsweep.model.labels import AUTO, EXACT, law_of
+from gapsweep.model.labels import EXACT, Representation
 from gapsweep.model.oscillator import Gap, Oscillator
 from gapsweep.study.schema import COORDINATES
 from gapsweep.study.study import Study
@@ -85,7 +85,9 @@ FORCED_VARIABLES = {
 _STABILITY = (("none", -1), ("unstable", 0), ("stable", 1))
 CONTACT_VARIABLES = {
     "tanh_threshold": Variable(
-        "f8", "m-1", "sharpness above which tanh has no false potential well, NaN if unknown"
+        "f8",
+        "m-1",
+        "sharpness above which tanh has no false well, NaN if unknown; where tanh is swept",
     ),
 }
 LIST_VARIABLES = {
@@ -122,7 +124,7 @@ def static(
         With title, study, study_json as attributes.
     """
     grid, x_max = study.grid, study.spec.fit.range
-    labels = tuple(dict.fromkeys(law_of(r) for r in grid.representations if r != AUTO))
+    labels = tuple(dict.fromkeys(one.law for one in grid.representations if not one.is_auto))
     x = displacements(grid.gaps, x_max)
     swept = {name: grid.axes[name] for name in grid.scene_dims if name in (*_SPRING, "K_ratio")}
     axes: dict[str, Sequence[Any]] = {"K_c": grid.K_c, "gap": grid.gaps, **swept}
@@ -131,8 +133,8 @@ def static(
     sizes = {"representation": len(labels), **{dim: len(axis) for dim, axis in axes.items()}}
 
     @cache
-    def of_walls(label: str, *walls: Any) -> Values:
-        if ":" in label and not with_own_laws:
+    def of_walls(label: Representation, *walls: Any) -> Values:
+        if label.is_own and not with_own_laws:
             return {"refusal": "user law: not evaluated"}
         return _unless_refused(label, _of_walls, x, study, label, *walls)
 
@@ -155,13 +157,14 @@ def static(
         for name, variable in table.items():
             filled = _filled(variable, name, values, over)
             variables[name] = (tuple(over), filled, variable.attributes)
-    thresholds = [
-        tanh_threshold(oscillator, K_c, gap, x_max, K_ratio)
-        for oscillator, K_c, gap, K_ratio in models
-    ]
-    described = CONTACT_VARIABLES["tanh_threshold"].attributes
-    shape = [len(axis) for axis in axes.values()]
-    variables["tanh_threshold"] = (tuple(axes), np.reshape(thresholds, shape), described)
+    if any(one.family == Tanh.family for one in labels):  # a bisection for each contact
+        thresholds = [
+            tanh_threshold(oscillator, K_c, gap, x_max, K_ratio)
+            for oscillator, K_c, gap, K_ratio in models
+        ]
+        described = CONTACT_VARIABLES["tanh_threshold"].attributes
+        shape = [len(axis) for axis in axes.values()]
+        variables["tanh_threshold"] = (tuple(axes), np.reshape(thresholds, shape), described)
     coords = _coordinates(labels, axes)
     coords["x"] = ("x", x, {"units": "m", "long_name": "displacement"})
     attributes = {
@@ -264,14 +267,14 @@ def displacements(gaps: tuple[Gap, ...], x_max: float) -> Array:
     return np.unique(points[np.abs(points) <= x_max])
 
 
-def _unless_refused(label: str, measured: Callable[..., Values], *given: Any) -> Values:
+def _unless_refused(label: Representation, measured: Callable[..., Values], *given: Any) -> Values:
     """The values that a function measures for a law, or else the reason of its refusal."""
     try:
         return measured(*given)
     except ModelError as error:
         return {"refusal": str(error)}
     except Exception as error:  # raised by a user law, which then counts as refused
-        if ":" not in label:
+        if not label.is_own:
             raise
         return {"refusal": f"{type(error).__name__}: {error}"}
 
