@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import xarray as xr
 from benchmarks.answer import finding, page, signs
+from gapsweep.report.findings import findings
 from numpy.testing import assert_allclose
 from tests.made import chaotic, datasets, datasets_by_place, failed, periodic, tables, unresolved
 from workflows.paper import scenes
@@ -17,7 +18,9 @@ from workflows.paper.figures import sections
 from gapsweep.analysis.agreement.comparison import agreement
 from gapsweep.analysis.claims import Run
 from gapsweep.analysis.datasets.timing import repeatability, timing, widened
-from gapsweep.report.answer import (
+from gapsweep.report.inputs import Inputs
+from gapsweep.report.scales import NamedValue
+from gapsweep.report.verdicts import (
     COLUMNS,
     Contact,
     Judged,
@@ -30,9 +33,6 @@ from gapsweep.report.answer import (
     verdict,
     worst,
 )
-from gapsweep.report.findings import findings
-from gapsweep.report.inputs import Inputs
-from gapsweep.report.scales import NamedValue
 from gapsweep.study.study import Study
 
 NOTHING = {name: np.full(1, np.nan) for name in ("median", "p95", "found")}

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 import xarray as xr
+from gapsweep.report.overview import is_wide, overview
 from tests.made import branches, chaotic, datasets, failed, periodic, tables
 from tests.swept import over_forcing, over_walls
 
@@ -10,10 +11,9 @@ from gapsweep.analysis.agreement.comparison import agreement
 from gapsweep.analysis.claims import NotInRunError, Run
 from gapsweep.analysis.datasets.timing import timing
 from gapsweep.analysis.dimensions import over, scene_dims
-from gapsweep.report.answer import contacts, in_words
 from gapsweep.report.html import write_report
 from gapsweep.report.inputs import Inputs
-from gapsweep.report.overview import is_wide, overview
+from gapsweep.report.verdicts import contacts, in_words
 from gapsweep.status import Status
 from gapsweep.study.grid import COORDINATE
 

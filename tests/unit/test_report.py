@@ -12,6 +12,9 @@ import matplotlib
 import numpy as np
 import pytest
 import xarray as xr
+from gapsweep.report.findings import findings
+from gapsweep.report.model import model
+from gapsweep.report.provenance import provenance
 from matplotlib.figure import Figure
 from tests.machine import PAPER
 from tests.made import branches, chaotic, datasets, datasets_by_place, failed, periodic, tables
@@ -23,9 +26,7 @@ from gapsweep.errors import StoreError
 from gapsweep.model.labels import FAMILIES, contact_law
 from gapsweep.model.oscillator import Gap
 from gapsweep.report import model as model_module
-from gapsweep.report.answer import Contact, Judged, contacts
 from gapsweep.report.figure_marks import as_csv
-from gapsweep.report.findings import findings
 from gapsweep.report.heat import cell, heads, heat, swept_columns
 from gapsweep.report.html import (
     _environment,
@@ -38,10 +39,8 @@ from gapsweep.report.html import (
     write_report,
 )
 from gapsweep.report.inputs import Inputs
-from gapsweep.report.model import model
 from gapsweep.report.parts import Figured, Part, Table, for_page, pictured, rendered, shown
 from gapsweep.report.pictures import is_picture, pictures
-from gapsweep.report.provenance import provenance
 from gapsweep.report.scales import NamedValue
 from gapsweep.report.style import MATPLOTLIB
 from gapsweep.report.tables import (
@@ -52,6 +51,7 @@ from gapsweep.report.tables import (
     percent,
     special_points,
 )
+from gapsweep.report.verdicts import Contact, Judged, contacts
 from gapsweep.run_folder import is_of_run
 from gapsweep.status import Status
 from gapsweep.store.artefact import SUMS, sha256

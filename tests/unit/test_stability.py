@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from gapsweep.report.benchmarks import bench_parts, conclusions
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.optimize import brentq
 from tests.figure_texts import overlaps
@@ -23,7 +24,6 @@ from gapsweep.integrate import compiled
 from gapsweep.integrate.problem import Solver
 from gapsweep.model.equilibria import equilibria, linear_stiffness
 from gapsweep.report.bench_figures import STATUS_LETTERS, atlas, worst
-from gapsweep.report.benchmarks import bench_parts, conclusions
 from gapsweep.status import Status
 
 WORKFLOW = Path(__file__).parents[2] / "workflows" / "stability.toml"

@@ -1,0 +1,74 @@
+"""The section on force errors of contact laws, and the rule by which these are judged.
+
+`docs/explanation/rule.md` has the rule and its test.
+"""
+
+from collections import Counter
+from collections.abc import Iterator
+
+import numpy as np
+import xarray as xr
+
+from gapsweep.analysis.datasets.contact_errors import ADEQUATE, TOO_COARSE
+from gapsweep.analysis.dimensions import Array, scene_dims, scenes
+from gapsweep.model.labels import EXACT
+from gapsweep.report.drawing import labels_of
+from gapsweep.report.parts import Part, Table
+from gapsweep.report.sections.parameter_sets import title_of
+from gapsweep.report.tables import number
+
+_EXACT = (EXACT, "piecewise-noevents")  # laws without a force error
+_MOST_CASES = 8  # columns of cases; more cases are counted
+_WORDS = {"✓": "accurate", "◐": "between", "✗": "too coarse"}
+
+
+def sections(static: xr.Dataset) -> Iterator[Part]:
+    """The force error of every approximation in every case, none if the forcing is zero."""
+    ratio = static[["force_error_ratio"]].load()
+    laws = [label for label in labels_of(static) if label not in _EXACT]
+    cases = [
+        (title_of(one), one["force_error_ratio"].values)
+        for at in scenes(ratio, scene_dims(ratio["force_error_ratio"].dims))
+        if np.isfinite((one := ratio.sel(representation=laws).isel(at))["force_error_ratio"]).any()
+    ]
+    if not cases:
+        return
+    names = [name for name, _ in cases]
+    errors = np.stack([values for _, values in cases], axis=1)
+    is_listed = len(names) <= _MOST_CASES
+    of_law = _each if is_listed else _counted
+    rows = [
+        [law, *of_law(values)]
+        for law, values in zip(laws, errors, strict=True)
+        if np.isfinite(values).any()
+    ]
+    header = ["Representation", *(names if is_listed else ["Range", *_WORDS.values()])]
+    title = f"Force error{'' if is_listed else f' in {len(names)} cases'}"
+    visited = static["force_error_ratio"].attrs["visited"].replace("by", "visited by", 1)
+    rule = (
+        "Force error: root-mean-square difference of a law's force from that of the exact law over "
+        f"the displacements {visited}, divided by the forcing amplitude. ✓ (accurate): at most "
+        f"{ADEQUATE:g}; 95 % of tested oscillators keep 95 % of the exact law's periodic "
+        "attractors, with displacements within 5 %. ✗ (too coarse): at least "
+        f"{TOO_COARSE:g}. ◐ (between): compare the responses. The rule was tested for walls of "
+        "equal stiffness."
+    )
+    yield Part("force-errors", "Force errors of the laws", [rule], [Table(title, header, rows)])
+
+
+def _sign(error: float) -> str:
+    """The judgement of a force error by the rule; empty if it is unknown."""
+    if np.isnan(error):
+        return ""
+    return "✓" if error <= ADEQUATE else "◐" if error < TOO_COARSE else "✗"
+
+
+def _each(errors: Array) -> list[str]:
+    return [f"{_sign(error)} {number(error)}".strip() for error in errors]
+
+
+def _counted(errors: Array) -> list[str]:
+    """Range of the force errors of a law, and the numbers of cases by judgement."""
+    known = errors[np.isfinite(errors)]
+    counts = Counter(map(_sign, known))
+    return [f"{number(known.min())} to {number(known.max())}", *(f"{counts[s]}" for s in _WORDS)]
