@@ -16,8 +16,8 @@ from matplotlib.axes import Axes
 from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
 from numpy.testing import assert_allclose
-from tests.made import branches as of_branches
-from tests.made import chaotic, datasets, failed, periodic, tables
+from tests.builders.datasets import branches as of_branches
+from tests.builders.datasets import chaotic, datasets, failed, periodic, tables
 
 import gapsweep as gs
 import gapsweep.report.accessor  # plain xarray.load_dataset does not bring it along

@@ -7,9 +7,16 @@ import numpy as np
 import pytest
 import xarray as xr
 from benchmarks.answer import finding, page, signs
-from gapsweep.report.findings import findings
 from numpy.testing import assert_allclose
-from tests.made import chaotic, datasets, datasets_by_place, failed, periodic, tables, unresolved
+from tests.builders.datasets import (
+    chaotic,
+    datasets,
+    datasets_by_place,
+    failed,
+    periodic,
+    tables,
+    unresolved,
+)
 from workflows.paper import scenes
 from workflows.paper.answer import SCIPY_AS_WRITTEN, SCIPY_BY_MODE, answer
 from workflows.paper.answer import judged as judged_of
@@ -18,9 +25,8 @@ from workflows.paper.figures import sections
 from gapsweep.analysis.agreement.comparison import agreement
 from gapsweep.analysis.claims import Run
 from gapsweep.analysis.datasets.timing import repeatability, timing, widened
-from gapsweep.report.inputs import Inputs
-from gapsweep.report.scales import NamedValue
-from gapsweep.report.verdicts import (
+from gapsweep.model.labels import Representation
+from gapsweep.report.answer import (
     COLUMNS,
     Contact,
     Judged,
@@ -33,6 +39,9 @@ from gapsweep.report.verdicts import (
     verdict,
     worst,
 )
+from gapsweep.report.findings import findings
+from gapsweep.report.inputs import Inputs
+from gapsweep.report.scales import NamedValue
 from gapsweep.study.study import Study
 
 NOTHING = {name: np.full(1, np.nan) for name in ("median", "p95", "found")}
@@ -208,7 +217,7 @@ def test_a_price_of_all_motions_stands_beside_that_of_periodic_ones(tmp_path):
 
 
 def test_code_of_the_users_that_only_fails_is_no_approximation(tmp_path):
-    broken = {"tests.laws:raising": (None, 0.0)}
+    broken = {"tests.misbehaving.forces:raising": (None, 0.0)}
     _, (contact,) = made(tmp_path, LAWS | broken)
     assert {one.law for one in contact.laws} == LAWS.keys() - {"piecewise", "piecewise@half"}
     alone = {name: LAWS[name] for name in ("piecewise", "piecewise@half")} | broken
@@ -218,7 +227,7 @@ def test_code_of_the_users_that_only_fails_is_no_approximation(tmp_path):
 @pytest.mark.parametrize("one_case", [True, False])
 def test_without_a_steady_exact_response_no_law_is_judged(tmp_path, one_case):
     """As of an oscillator without damping: nothing says that a law is not adequate."""
-    labels = ["piecewise", "tanh-1e4", "tests.laws:raising"]
+    labels = ["piecewise", "tanh-1e4", "tests.misbehaving.forces:raising"]
     study = tables(labels, OMEGA)
     study["sweep"][0]["forcing"] = [4.0] if one_case else [4.0, 5.0]
 
@@ -316,9 +325,8 @@ def test_about_one_is_said_of_what_is_known_to_be_near_it(high, said):
 def judged(law, verdict="use", cost_ratio=4.0, width=1.1, firm=True, median=0.01):
     values = {"median": np.array([median, median / width, median * width])}
     possible = frozenset({verdict.replace("exact here", "use"), *(() if firm else COLUMNS)})
-    return Judged(
-        law, values, 9, verdict, possible, cost_ratio, cost_ratio / width, cost_ratio * width
-    )
+    costs = cost_ratio, cost_ratio / width, cost_ratio * width
+    return Judged(Representation(law), values, 9, verdict, possible, *costs)
 
 
 def contact(*laws, K_c=1e4, gap="0.4/0.4", floor=0.0, swept=()):
@@ -403,6 +411,12 @@ def test_a_law_of_ones_own_is_a_approximation_whatever_its_module_is_called():
     assert judged("piecewise_fits:spring").is_approximation
 
 
+def test_tables_of_the_user_are_no_family():
+    """Two files of forces are two laws, whatever their names have in common."""
+    picks = contact(judged("stop-1.csv:mm"), judged("stop-2.csv:mm")).picks
+    assert [one.law for one in picks] == ["stop-1.csv:mm", "stop-2.csv:mm"]
+
+
 def test_prices_have_two_digits():
     assert [times(v) for v in (0.52, 4.0, 9.96, 17.4, float("nan"))] == [
         "0.52\u00a0×", "4.0\u00a0×", "10\u00a0×", "17\u00a0×", "–",
@@ -468,8 +482,8 @@ def papers_responses(tmp_path_factory):
 
     def at(place):
         label, K_c = grid.representations[place["representation"]], grid.K_c[place["K_c"]]
-        law = label.partition("@")[0]
-        sharpness = {"tanh": 4.0, "arctan": 2.0}.get(law.partition("-")[0], 0.2)
+        law = label.law
+        sharpness = {"tanh": 4.0, "arctan": 2.0}.get(law.family, 0.2)
         error = 0.0
         if not law.startswith("piecewise"):
             power = float(law[-1]) if law[-3:-1] == "1e" else 4.0

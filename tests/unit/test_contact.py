@@ -1,17 +1,20 @@
 """Contact laws: quoted errors, derivatives, symmetry, limits, refusals."""
 
+import json
 import math
+import pickle
 
 import numpy as np
 import pytest
 from hypothesis import given
 from numpy.polynomial import chebyshev
 from numpy.testing import assert_allclose
-from tests import strategies as own
+from tests.builders import strategies as own
 
 import gapsweep as gs
 from gapsweep.model.contact import FIT_RANGE
 from gapsweep.model.fit import Fit, best_pole_free, poles, rational_candidates, unit_force
+from gapsweep.model.labels import Representation
 
 SOFT = 1.4e4
 SYMMETRIC = gs.Gap(0.4e-3, 0.4e-3)
@@ -265,6 +268,46 @@ def test_bad_parameters_are_refused_by_name(build, message):
 def test_labels_have_one_spelling(label, canonical):
     assert gs.canonical_label(label) == canonical
     assert gs.canonical_label(canonical) == canonical
+
+
+@pytest.mark.parametrize(
+    ("text", "law", "protocol", "family", "parameter"),
+    [
+        ("piecewise", "piecewise", "", "piecewise", ""),
+        ("piecewise-noevents@half", "piecewise-noevents", "half", "piecewise", "noevents"),
+        ("tanh-10000@a-b", "tanh-1e4", "a-b", "tanh", "1e4"),
+        ("ratpoly-05/3", "ratpoly-5/3", "", "ratpoly", "5/3"),
+        ("auto", "auto", "", "", ""),
+        ("my_module:spring@x", "my_module:spring", "x", "", ""),
+        ("poly.csv:mm", "poly.csv:mm", "", "", ""),
+    ],
+)
+def test_a_representation_has_a_law_and_a_protocol(text, law, protocol, family, parameter):
+    """It stays equal to its text, also as a key, in JSON and in another process."""
+    one = Representation.parsed(text)
+    assert (one.law, one.protocol) == (law, protocol)
+    assert (one.family, one.parameter) == (family, parameter)
+    assert (one.law_type is None) == (family == "")
+    assert one == f"{law}@{protocol}".removesuffix("@")
+    assert {str(one): 1}[one] == json.loads(json.dumps({one: 1}))[one] == 1
+    again = pickle.loads(pickle.dumps(one))
+    assert (again, type(again), again.protocol) == (one, Representation, protocol)
+
+
+@pytest.mark.parametrize(
+    ("text", "kinds"),
+    [
+        ("piecewise", (False, False, False)),
+        ("poly-13@x", (True, False, False)),
+        ("ratpoly-5/3", (True, False, False)),
+        ("stop.csv:mm@x", (False, True, False)),
+        ("auto", (False, False, True)),
+        ("measured", (False, False, False)),  # a label that a user gave to data of theirs
+    ],
+)
+def test_kinds_of_representations(text, kinds):
+    one = Representation(text)
+    assert (one.is_fitted, one.is_own, one.is_auto) == kinds
 
 
 @pytest.mark.parametrize(

@@ -174,7 +174,7 @@ class Drawn(Run):
         laws = {
             "representation": [
                 EXACT,
-                *dict.fromkeys(r.partition("@")[0] for r in grid.representations),
+                *dict.fromkeys(r.law for r in grid.representations),
             ][1:]
         }
         if name == "responses":

@@ -8,9 +8,8 @@ import pytest
 import xarray as xr
 from matplotlib.colors import to_hex
 from numpy.testing import assert_allclose
-from tests.figure_texts import overlaps
-from tests.machine import PAPER
-from tests.redrawn import is_redrawn
+from tests.builders.studies import PAPER
+from tests.readers.figures import is_redrawn, overlaps
 from workflows.paper import scenes
 from workflows.paper.figures import LIMITS, band_rows, costs, figures, sections
 from workflows.paper.ladders import ladders

@@ -11,8 +11,8 @@ from gapsweep.report.benchmarks import beaten, conclusions
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
-from tests.figure_texts import overlaps
-from tests.machine import PAPER
+from tests.builders.studies import PAPER
+from tests.readers.figures import overlaps
 
 import gapsweep as gs
 from gapsweep import pipeline

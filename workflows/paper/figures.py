@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from gapsweep.analysis.claims import NotInRunError, Run
-from gapsweep.model.labels import law_of
+from gapsweep.model.labels import Representation
 from gapsweep.report.drawing import caption_of_marks, labels_of
 from gapsweep.report.parts import Figured, Part, Table
 from gapsweep.report.scales import plain
@@ -175,8 +175,8 @@ def _scene(
     here = [label for label in labels if label in labels_of(scene)]
     starts = scene["start"].values == "fixed" if of_any_start else sorted(_starts(scene).values())
     scene = swept(scene.sel(representation=here).isel(initial_condition=starts))
-    here = labels_of(scene)
-    enough = 2 * len(here) >= len(labels) and labels[0] in here and scene.sizes["omega"] > 1
+    left = labels_of(scene)
+    enough = 2 * len(left) >= len(labels) and labels[0] in left and scene.sizes["omega"] > 1
     return scene if enough else None
 
 
@@ -190,7 +190,7 @@ def _panels(name: str, scene: xr.Dataset) -> dict[str, list[draw.Layer]]:
     if name == "10":
         pairs = [*([laws[0], law] for law in laws[1:]), [exact, laws[0]]]
     return {
-        f"{' on '.join(law_of(law) for law in reversed(pair))}, from {start}": [
+        f"{' on '.join(Representation(law).law for law in reversed(pair))}, from {start}": [
             (law, [at]) for law in pair
         ]
         for pair in pairs

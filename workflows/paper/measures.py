@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from gapsweep.analysis.agreement.self_agreement import floor_labels
 from gapsweep.analysis.claims import NotInRunError, Number, Run, mean, ratio_of_sums, share
 from gapsweep.analysis.spectra import SAMPLES_PER_PERIOD
+from gapsweep.model.labels import Representation
 from gapsweep.response.result import ResponseClass
 from gapsweep.status import Status
 
@@ -57,11 +58,11 @@ NAMES = {
 
 def named(label: str) -> str:
     """The paper's name of a representation, with its protocol."""
-    law, at, protocol = label.partition("@")
-    family, _, parameter = law.partition("-")
-    fits = {"poly": f"Poly-{parameter}", "ratpoly": f"RatPoly {parameter}"}
-    own = law if at and "tan" in family else NAMES.get(family, family)
-    return NAMES.get(law, fits.get(family, own)) + NAMES.get(at + protocol, "")
+    one = Representation(label)
+    family = one.family or one.law
+    fits = {"poly": f"Poly-{one.parameter}", "ratpoly": f"RatPoly {one.parameter}"}
+    own = one.law if one.protocol and "tan" in family else NAMES.get(family, family)
+    return NAMES.get(one.law, fits.get(family, own)) + NAMES.get(f"@{one.protocol}", "")
 
 
 def listed(names: Iterable[str]) -> str:

@@ -8,7 +8,7 @@ import xarray as xr
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from gapsweep.model.labels import law_of
+from gapsweep.model.labels import Representation
 from gapsweep.report import backdrop, drawing
 from gapsweep.report.drawing import labels_of
 from gapsweep.report.scales import axis_label, drawn
@@ -89,7 +89,7 @@ def histories_and_spectra(histories: xr.Dataset) -> Figure:
         backdrop.walls(motion, one)
         for label, line in lines(labels).items():
             own = one.sel(representation=label)
-            width = 1.2 if label.endswith("-mode") else widths.get(law_of(label), 0.9)
+            width = 1.2 if label.endswith("-mode") else widths.get(Representation(label).law, 0.9)
             style = {"color": colour(label), "linewidth": width, "label": f"_{label}"}
             motion.plot(*_last_periods(own), line, **style)
             spectrum.plot(own["frequency"] / one["omega"], drawn(own["spectrum"]), line, **style)

@@ -13,7 +13,7 @@ from scipy.stats import qmc
 
 from gapsweep.integrate.simulate import simulate
 from gapsweep.model.contact import ContactLaw
-from gapsweep.model.labels import contact_law, law_of
+from gapsweep.model.labels import Representation, contact_law
 from gapsweep.model.oscillator import Gap
 from gapsweep.response.respond import respond_all
 from gapsweep.response.result import Response
@@ -213,7 +213,7 @@ def _motion(study: Study, label: str, omega: float, start: str) -> Floats:
 
 def _law(label: str, case: Case) -> ContactLaw:
     j_1, j_2 = (1e-3 * float(j) for j in case[1].split("/"))
-    return contact_law(law_of(label), case[0], Gap(j_1, j_2))
+    return contact_law(Representation(label).law, case[0], Gap(j_1, j_2))
 
 
 def _responses(

@@ -84,10 +84,10 @@ def loaded(path: Path, engine: str | None) -> "Study":
     from gapsweep.study.study import Study
 
     system = read(path).system
-    if system is not None and ":" in (system.function or ""):
+    if system is not None and system.user_function:
         from gapsweep.execution.try_out import try_out_system
 
-        try_out_system(str(system.function), path)
+        try_out_system(system.user_function, path)
     with redirect_stdout(sys.stderr):
         found = Study.load(path)
     if found.grid.starts.kind.any() and len(found.grid.omega) == 1:

@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 
 from gapsweep.execution.layout import Arrays, Layout, Piece, define, define_attractors, set_flags
 from gapsweep.execution.plan import Plan
-from gapsweep.model.labels import law_of
 from gapsweep.model.table import ForceTable
 from gapsweep.response.attractors import NONE, Attractors, Grouping
 from gapsweep.response.result import ResponseClass, Responses
@@ -113,7 +112,7 @@ def attributes_of(study: Study) -> dict[str, str]:
 
 def _tables(study: Study) -> dict[str, str]:
     """Attribute ``tables_json``: points, range and symmetry of the swept laws from tables."""
-    labels = {law_of(label) for label in study.grid.representations}
+    labels = {one.law for one in study.grid.representations}
     laws = {n: own.load() for n in sorted(labels) if (own := study.own_law(n)) is not None}
     found = {
         label: {"points": len(law.x), "low": law.x[0], "high": law.x[-1], "is_odd": law.is_odd}

@@ -25,9 +25,6 @@ from gapsweep.continuation.seed import Attractor
 from gapsweep.execution.cluster import check_workers
 from gapsweep.execution.execute import is_gone
 from gapsweep.execution.isolated import CallError, Isolated, failure
-from gapsweep.model.contact import ContactLaw
-from gapsweep.model.labels import contact_law
-from gapsweep.model.oscillator import Gap
 from gapsweep.status import Status
 from gapsweep.study.parametric_model import AlongParameter
 from gapsweep.study.points import FIXED, OF_CONTACT, Points
@@ -89,11 +86,9 @@ def follow(scene: BranchScene) -> Any:
     walls, omega, numbers = np.split(scene.point.numbers[0, : -kind.n_states], [n, n + 1])
     values: Mapping[str, float] = {window.name: window.low}
     example = scene.system() if scene.system else kind.structure.system(numbers)
-    several = zip(kind.contacts, walls.reshape(-1, len(OF_CONTACT)).tolist(), strict=True)
-    laws = [_law(scene.point, label, *each) for label, each in several]
     family = Family(
         scene.system or example,
-        dict(zip(example.contacts, laws, strict=True)),
+        dict(zip(example.contacts, kind.laws(walls), strict=True)),
         None if window.name == "omega" else float(omega[0]) or None,
         (window.name,),
         values,
@@ -111,15 +106,6 @@ def follow(scene: BranchScene) -> Any:
     made = dataset(found)
     made.encoding.clear()  # removes the family, which may not be picklable
     return made
-
-
-def _law(
-    point: Points, label: str, K_c: float, j_1: float, j_2: float, K_ratio: float
-) -> ContactLaw:
-    own, gap = point.kind.own, Gap(j_1, j_2)
-    if ":" in label and own is not None:
-        return own.law(K_c, gap, K_ratio)
-    return contact_law(label, K_c, gap, point.kind.fit_range, K_ratio=K_ratio)
 
 
 def _task(scene: BranchScene, timeout: float | None) -> Followed:

@@ -17,7 +17,6 @@ from gapsweep.errors import ModelError, StudyError
 from gapsweep.execution.isolated import CallError, Isolated
 from gapsweep.integrate.problem import Model, Models, Solver
 from gapsweep.integrate.simulate import loaded
-from gapsweep.model.labels import law_of
 from gapsweep.model.oscillator import Gap
 from gapsweep.model.own_law import OwnLaw, checked
 from gapsweep.status import Status
@@ -79,7 +78,7 @@ def try_out(study: Study, timeout: float, say: Callable[[str], None]) -> None:
     """
     limit = min(max(timeout, _SHORTEST), _LONGEST)
     swept, axes = study.grid.representations, study.grid.axes
-    compiled = {law_of(label) for label in swept if study.solver(label).engine == "compiled"}
+    compiled = {one.law for one in swept if study.solver(one).engine == "compiled"}
     gaps = study.grid.gaps[:_MOST_GAPS] if {"gap", "j_1"} & axes.keys() else (Gap(0.0, 0.0),)
     ends = {n: {min(axes[n]), max(axes[n])} for n in study.spec.parameters if n in axes}
     with Isolated(limit) as isolated:

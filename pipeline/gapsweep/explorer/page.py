@@ -45,7 +45,7 @@ from gapsweep.explorer.question import (
     numbers,
 )
 from gapsweep.explorer.stored import StoredRun
-from gapsweep.model.labels import AUTO, EXACT
+from gapsweep.model.labels import EXACT, Representation
 
 _MM = 1e3
 _SIDE = 300  # pixels
@@ -282,11 +282,12 @@ class Page:
 
     def _have(self, label: str) -> None:
         """Add the law of a stored point to the approximations; the last one goes if there are 3."""
+        law = Representation(label)
         ours = labels(self._laws.value)
-        if label in (EXACT, AUTO, *ours) or ":" in label:
+        if law in (EXACT, *ours) or law.is_auto or law.is_own:
             return
         self._is_setting = True
-        self._laws.value = ", ".join((*ours[: MAX_APPROXIMATIONS - 1], label))
+        self._laws.value = ", ".join((*ours[: MAX_APPROXIMATIONS - 1], law))
         self._is_setting = False
 
     def _open_scene(self, name: str) -> None:

@@ -9,7 +9,7 @@ import numpy as np
 
 from gapsweep.errors import ModelError
 from gapsweep.model.contact import FIT_RANGE, ContactLaw, Piecewise
-from gapsweep.model.labels import AUTO, EXACT, canonical_label, contact_law, law_of
+from gapsweep.model.labels import EXACT, Representation, canonical_label, contact_law
 from gapsweep.model.oscillator import Gap, Oscillator, checked
 from gapsweep.model.systems import paper_oscillator
 from gapsweep.study.study import Study
@@ -93,20 +93,21 @@ class Question:
 _OF_NO_PLANE: dict[str, Any] = {"approximations": (), "start": (0.0, 0.0)}
 
 
-def labels(text: str) -> tuple[str, ...]:
-    """Labels of approximations from a text that the user typed, as ``"tanh-1e4, poly-13"``.
+def labels(text: str) -> tuple[Representation, ...]:
+    """Approximations from a text that the user typed, as ``"tanh-1e4, poly-13"``.
 
     Raises
     ------
     ModelError
         If a label is unknown or is of a user law, or there are too many.
     """
-    found = tuple(dict.fromkeys(canonical_label(each) for each in text.replace(",", " ").split()))
-    for label in found:
+    typed = map(canonical_label, text.replace(",", " ").split())
+    found = tuple(dict.fromkeys(map(Representation, typed)))
+    for law in found:
         # Otherwise any visitor of the page could choose code for this process to run.
-        if ":" in label or label == AUTO:
-            raise ModelError(f"{label}: cannot be typed here; use a law that is a formula")
-    found = tuple(label for label in found if label != EXACT)
+        if law.is_own or law.is_auto:
+            raise ModelError(f"{law}: cannot be typed here; use a law that is a formula")
+    found = tuple(law for law in found if law != EXACT)
     if len(found) > MAX_APPROXIMATIONS:
         raise ModelError(
             f"{len(found)} approximations: must be <= {MAX_APPROXIMATIONS}; remove some"
@@ -315,15 +316,15 @@ def of_study(study: Study) -> tuple[Question, dict[str, tuple[float, float]]]:
     values |= {"j_1": gap.j_1, "j_2": gap.j_2}
     if not is_one:
         values["omega"] = min(max(_LOOKED_AT * values["omega_n"], band[0]), band[1])
-    ours = [label for label in _plain(grid.representations) if ":" not in label]
-    others = [label for label in ours if label not in (EXACT, AUTO)]
+    ours = [law for law in _plain(grid.representations) if not law.is_own]
+    others = [law for law in ours if law != EXACT and not law.is_auto]
     question = asked(values, band, approximations=tuple(others[:1]), fit_range=study.spec.fit.range)
     return question, ranges
 
 
 def not_computed(study: Study) -> str:
     """A note that the page does not compute user-defined laws; empty if there are none."""
-    own = [label for label in _plain(study.grid.representations) if ":" in label]
+    own = [law for law in _plain(study.grid.representations) if law.is_own]
     if not own:
         return ""
     return (
@@ -332,6 +333,6 @@ def not_computed(study: Study) -> str:
     )
 
 
-def _plain(representations: Sequence[str]) -> list[str]:
-    """Distinct labels without their protocols."""
-    return list(dict.fromkeys(map(law_of, representations)))
+def _plain(representations: Sequence[Representation]) -> list[Representation]:
+    """Distinct representations without their protocols."""
+    return list(dict.fromkeys(one.law for one in representations))

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from gapsweep.explorer.page_results import STORED, Curve
 from gapsweep.explorer.question import not_computed, of_study, refuse_systems
-from gapsweep.model.labels import law_of
+from gapsweep.model.labels import Representation
 from gapsweep.model.oscillator import OSCILLATOR
 from gapsweep.report import branch_lines
 from gapsweep.run_folder import BRANCHES, RESPONSES, is_of_run
@@ -60,7 +60,11 @@ class StoredRun:
         scene = self._scene(name)[list(_SHOWN)].isel(section_point=0)
         table = scene.to_dataframe().reset_index().dropna(subset=["x_max", "section_x"])
         return [
-            Curve(law_of(label), STORED, *(rows[name].to_numpy() for name in ("omega", *_SHOWN)))
+            Curve(
+                Representation(label).law,
+                STORED,
+                *(rows[name].to_numpy() for name in ("omega", *_SHOWN)),
+            )
             for label, rows in table.groupby("representation", sort=False)
         ]
 

@@ -35,12 +35,9 @@ from gapsweep.model.oscillator import Gap, called_as
 from gapsweep.model.own_law import OwnLaw
 from gapsweep.model.user_law import UserLaw
 
-AUTO = "auto"
 EXAMPLES = (
     "piecewise, piecewise-noevents, poly-13, ratpoly-5/3, tanh-1e4, arctan-1e4, logarctan-1e4"
 )
-# The label of the exact law, to which all others are compared.
-EXACT = Piecewise.family
 # The label of a user's law, ``module:name``.
 FUNCTION = re.compile(r"[A-Za-z_][\w.]*:[A-Za-z_]\w*")
 
@@ -51,9 +48,72 @@ FAMILIES: dict[str, type[ContactLaw]] = {
 }
 
 
-def family(label: str) -> type[ContactLaw] | None:
-    """Return the class of a label's law; None for ``auto`` and users' laws."""
-    return FAMILIES.get(label.partition("-")[0])
+class Representation(str):
+    """A contact law with, optionally, a solver protocol: the text of its label, and its parts.
+
+    It is equal to its label, ``law`` or ``law@protocol``, in study files, keys and datasets. Labels
+    of datasets are taken as they are; `parsed` checks a label that a user wrote.
+    """
+
+    __slots__ = ()
+
+    @classmethod
+    def parsed(cls, label: str) -> Representation:
+        """Return the representation of a label in canonical spelling.
+
+        Raises
+        ------
+        ModelError
+            If the law is unknown or its parameter is out of range.
+        """
+        law, at, protocol = label.partition("@")
+        return cls(canonical_label(law) + at + protocol)
+
+    @property
+    def law(self) -> Representation:
+        """The law without the protocol."""
+        return Representation(self.partition("@")[0])
+
+    @property
+    def protocol(self) -> str:
+        """Name of the solver protocol; empty without one."""
+        return self.partition("@")[2]
+
+    @property
+    def family(self) -> str:
+        """Name of the law's family, as ``tanh``; empty for ``auto``, user laws and other texts."""
+        name = self.law.partition("-")[0]
+        return name if name in FAMILIES else ""
+
+    @property
+    def parameter(self) -> str:
+        """Parameter of a law of a family, as ``1e4`` or ``5/3``; empty without one."""
+        return self.law.partition("-")[2] if self.family else ""
+
+    @property
+    def law_type(self) -> type[ContactLaw] | None:
+        """Class of the law; None without a family."""
+        return FAMILIES.get(self.family)
+
+    @property
+    def is_auto(self) -> bool:
+        """Whether gapsweep chooses the simplest adequate model of each point."""
+        return self.law == AUTO
+
+    @property
+    def is_own(self) -> bool:
+        """Whether the law is a user's, ``module:name`` or ``file.csv:unit``."""
+        return ":" in self.law
+
+    @property
+    def is_fitted(self) -> bool:
+        """Whether the law is fitted over a range."""
+        return self.law_type is not None and issubclass(self.law_type, Fitted)
+
+
+AUTO = Representation("auto")
+# The exact law, to which all others are compared, and its form without located contacts.
+EXACT, NOT_LOCATED = Representation("piecewise"), Representation("piecewise-noevents")
 
 
 def canonical_label(label: str) -> str:
@@ -75,7 +135,7 @@ def canonical_label(label: str) -> str:
     if label == AUTO or FUNCTION.fullmatch(label):
         return label
     name, dash, parameter = label.partition("-")
-    law = family(label)
+    law = FAMILIES.get(name)
     if law is None:
         raise ModelError(
             f"unknown representation {label!r}: {_likely(label)}use one of {EXAMPLES} or "
@@ -89,29 +149,6 @@ def _likely(label: str) -> str:
     word, parameter = re.findall(r"([A-Za-z]*)-?(.*)", label)[0]
     alike = difflib.get_close_matches(word.lower(), FAMILIES, n=1)
     return f"did you mean {'-'.join(filter(None, [alike[0], parameter]))}? Or " if alike else ""
-
-
-def law_of(label: str) -> str:
-    """Return the label of the law in a representation such as ``tanh-1e4@loose`` (law@protocol)."""
-    return label.partition("@")[0]
-
-
-def canonical_representation(label: str) -> str:
-    """Return the canonical label with the protocol suffix, if the representation has one.
-
-    Raises
-    ------
-    ModelError
-        If the label is unknown.
-    """
-    law, at, protocol = label.partition("@")
-    return canonical_label(law) + at + protocol
-
-
-def is_fitted(label: str) -> bool:
-    """Whether the law of a label is fitted over a range."""
-    law = family(label)
-    return law is not None and issubclass(law, Fitted)
 
 
 @called_as("gs.contact_law('tanh-1e4', K_c=1.4e4, gap=gs.Gap(4e-4, 4e-4)), in N/m and m")
@@ -139,14 +176,13 @@ def contact_law(
     >>> gs.contact_law("tanh-1e4", 1.4e4, gs.Gap(0.4e-3, 0.4e-3)).epsilon
     10000.0
     """
-    label = canonical_label(label)
-    if label == AUTO:
+    law = Representation(canonical_label(label))
+    if law.is_auto:
         raise ModelError("'auto' is for studies only; write a representation, as 'piecewise'")
-    chosen = family(label)
-    if chosen is None:
-        return OwnLaw.of(label, [Path.cwd()]).law(K_c, gap, K_ratio)
-    numbers = chosen.of_label(label.partition("-")[2], fit_range)
-    return chosen(K_c, gap, K_ratio=K_ratio, **numbers)
+    if law.law_type is None:
+        return OwnLaw.of(law, [Path.cwd()]).law(K_c, gap, K_ratio)
+    numbers = law.law_type.of_label(law.parameter, fit_range)
+    return law.law_type(K_c, gap, K_ratio=K_ratio, **numbers)
 
 
 @called_as("gs.law(function, K_c=1.4e4, gap=gs.Gap(4e-4, 4e-4)), in N/m and m")

@@ -23,15 +23,16 @@ class OwnLaw:
 
     Attributes
     ----------
-    label : str
-        ``"module:name"``.
+    module, name : str
+        Of a function or table; or a file of measured forces and the unit of its displacements.
     source : Snapshot or ForceTable
         The code that defines the function, or the table itself.
     parameters : tuple of (str, float)
         Values of named numbers; a function uses those that are its arguments.
     """
 
-    label: str
+    module: str
+    name: str
     source: Snapshot | ForceTable
     parameters: tuple[tuple[str, float], ...] = ()
 
@@ -52,10 +53,15 @@ class OwnLaw:
             if module.endswith(".csv"):
                 paths = [folder / module for folder in folders]
                 path = next((path for path in paths if path.exists()), paths[0])
-                return cls(label, ForceTable.from_csv(path, name))
-            return cls(label, Snapshot.of_module(module, folders))
+                return cls(module, name, ForceTable.from_csv(path, name))
+            return cls(module, name, Snapshot.of_module(module, folders))
         except ModelError as error:
             raise ModelError(f"{label!r}: {error}") from None
+
+    @property
+    def label(self) -> str:
+        """Label of the law, ``"module:name"``."""
+        return f"{self.module}:{self.name}"
 
     @property
     def key(self) -> str:
@@ -75,11 +81,12 @@ class OwnLaw:
         """
         if isinstance(self.source, ForceTable):
             return self.source
-        module, name = load_for_law(self.source, self.label), self.label.partition(":")[2]
+        module = load_for_law(self.source, self.label)
         try:
-            found: Callable[..., float] | ForceTable = getattr(module, name)
+            found: Callable[..., float] | ForceTable = getattr(module, self.name)
         except AttributeError:
-            raise ModelError(f"{self.label!r}: {self.source.path}: defines no {name!r}") from None
+            where = f"{self.label!r}: {self.source.path}"
+            raise ModelError(f"{where}: defines no {self.name!r}") from None
         return found
 
     def law(self, K_c: float, gap: Gap, K_ratio: float = 1.0) -> ContactLaw:
@@ -118,4 +125,4 @@ def checked(own: OwnLaw) -> OwnLaw:
         return replace(own, parameters=own._of(found))
     if type(found) is not ForceTable:
         raise ModelError(f"{own.label!r}: a subclass of ForceTable; write a function of x instead")
-    return OwnLaw(own.label, found)
+    return replace(own, source=found, parameters=())

@@ -12,7 +12,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from gapsweep.analysis.agreement.jumps import breaks
-from gapsweep.model.labels import EXACT
+from gapsweep.model.labels import EXACT, Representation
 from gapsweep.report.scales import drawn, shown_unit
 from gapsweep.report.style import WALL, by_colour, colour, lines
 from gapsweep.response.result import ResponseClass
@@ -27,9 +27,9 @@ _SPARE = 0.5  # room around the exact law, in widths of its range
 _DOT = 12.0  # points², dot of an attractor with an unknown basin share
 
 
-def labels_of(dataset: xr.Dataset) -> list[str]:
-    """Labels of the representations of a dataset."""
-    return [str(label) for label in dataset["representation"].values]
+def labels_of(dataset: xr.Dataset) -> list[Representation]:
+    """Representations of a dataset."""
+    return [Representation(label) for label in dataset["representation"].values]
 
 
 SETS = "sets_axis"

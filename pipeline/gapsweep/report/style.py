@@ -4,8 +4,8 @@ from collections import Counter
 from collections.abc import Sequence
 from typing import Any
 
-from gapsweep.model.contact import ContactLaw, Piecewise
-from gapsweep.model.labels import family, law_of
+from gapsweep.model.contact import ContactLaw
+from gapsweep.model.labels import NOT_LOCATED, Representation
 
 _NOEVENTS = "#999999"  # the exact law without located contacts
 # Responses that are not periodic are red in every map; the most common classes are pale.
@@ -41,9 +41,8 @@ MATPLOTLIB: dict[Any, Any] = {
 
 def colour(label: str) -> str:
     """Colour of a representation, by its family."""
-    label = law_of(label)
-    law = family(label) or ContactLaw
-    return law.colour if law is not Piecewise or label == Piecewise.family else _NOEVENTS
+    law = Representation(label).law
+    return _NOEVENTS if law == NOT_LOCATED else (law.law_type or ContactLaw).colour
 
 
 def sequence(n: int) -> list[str]:

@@ -10,7 +10,7 @@ from gapsweep.analysis.agreement.metrics import BOUND
 from gapsweep.analysis.dimensions import At, by_coordinate, scene_dims
 from gapsweep.continuation.dataset import ATTRACTOR
 from gapsweep.continuation.special import Special
-from gapsweep.model.labels import EXACT
+from gapsweep.model.labels import EXACT, Representation
 from gapsweep.report.branch_lines import (
     KINDS,
     REPRESENTATION,
@@ -32,7 +32,7 @@ VERDICTS = ("refuted", "partly", "confirmed", "undecidable")
 def scene_tables(
     agreement: xr.Dataset | None,
     timing: xr.Dataset,
-    labels: list[str],
+    labels: Sequence[str],
     over: str = "",
     apart: Sequence[tuple[str, At]] = (),
 ) -> list[Table]:
@@ -49,7 +49,9 @@ def scene_tables(
     apart : sequence of (str, position)
         Parameter sets, in words, whose agreement has separate rows.
     """
-    labels = sorted(labels, key=lambda label: "@" in label)  # laws first, then protocols
+    labels = sorted(
+        labels, key=lambda label: Representation(label).protocol != ""
+    )  # laws first, then protocols
     tables = []
     if agreement is not None and agreement.attrs["reference"] in labels:
         for part, suffix in by_coordinate(agreement):
@@ -61,7 +63,7 @@ def scene_tables(
             title = f"Agreement with the exact law{suffix}{'' if apart else over}"
             tables.append(Table(title, _AGREEMENT, rows, _OF_AGREEMENT))
     title = f"Cost per sweep point (medians over the points of each law){over}"
-    notes = [_OF_COST, *([_OF_PROTOCOLS] if any("@" in label for label in labels) else [])]
+    notes = [_OF_COST, *([_OF_PROTOCOLS] if any(Representation(label).protocol for label in labels) else [])]
     notes.append(f"Processor times were measured on {timing.attrs['measured_on'] or 'no machine'}.")
     tables.append(Table(title, _TIMING, list(_timing_rows(timing, labels)), notes))
     return [table for table in tables if table.rows]

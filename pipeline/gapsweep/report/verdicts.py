@@ -39,7 +39,7 @@ from numpy.typing import NDArray
 
 from gapsweep.analysis.datasets.timing import repeatability, widened
 from gapsweep.analysis.dimensions import At, scene_dims, scenes
-from gapsweep.model.labels import AUTO
+from gapsweep.model.labels import NOT_LOCATED, Representation
 from gapsweep.report.scales import NamedValue, plain
 from gapsweep.report.selection import anchor_of, gap_label, other_parameters
 from gapsweep.report.tables import number, percent
@@ -55,7 +55,6 @@ SHOWN = {
 _COST_RATIO = "cpu_time_per_period_ratio"
 _CONTACTS = "n_contacts_per_period"
 COLUMNS = ("use", "with care", "no")
-_NO_APPROXIMATIONS = ("piecewise-noevents", AUTO)
 # Estimate of each number, and the best and the worst end of its interval.
 Values = dict[str, NDArray[np.float64]]
 Row = dict[str, Any]  # variables of one law in one case
@@ -70,7 +69,7 @@ class Judged:
     `possible` holds the columns of the table that its intervals allow.
     """
 
-    law: str
+    law: Representation
     values: Values
     n_exact: int
     verdict: str
@@ -83,7 +82,7 @@ class Judged:
     @property
     def is_approximation(self) -> bool:
         """Whether the law is an approximation: False for ``piecewise-noevents`` and ``auto``."""
-        return self.law not in _NO_APPROXIMATIONS
+        return not (self.law == NOT_LOCATED or self.law.is_auto)
 
     @property
     def is_firm(self) -> bool:
@@ -168,7 +167,7 @@ class Contact:
         usable = (one for one in self.columns["use"] if one.is_approximation)
         found: dict[str, Judged] = {}
         for one in sorted(usable, key=lambda one: _parameter(one.law)):
-            found.setdefault(one.law.partition("-")[0], one)
+            found.setdefault(one.law.family or one.law, one)
         return list(found.values())
 
     @property
@@ -189,7 +188,7 @@ class Contact:
         ``> 1e9 tried``: none is adequate up to this; ``not tried``.
         """
         tried = sorted(
-            (one for one in self.laws if one.law.startswith(f"{family}-")),
+            (one for one in self.laws if one.law.family == family),
             key=lambda one: _parameter(one.law),
         )
         usable = [one for one in tried if one.column == "use"]
@@ -200,10 +199,10 @@ class Contact:
         return f"{'≤ ' * (first is tried[0])}{value}" if usable else f"> {value} tried"
 
 
-def _parameter(law: str) -> float:
+def _parameter(law: Representation) -> float:
     """The parameter of a tangent law or the degree of a polynomial; 0 of other laws."""
     with suppress(ValueError):
-        return float(law.partition("-")[2])
+        return float(law.parameter)
     return 0.0
 
 
@@ -219,8 +218,8 @@ def contacts(agreement: xr.Dataset, static: xr.Dataset | None = None) -> list[Co
     pooled = agreement[[*names, *(f"{n}_ci" for n in names), "n_points"]].sel(regime="all").load()
     pooled["n_exact"] = agreement["n_attractors_exact"].sum("omega")
     exact = str(agreement.attrs["floor_representations"]).split()
-    labels = [str(label) for label in pooled["representation"].values]
-    laws = [n for n in labels if n != agreement.attrs["reference"] and "@" not in n]
+    labels = [Representation(label) for label in pooled["representation"].values]
+    laws = [n for n in labels if n != agreement.attrs["reference"] and not n.protocol]
     if not laws:
         return []
     dims = scene_dims(agreement["n_attractors_exact"].dims)
@@ -229,10 +228,10 @@ def contacts(agreement: xr.Dataset, static: xr.Dataset | None = None) -> list[Co
     tables = {str(name): pooled[name].values for name in pooled}
     periodic = agreement[_COST_RATIO].sel(regime="periodic")
     tables["periodic"] = periodic.transpose("representation", *dims).values
-    noise = repeatability(tables[_COST_RATIO][[labels.index(label) for label in exact]])
+    noise = repeatability(tables[_COST_RATIO][[label in exact for label in labels]])
     found = []
     for at in scenes(pooled, dims):
-        where = {
+        where: dict[str, Row] = {
             label: {name: table[r, *at.values()] for name, table in tables.items()}
             for r, label in enumerate(labels)
         }
@@ -300,13 +299,13 @@ def _unjudged(exact: Row) -> str:
     return "" if exact[_CONTACTS] else "the exact law touches no wall"
 
 
-def _is_judged(label: str, row: Row) -> bool:
+def _is_judged(law: Representation, row: Row) -> bool:
     """Whether a law has a verdict: the exact law has attractors, and user code has not failed."""
-    is_broken = ":" in label and np.isnan(row[SHOWN["median"]])
+    is_broken = law.is_own and np.isnan(row[SHOWN["median"]])
     return not is_broken and bool(np.isfinite(row[SHOWN["found"]]))
 
 
-def _judged(label: str, row: Row, floors: Values, noise: float) -> Judged:
+def _judged(law: Representation, row: Row, floors: Values, noise: float) -> Judged:
     values = _values(row)
     # The best end of a law with the worst end of the exact law's limit, and the worst with the
     # best: their intervals are independent.
@@ -316,7 +315,7 @@ def _judged(label: str, row: Row, floors: Values, noise: float) -> Judged:
     possible = frozenset(map(_column, ends) if is_known else COLUMNS)
     ratio = float(row[_COST_RATIO])
     costs = ratio, *widened(ratio, row[f"{_COST_RATIO}_ci"], noise), float(row["periodic"])
-    return Judged(label, values, int(row["n_exact"]), ends[0], possible, *costs)
+    return Judged(law, values, int(row["n_exact"]), ends[0], possible, *costs)
 
 
 def _column(verdict: str) -> str:

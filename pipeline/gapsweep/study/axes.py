@@ -12,12 +12,13 @@ from pydantic import (
     ConfigDict,
     Discriminator,
     Field,
+    GetPydanticSchema,
     Tag,
     model_validator,
 )
 
 from gapsweep.errors import ModelError
-from gapsweep.model.labels import canonical_representation
+from gapsweep.model.labels import Representation
 from gapsweep.model.oscillator import LARGEST, SMALLEST
 
 MAX_POINTS = 10**7
@@ -65,14 +66,16 @@ class OscillatorTable(TomlTable):
     c: NonNegative = 0.0
 
 
-def _canonical(label: str) -> str:
+def _parsed(label: str) -> Representation:
     try:
-        return canonical_representation(label)
+        return Representation.parsed(label)
     except ModelError as error:
         raise ValueError(str(error)) from None
 
 
-Label = Annotated[str, AfterValidator(_canonical)]
+# To pydantic a text; `_parsed` makes it a `Representation`.
+_LABEL = Annotated[str, AfterValidator(_parsed)]
+Label = Annotated[Representation, GetPydanticSchema(lambda _, schema_of: schema_of(_LABEL))]
 
 
 class _RangeTable(TomlTable, Generic[Value]):

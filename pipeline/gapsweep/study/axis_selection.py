@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from gapsweep.model.labels import canonical_representation
+from gapsweep.model.labels import Representation
 from gapsweep.study.points import canonical
 
 _MANY, _ENDS = 8, 3  # most values in a message; of more values, the number at either end
@@ -103,7 +103,7 @@ def _key(name: str, axis: NDArray[Any], value: Any) -> Any:
             return canonical(value)
         text = str(value)
         if name == "representation":
-            return canonical_representation(text)
+            return Representation.parsed(text)
         if name == "gap":
             return tuple(canonical(float(distance)) for distance in text.split("/"))
     except (TypeError, ValueError, OverflowError):

@@ -110,6 +110,7 @@ class BenchTable(TomlTable):
 
     @model_validator(mode="after")
     def _named_once(self) -> "BenchTable":
+        names: tuple[list[str], ...]
         names = [scene.name for scene in self.scene], [method.label for method in self.method]
         twice = [name for some in names for name in dict.fromkeys(some) if some.count(name) > 1]
         if twice:

@@ -7,6 +7,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from gapsweep.model.labels import Representation
 from gapsweep.model.oscillator import Gap
 from gapsweep.model.structure import AnyStructure
 from gapsweep.study.points import FIXED, SWEEPS, canonical
@@ -97,7 +98,7 @@ class Grid:
     Attributes
     ----------
     axes : mapping of str to sequence
-        By dimension, in the dataset's order: labels of representations, protocol included;
+        By dimension, in the dataset's order: representations;
         stiffnesses [N/m]; gaps, or distances of both walls [m]; frequencies [Hz]; other swept
         parameters; `Starts`. Numbers ascend, others come in order of first appearance.
     requested : ndarray of bool, of the axes' lengths
@@ -121,7 +122,7 @@ class Grid:
         return self.requested.shape
 
     @property
-    def representations(self) -> tuple[str, ...]:
+    def representations(self) -> tuple[Representation, ...]:
         return tuple(self.axes["representation"])
 
     @property

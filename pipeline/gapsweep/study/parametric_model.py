@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gapsweep.errors import ModelError, StudyError
-from gapsweep.model.labels import AUTO, law_of
+from gapsweep.model.labels import Representation
 from gapsweep.model.oscillator import Oscillator
 from gapsweep.model.structure import AnyStructure, structure_of
 from gapsweep.model.system import System
@@ -86,7 +86,7 @@ class ParametricModel:
         if table is None:
             return self._oscillator
         unlike = table.scales ^ set(self.spec.parameters)
-        if any(":" in label for block in self.spec.sweep for label in block.representation):
+        if any(one.is_own for block in self.spec.sweep for one in block.representation):
             unlike = table.scales - set(self.spec.parameters)  # others belong to laws
         if table.function is None and unlike:
             raise StudyError(
@@ -133,9 +133,9 @@ class ParametricModel:
         """Dimensions within a point that have several entries, and the names along them."""
         return self.default.parts
 
-    def labels(self, representation: str) -> tuple[str, ...]:
-        """Return the label of every contact's law: that of [contact], else this representation."""
-        return tuple(self._own(name, "representation") or representation for name in self.contacts)
+    def laws(self, law: Representation) -> tuple[Representation, ...]:
+        """Return the law of every contact: that of [contact], else this law."""
+        return tuple(self._own(name, "representation") or law for name in self.contacts)
 
     def numbers(self, axes: Axes, places: Places, n: int) -> Array:
         """Return the columns of a table of n points, from their positions on the axes."""
@@ -265,7 +265,7 @@ class ParametricModel:
         for name in ("K_c", "gap"):
             is_given = getattr(block, name) is not None or (name == "gap" and block.j_1 is not None)
             takes = [c for c in self.contacts if self._own(c, name) is None]
-            has_walls = all(":" in label for label in block.representation)  # laws of the user
+            has_walls = all(one.is_own for one in block.representation)
             needs = [c for c in takes if self._own(c, "representation") or not has_walls]
             if needs and not is_given:
                 of_contact = "" if self.is_oscillator else f", which contact {needs[0]!r} needs"
@@ -287,7 +287,7 @@ class ParametricModel:
         if self.is_oscillator:
             swept = block.parameter.items()
             return found + [x for each in swept for x in _out_of_range(self.spec.model, *each)]
-        if any(law_of(label) == AUTO for label in block.representation):
+        if any(one.is_auto for one in block.representation):
             found.append(
                 "representation: 'auto' is for oscillators only; write one, as 'piecewise'"
             )

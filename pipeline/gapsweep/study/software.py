@@ -5,7 +5,7 @@ from collections.abc import Iterable, Mapping
 from functools import cache
 from importlib.metadata import version
 
-from gapsweep.model.labels import is_fitted
+from gapsweep.model.labels import Representation
 from gapsweep.user_code.package_digest import data_fingerprint
 
 LIBRARIES = ("numba", "llvmlite", "numpy", "scipy")
@@ -23,14 +23,14 @@ def versions() -> Mapping[str, str]:
     return {"Python": python, **{name: version(name) for name in LIBRARIES}}
 
 
-def deciding(labels: Iterable[str], engine: str) -> tuple[str, ...]:
+def deciding(laws: Iterable[Representation], engine: str) -> tuple[str, ...]:
     """Return the libraries that determine a result: a new version of one may change numbers.
 
     They compile the compiled engine, are the solver of the reference engine, fit laws, and
     interpolate a user's table. numpy's arithmetic is in all of them, but equal in all versions up
     to rounding: an upgrade of numpy is recorded, and results need not be recomputed.
     """
-    is_made = any(is_fitted(label) or ":" in label for label in labels)
+    is_made = any(law.is_fitted or law.is_own for law in laws)
     making = ("numpy", "scipy") if is_made else ()
     solving = ("numba", "llvmlite") if engine == "compiled" else ("scipy",)
     return tuple(dict.fromkeys((*making, *solving)))

@@ -24,7 +24,7 @@ from pydantic import (
 from gapsweep.errors import StudyError
 from gapsweep.integrate.problem import LARGEST_RTOL, SMALLEST_RTOL
 from gapsweep.model.contact import FIT_RANGE
-from gapsweep.model.labels import AUTO
+from gapsweep.model.labels import NOT_LOCATED, Representation
 from gapsweep.response.result import Steady
 from gapsweep.study.axes import (
     MAX_POINTS,
@@ -169,6 +169,20 @@ class HistoryTable(TomlTable):
             )
         return self
 
+    @property
+    def parameters(self) -> dict[str, float]:
+        """Parameters, and the stiffness ratio of the walls, that this history sets."""
+        ratio = {} if self.K_ratio is None else {"K_ratio": self.K_ratio}
+        return {**self.parameter, **ratio}
+
+    def undecided(self, where: str, known: Mapping[str, float], axes: Axes) -> Iterator[str]:
+        """Yield a problem for every parameter that the study sweeps and this history lacks."""
+        for name in (*known, "K_ratio"):
+            axis = axes.get(name, ())
+            if len(axis) > 1 and name not in self.parameters:
+                remedy = f"choose one value, as {name} = {axis[0]:g}"
+                yield f"{where}.{name}: swept by the study; {remedy}"
+
 
 class AutoTable(TomlTable):
     """Allowed error of representation "auto" and `gapsweep advise`."""
@@ -239,9 +253,9 @@ class BranchesTable(TomlTable):
             yield f"branches.range = {self.range}: must contain {name} = {value:g} of the study"
 
 
-def is_followed(label: str) -> bool:
+def is_followed(one: Representation) -> bool:
     """Whether branches of a representation are followed: contacts located, no protocol."""
-    return "@" not in label and label not in (AUTO, "piecewise-noevents")
+    return not (one.protocol or one.is_auto or one == NOT_LOCATED)
 
 
 class ClaimsTable(ModuleTable):
@@ -328,6 +342,14 @@ class StudySpec(TomlTable):
         }
 
     @property
+    def representations(self) -> list[Representation]:
+        """Representations of all sweeps, histories and methods of the benchmark."""
+        tables: list[SweepTable | HistoryTable] = [*self.sweep, *self.history]
+        methods = self.bench.method if self.bench else []
+        several = [one for table in tables for one in table.representation]
+        return [*several, *(method.label for method in methods)]
+
+    @property
     def model(self) -> dict[str, float]:
         """Default values of all parameters of the model."""
         return self.oscillator.model_dump() if self.oscillator else self.parameters
@@ -346,27 +368,25 @@ class StudySpec(TomlTable):
     def _of_one_thing(self) -> "StudySpec":
         if self.system is None and self.contact:
             raise ValueError("contact: needs [system]")
-        labels = [label for block in self.sweep for label in block.representation]
-        if self.system is None and self.parameters and not any(":" in label for label in labels):
+        swept = [one for block in self.sweep for one in block.representation]
+        if self.system is None and self.parameters and not any(one.is_own for one in swept):
             raise ValueError("parameters: needs [system], or an own contact law, as module:name")
         return self
 
     @model_validator(mode="after")
     def _consistent(self) -> "StudySpec":
-        tables: list[SweepTable | HistoryTable] = [*self.sweep, *self.history]
-        labels = [label for table in tables for label in table.representation]
         scenes = self.bench.scene if self.bench else []
-        labels += [method.label for method in self.bench.method] if self.bench else []
-        used = {x.partition("@")[2] for x in labels if "@" in x}
+        methods = self.bench.method if self.bench else []
+        used = {one.protocol for one in self.representations if one.protocol}
         wrong = [
             f"protocol {name!r} is used by a label, but [protocol.{name}] is missing"
             for name in sorted(used - set(self.protocol))
         ]
-        if any(label.startswith(f"{AUTO}@") for label in labels):
+        if any(one.is_auto and one.protocol for one in self.representations):
             wrong.append("'auto' chooses solver settings; leave out the protocol")
-        if any(AUTO in table.representation for table in self.history):
+        if any(one.is_auto for table in self.history for one in table.representation):
             wrong.append("history: 'auto' is not allowed; write a representation, as 'piecewise'")
-        if self.bench and any(method.label == AUTO for method in self.bench.method):
+        if any(method.label.is_auto for method in methods):
             wrong.append("bench: 'auto' is not allowed; write a representation, as 'piecewise'")
         if len({(block.gap is None, block.j_1 is None) for block in self.sweep}) > 1:
             wrong.append("sweep: give gap in every block, or j_1 and j_2 in every block")
@@ -415,7 +435,9 @@ def _with_swept(table: Any, blocks: Any) -> Any:
 def _with_walls(block: Any) -> Any:
     """Return a block; if it has only user laws and no K_c and gap, with zeros for them."""
     labels = several(block.get("representation")) if isinstance(block, dict) else None
-    own = isinstance(labels, list) and all(isinstance(x, str) and ":" in x for x in labels)
+    own = isinstance(labels, list) and all(
+        isinstance(label, str) and Representation(label).is_own for label in labels
+    )
     if not own or {"K_c", "gap", "j_1", "j_2"} & block.keys():
         return block
     return block | {"K_c": 0.0, "gap": [0.0, 0.0]}

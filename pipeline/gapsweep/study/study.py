@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from gapsweep.errors import ModelError, StudyError
 from gapsweep.integrate.problem import Solver
 from gapsweep.model.contact import ContactLaw, Piecewise
-from gapsweep.model.labels import AUTO, EXACT, contact_law, law_of
+from gapsweep.model.labels import EXACT, Representation, contact_law
 from gapsweep.model.oscillator import Gap, Oscillator
 from gapsweep.model.own_law import OwnLaw, checked
 from gapsweep.model.structure import AnyStructure
@@ -27,16 +27,14 @@ from gapsweep.study.axes import MAX_POINTS, forms
 from gapsweep.study.axis_selection import listed, positions
 from gapsweep.study.blocks import expanded, requested_of, union
 from gapsweep.study.grid import START, Axes, Grid, Selection, Starts
-from gapsweep.study.history import setting, undecided
 from gapsweep.study.least_model import Advice, advised
 from gapsweep.study.parametric_model import ParametricModel
-from gapsweep.study.points import SWEEPS, Kind, Points
+from gapsweep.study.points import FIXED, SWEEPS, Kind, Points, canonical
 from gapsweep.study.spec import (
     HistoryTable,
     ModuleTable,
     SolverTable,
     StudySpec,
-    SweepTable,
     check,
     read,
 )
@@ -151,7 +149,10 @@ class Study:
         self._check_modules()
         self.model.check()
         known = {**self.spec.model, **self.spec.parameters}
-        lines = undecided(self.spec.history, known, self._axes)
+        lines: Iterator[str] = chain.from_iterable(
+            table.undecided(f"history[{i}]", known, self._axes)
+            for i, table in enumerate(self.spec.history)
+        )
         if self.spec.branches:
             of_branches = self.spec.branches.problems(self._axes, known, self.spec.contact)
             lines = chain(lines, of_branches, self._problems_of_range())
@@ -223,10 +224,6 @@ class Study:
         """The checked study, defaults filled in, as JSON."""
         return json.dumps(self.spec.tables, sort_keys=True)
 
-    def setting(self, history: HistoryTable) -> dict[str, float]:
-        """Return parameters of model and laws, and the walls' stiffness ratio, of a history."""
-        return setting(history, {**self.spec.model, **self.spec.parameters}, self._axes)
-
     @cached_property
     def claims_module(self) -> Path | None:
         """Path of the Python file of [claims], in the folder of the study file."""
@@ -289,8 +286,8 @@ class Study:
         ModelError
             If the code of the law cannot be read.
         """
-        name = law_of(label)
-        if ":" not in name:
+        name = Representation(label).law
+        if not name.is_own:
             return None
         if name not in self._known_laws:
             self._known_laws[name] = OwnLaw.of(name, self.folders)
@@ -308,22 +305,19 @@ class Study:
         own = self.own_law(label)
         if own is not None:
             return own.law(K_c, gap, K_ratio)
-        return contact_law(law_of(label), K_c, gap, self.spec.fit.range, K_ratio=K_ratio)
+        law = Representation(label).law
+        return contact_law(law, K_c, gap, self.spec.fit.range, K_ratio=K_ratio)
 
     @property
-    def own_laws(self) -> tuple[str, ...]:
-        """Labels of the user laws of the study, as ``module:name``."""
-        tables: list[SweepTable | HistoryTable] = [*self.spec.sweep, *self.spec.history]
-        labels = [label for table in tables for label in table.representation]
-        labels += [method.label for method in self.spec.bench.method] if self.spec.bench else []
-        return tuple(dict.fromkeys(law_of(x) for x in labels if ":" in x))
+    def own_laws(self) -> tuple[Representation, ...]:
+        """The user laws of the study, as ``module:name``."""
+        return tuple(dict.fromkeys(one.law for one in self.spec.representations if one.is_own))
 
     @property
     def names_code(self) -> bool:
         """Whether the study has user code: laws, the function of a system, modules."""
-        made = self.spec.system.function if self.spec.system else None
-        modules = self.spec.claims, self.spec.report
-        return bool(self.own_laws) or ":" in (made or "") or any(modules)
+        system, modules = self.spec.system, (self.spec.claims, self.spec.report)
+        return bool(self.own_laws or (system and system.user_function)) or any(modules)
 
     def with_engine(self, engine: str) -> "Study":
         """Return the study with another engine."""
@@ -437,36 +431,38 @@ class Study:
             chooses.
         """
         tables = []
-        for rows, table, label in self._requested(cells):
-            found = self._adequate(table) if label == AUTO else [(np.arange(len(rows)), table)]
+        for rows, table, one in self._requested(cells):
+            found = self._adequate(table) if one.is_auto else [(np.arange(len(rows)), table)]
             tables += [(rows[some], points) for some, points in found]
         return tables
 
     def _requested(
         self, cells: NDArray[np.int64]
-    ) -> Iterator[tuple[NDArray[np.intp], Points, str]]:
-        """Yield tables of the points of some cells, and their labels, with ``auto`` unresolved."""
+    ) -> Iterator[tuple[NDArray[np.intp], Points, Representation]]:
+        """Yield tables of the points of some cells and their representation, maybe ``auto``."""
         axes, starts, names = self.grid.axes, self.grid.starts, self._law_parameters
         at = dict(zip(axes, np.unravel_index(cells, self.grid.shape), strict=True))
         kind = at["representation"] * len(Starts.KINDS) + starts.kind[at[START]]
         for one in np.unique(kind).tolist():
             rows = np.flatnonzero(kind == one)
             r, start = divmod(one, len(Starts.KINDS))
-            label = axes["representation"][r]
-            swept = [name for name in names.get(law_of(label), ()) if name in axes]
+            found = self.grid.representations[r]
+            swept = [name for name in names.get(found.law, ()) if name in axes]
             places = np.column_stack([0 * rows, *(at[name][rows] for name in swept)])
             for place in np.unique(places, axis=0):
                 some = rows[(places == place).all(axis=1)]
                 here = {name: of[some] for name, of in at.items()}
                 named = {n: axes[n][i] for n, i in zip(swept, place[1:].tolist(), strict=True)}
                 numbers = self.model.numbers(axes, here, len(some))
-                yield some, Points(self._kind(label, Starts.KINDS[start], named), numbers), label
+                yield some, Points(self._kind(found, Starts.KINDS[start], named), numbers), found
 
     @cached_property
     def _law_parameters(self) -> dict[str, list[str]]:
         """Names of the parameters of each user law; refuse parameters that nothing uses."""
-        laws = {law_of(label): self.own_law(label) for label in self.grid.representations}
-        found = {n: [name for name, _ in checked(own).parameters] for n, own in laws.items() if own}
+        laws = {one.law: self.own_law(one) for one in self.grid.representations}
+        found: dict[str, list[str]] = {
+            law: [name for name, _ in checked(own).parameters] for law, own in laws.items() if own
+        }
         system = self.spec.system
         taken = (system.scales if system else set()).union(*found.values())
         unused = self.spec.parameters.keys() - taken
@@ -477,19 +473,43 @@ class Study:
             raise StudyError([f"{self.source}: {problem}"])
         return found
 
-    def _kind(self, label: str, start: str, parameters: Mapping[str, float]) -> Kind:
-        representation, own = law_of(label), self.own_law(label, **parameters)
+    def history_axes(self, table: HistoryTable) -> Axes:
+        """Return the axes of a ``[[history]]``, each of one value.
+
+        Values of the history come first, then the single values of sweep axes, then the model's.
+        """
+        given = {**self.spec.model, **self.spec.parameters, "K_ratio": 1.0}
+        given |= {name: self._axes[name][0] for name in given if name in self._axes}
+        walls = {"K_c": table.K_c, "gap": Gap(*map(canonical, table.gap)), "omega": table.omega}
+        values = given | table.parameters | walls
+        return {n: (x,) for n, x in values.items()} | {START: Starts.fixed([table.start])}
+
+    def history_point(self, table: HistoryTable, one: Representation) -> Points:
+        """Return the sweep point, a table of one row, in which a motion of a history starts.
+
+        Raises
+        ------
+        ModelError
+            If the code of a user law cannot be loaded.
+        """
+        axes = self.history_axes(table)
+        named = {name: axes[name][0] for name in self.spec.parameters}
+        places = dict.fromkeys(axes, np.zeros(1, np.intp))
+        return Points(self._kind(one, FIXED, named), self.model.numbers(axes, places, 1))
+
+    def _kind(self, one: Representation, start: str, parameters: Mapping[str, float]) -> Kind:
+        own = self.own_law(one, **parameters)
         own = None if own is None else checked(own)
         return Kind(
-            representation=representation,
-            solver=self.solver(label),
+            representation=one.law,
+            solver=self.solver(one),
             steady=self.steady,
             fit_range=self.spec.fit.range,
             start=start,
-            start_jitter=self.start_jitter(label),
+            start_jitter=self.start_jitter(one),
             law_code=None if own is None else own.key,
             structure=self.structure,
-            contacts=self.model.labels(representation),
+            contacts=self.model.laws(one.law),
             own=own,
         )
 
@@ -529,12 +549,13 @@ class Study:
 
         For ``auto`` they are the loosest settings that it may choose for a point.
         """
-        solver = self._protocols[label.partition("@")[2]][0]
-        return solver.with_rtol(self.spec.auto.error) if label == AUTO else solver
+        one = Representation(label)
+        solver = self._protocols[one.protocol][0]
+        return solver.with_rtol(self.spec.auto.error) if one.is_auto else solver
 
     def start_jitter(self, label: str) -> float:
         """Return the shift [m] of fixed initial displacements by a representation's protocol."""
-        return self._protocols[label.partition("@")[2]][1]
+        return self._protocols[Representation(label).protocol][1]
 
 
 def _lists(tables: Any) -> Any:

@@ -77,6 +77,11 @@ class SystemTable(TomlTable):
     coordinates: list[str] = Field([])
 
     @property
+    def user_function(self) -> str:
+        """The user's function, ``module:function``; empty without one."""
+        return "" if self.function in READY_MADE else self.function or ""
+
+    @property
     def scales(self) -> set[str]:
         """Names of the parameters that multiply loads, springs and modulations."""
         terms = [term for terms in self.modulation.values() for term in terms]
@@ -109,10 +114,10 @@ class ContactTable(TomlTable):
 
     @model_validator(mode="after")
     def _no_code(self) -> "ContactTable":
-        label = self.representation or ""
-        if ":" in label or "@" in label or label == "auto":
+        own = self.representation
+        if own is not None and (own.is_own or own.is_auto or own.protocol):
             raise ValueError(
-                f"representation = {label!r}: must be a law of gapsweep without a protocol; "
+                f"representation = {own!r}: must be a law of gapsweep without a protocol; "
                 "write the representation of all contacts in [[sweep]]"
             )
         return self
@@ -170,8 +175,7 @@ def maker(table: SystemTable, source: str, folders: Iterable[Path] = ()) -> Make
         If the code cannot be read.
     """
     try:
-        is_own = table.function is not None and table.function not in READY_MADE
-        own = OwnLaw.of(str(table.function), folders) if is_own else None
+        own = OwnLaw.of(table.user_function, folders) if table.user_function else None
         if own is not None:
             own.load()
     except ModelError as error:

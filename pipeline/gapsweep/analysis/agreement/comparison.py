@@ -35,7 +35,7 @@ from gapsweep.analysis.dimensions import (
     section_rate,
     with_rate,
 )
-from gapsweep.model.labels import EXACT, law_of
+from gapsweep.model.labels import EXACT, Representation
 from gapsweep.response.thresholds import DEVIATIONS
 from gapsweep.status import Status
 from gapsweep.study.grid import COORDINATE
@@ -74,7 +74,7 @@ def _agreement(responses: xr.Dataset, attractors: xr.Dataset) -> xr.Dataset:
         rate = section_rate(responses)
         forced = _agreement(with_rate(responses, rate), with_rate(attractors, rate))
         return forced.isel(omega=0, drop=True)
-    labels = [str(label) for label in responses["representation"].values]
+    labels = [Representation(label) for label in responses["representation"].values]
     study = json.loads(responses.attrs.get("study_json", "{}"))
     mean_load = study.get("oscillator", {}).get("mean_load", 0.0)
     forces = json.loads(responses.attrs.get("tables_json", "{}"))
@@ -110,10 +110,10 @@ def _agreement(responses: xr.Dataset, attractors: xr.Dataset) -> xr.Dataset:
             ours = exact if labels[r] == EXACT else law_table(responses, attractors, here)
             # Infinity and NaN result from responses that diverged or are missing.
             with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-                symmetric = is_symmetric and law_of(labels[r]) not in uneven
+                symmetric = is_symmetric and labels[r].law not in uneven
                 for name, values in _compared(ours, exact, width, symmetric=symmetric):
                     place(name, here, values)
-    _set_floors(tables, [labels.index(label) for label in floors])
+    _set_floors(tables, [r for r, label in enumerate(labels) if label in floors])
     return _dataset(tables, responses, floors)
 
 

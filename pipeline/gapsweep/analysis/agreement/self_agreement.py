@@ -14,17 +14,18 @@ every metric; smaller differences between two laws are not significant.
 """
 
 import json
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
 from gapsweep.integrate.problem import Solver
-from gapsweep.model.labels import EXACT
+from gapsweep.model.labels import EXACT, Representation
 
 # Largest shift [m] of an initial displacement that counts as noise.
 _LARGEST_JITTER = 1e-8
 
 
-def floor_labels(study_json: str, labels: list[str]) -> list[str]:
+def floor_labels(study_json: str, labels: Sequence[str]) -> list[str]:
     """Labels ``piecewise@NAME`` that measure reproducibility.
 
     The protocol NAME differs from ``[solver]`` only in tighter tolerances or a `start_jitter` of at
@@ -34,16 +35,17 @@ def floor_labels(study_json: str, labels: list[str]) -> list[str]:
     ----------
     study_json : str
         The checked study, as in the attribute of ``responses.nc``; empty if there is none.
-    labels : list of str
+    labels : sequence of str
     """
     study = json.loads(study_json) if study_json else {}
     plain, protocols = study.get("solver", {}), study.get("protocol", {})
-    found = []
-    for label in labels:
-        law, _, name = label.partition("@")
-        if law == EXACT and name in protocols and _is_floor(plain, protocols[name]):
-            found.append(label)
-    return found
+    return [
+        one
+        for one in map(Representation, labels)
+        if one.law == EXACT
+        and one.protocol in protocols
+        and _is_floor(plain, protocols[one.protocol])
+    ]
 
 
 def _is_floor(plain: dict[str, Any], protocol: dict[str, Any]) -> bool:

@@ -160,14 +160,10 @@ Task = tuple[int, Scenario, Group]
 Cells = list[tuple[int, int, dict[str, Any]]]
 
 
-def is_of_user(method: Method) -> bool:
-    return ":" in method.representation
-
-
 def _groups(scenario: Scenario, methods: Sequence[Method]) -> Iterator[Group]:
     """Groups of a scenario's methods for one process each: all built-in laws, each user law."""
     asked = {m: method for m, method in enumerate(methods) if method.label not in scenario.without}
-    ours = {m: method for m, method in asked.items() if not is_of_user(method)}
+    ours = {m: method for m, method in asked.items() if not method.label.is_own}
     yield from [ours] * bool(ours)
     yield from ({m: method} for m, method in asked.items() if m not in ours)
 
@@ -183,7 +179,7 @@ def _computed(
         _, scenario, group = task
         if say is not None:
             say(f"benchmark: scenario {scenario.name}, {len(group)} methods")
-        if is_alone and not any(map(is_of_user, group.values())):
+        if is_alone and not any(method.label.is_own for method in group.values()):
             return scenario_cells(scenario, group)
         process = idle.get()
         try:
@@ -210,7 +206,7 @@ def scenario_cells(scenario: Scenario, group: Group) -> Cells:
         if method.own not in judges:
             judges[method.own] = judge(scenario, method.own, judges[EXACT])
         own = judges[method.own]
-        law = law_or_none(scenario, method.representation)
+        law = law_or_none(scenario, method.label.law)
         is_located = isinstance(law, Piecewise) and law.located
         predicted = predictors(scenario, law) if scenario.expected else {}
         for r, solver in enumerate(method.rungs):

@@ -10,7 +10,7 @@ import numpy as np
 from gapsweep.errors import ModelError
 from gapsweep.integrate.problem import Solver
 from gapsweep.model.contact import ContactLaw
-from gapsweep.model.labels import EXACT, contact_law, law_of
+from gapsweep.model.labels import EXACT, NOT_LOCATED, Representation, contact_law
 from gapsweep.model.oscillator import Gap, Oscillator
 from gapsweep.model.own_law import OwnLaw
 from gapsweep.study.bench_tables import BenchSceneTable
@@ -57,17 +57,13 @@ class Scenario:
 class Method:
     """A representation and its solvers, one for each of its tolerances (rungs)."""
 
-    label: str
+    label: Representation
     rungs: tuple[Solver, ...]
 
     @property
-    def representation(self) -> str:
-        return law_of(self.label)
-
-    @property
-    def own(self) -> str:
-        """Label of the law that the method solves: the exact law also for piecewise-noevents."""
-        return EXACT if self.representation == "piecewise-noevents" else self.representation
+    def own(self) -> Representation:
+        """The law that the method solves: the exact law also for piecewise-noevents."""
+        return EXACT if self.label.law == NOT_LOCATED else self.label.law
 
 
 def scenarios(study: Study, *, with_answer: bool) -> list[Scenario]:

@@ -23,7 +23,6 @@ from gapsweep.analysis.bench.cells import (
     Say,
     cell_dataset,
     cell_table,
-    is_of_user,
     sizes,
 )
 from gapsweep.analysis.bench.cells import VARIABLES as CELL_VARIABLES
@@ -126,7 +125,7 @@ def work_precision(
     arrays["trajectory_error"] = arrays["solver_error"]
     for (s, representation), status in bench.lost.items():
         for m, method in enumerate(ladder):
-            if method.representation == representation:
+            if method.label.law == representation:
                 arrays["status"][s, m, : len(method.rungs)] = status
     find_fronts(arrays)
     attributes = {
@@ -199,7 +198,7 @@ class Measurements:
 
     def without_lost(self, s: int) -> Scenario:
         """A scenario without the user laws whose calls failed in it."""
-        lost = (m.label for m in self.methods if (s, m.representation) in self.lost)
+        lost = (m.label for m in self.methods if (s, m.label.law) in self.lost)
         scenario = self.scenarios[s]
         return replace(scenario, without=(*scenario.without, *lost))
 
@@ -238,21 +237,21 @@ class Measurements:
         self, cell: Cell, scenario: Scenario, method: Method, solver: Solver
     ) -> tuple[float, float] | None:
         s, m, _ = cell
-        label, n_lanes = method.representation, self.n_lanes[m]
+        label, n_lanes = method.label.law, self.n_lanes[m]
         return self._call(s, method, cost, scenario, label, solver, n_lanes)
 
     def _call(
         self, s: int, method: Method, function: Callable[..., Result], *arguments: Any
     ) -> Result | None:
         """Result of a call, isolated for user laws; None if it failed now or before."""
-        if not is_of_user(method):
+        if not method.label.is_own:
             return function(*arguments)
-        if (s, method.representation) in self.lost:
+        if (s, method.label.law) in self.lost:
             return None
         try:
             return self.isolated(function, *arguments)
         except CallError as lost:
-            self.lost[s, method.representation] = lost.status
+            self.lost[s, method.label.law] = lost.status
             return None
 
     def measure_responses(self) -> None:
@@ -266,13 +265,13 @@ class Measurements:
             reference = own[method.own]
             asked = [method.label not in scenario.without for scenario in self.scenarios]
             for r, solver in enumerate(method.rungs):
-                found = self._amplitudes(method, method.representation, solver)
+                found = self._amplitudes(method, method.label.law, solver)
                 error = np.abs(found - reference) / reference
                 self.arrays["amplitude_error"][:, m, r] = np.where(asked, error, np.nan)
 
     def _amplitudes(self, method: Method, representation: str, solver: Solver) -> Array:
         asked = representation, solver, self.steady
-        if not is_of_user(method):
+        if not method.label.is_own:
             return amplitudes(self.scenarios, *asked)
         each = (
             self._call(s, method, amplitudes, [scenario], *asked)

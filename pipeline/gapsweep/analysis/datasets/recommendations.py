@@ -21,7 +21,7 @@ from gapsweep.analysis.datasets.contact_errors import (
 )
 from gapsweep.errors import ModelError, StudyError
 from gapsweep.model.contact import ContactLaw, Piecewise
-from gapsweep.model.labels import FAMILIES, canonical_label, contact_law, family, law_of
+from gapsweep.model.labels import FAMILIES, Representation, canonical_label, contact_law
 from gapsweep.model.oscillator import OSCILLATOR, Gap, Oscillator
 from gapsweep.study.grid import START
 from gapsweep.study.least_model import Model
@@ -123,9 +123,9 @@ def _screened(study: Study, share: float) -> tuple[list[str], dict[str, Any]]:
     They are the study's smooth laws and, per family, the one with the smallest adequate parameter.
     """
     grid = study.grid
-    own = dict.fromkeys(law_of(label) for label in grid.representations)
-    smooth = [r for r in own if family(r) not in (None, Piecewise)]
-    seeds = _SEEDS | (_FITTED if any(label.startswith("poly") for label in smooth) else {})
+    own = dict.fromkeys(one.law for one in grid.representations)
+    smooth = [law for law in own if law.law_type not in (None, Piecewise)]
+    seeds = _SEEDS | (_FITTED if any(law.family in _FITTED for law in smooth) else {})
     others = tuple(i for i, dim in enumerate(grid.dims) if dim not in grid.scene_dims)
     asked = grid.requested.any(axis=others)
     screened: dict[Any, dict[str, float]] = {}
@@ -261,10 +261,10 @@ def _reason(model: Model, bound: float) -> str:
     return f"{stays}{'; the cubic stiffness is negligible' if model is Model.LINEAR else ''}"
 
 
-def _assessed(here: xr.Dataset) -> dict[str, tuple[float, bool]]:
+def _assessed(here: xr.Dataset) -> dict[Representation, tuple[float, bool]]:
     """Force error of each assessed law of a case, and whether it is small enough."""
     return {
-        str(label): (float(here["force_error"][i]), bool(here["is_adequate"][i]))
+        Representation(label): (float(here["force_error"][i]), bool(here["is_adequate"][i]))
         for i, label in enumerate(here[APPROXIMATION].values)
         if here["is_adequate"][i] >= 0
     }
@@ -275,10 +275,9 @@ def _approximations(here: xr.Dataset) -> str:
     if not rows:
         return "smooth laws are judged by their force error over the forcing, which is 0"
     least: dict[str, float] = {}
-    for label, (_, is_adequate) in rows.items():
-        name, _, parameter = label.partition("-")
-        if is_adequate and name in _SYMBOLS:
-            least[name] = min(float(parameter), least.get(name, np.inf))
+    for law, (_, is_adequate) in rows.items():
+        if is_adequate and law.family in _SYMBOLS:
+            least[law.family] = min(float(law.parameter), least.get(law.family, np.inf))
     good = "; ".join(
         f"{name}: {_SYMBOLS[name]} >= {value:g}{'' if name == 'poly' else ' /m'}"
         for name, value in least.items()

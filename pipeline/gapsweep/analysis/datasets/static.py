@@ -31,7 +31,7 @@ from gapsweep.analysis.dimensions import Array
 from gapsweep.errors import ModelError
 from gapsweep.model.contact import ContactLaw, Piecewise
 from gapsweep.model.equilibria import equilibria, linear_stiffness, restoring_slope
-from gapsweep.model.labels import AUTO, EXACT, law_of
+from gapsweep.model.labels import EXACT, Representation
 from gapsweep.model.oscillator import Gap, Oscillator
 from gapsweep.study.schema import COORDINATES
 from gapsweep.study.study import Study
@@ -122,7 +122,7 @@ def static(
         With title, study, study_json as attributes.
     """
     grid, x_max = study.grid, study.spec.fit.range
-    labels = tuple(dict.fromkeys(law_of(r) for r in grid.representations if r != AUTO))
+    labels = tuple(dict.fromkeys(one.law for one in grid.representations if not one.is_auto))
     x = displacements(grid.gaps, x_max)
     swept = {name: grid.axes[name] for name in grid.scene_dims if name in (*_SPRING, "K_ratio")}
     axes: dict[str, Sequence[Any]] = {"K_c": grid.K_c, "gap": grid.gaps, **swept}
@@ -131,8 +131,8 @@ def static(
     sizes = {"representation": len(labels), **{dim: len(axis) for dim, axis in axes.items()}}
 
     @cache
-    def of_walls(label: str, *walls: Any) -> Values:
-        if ":" in label and not with_own_laws:
+    def of_walls(label: Representation, *walls: Any) -> Values:
+        if label.is_own and not with_own_laws:
             return {"refusal": "user law: not evaluated"}
         return _unless_refused(label, _of_walls, x, study, label, *walls)
 
@@ -264,14 +264,14 @@ def displacements(gaps: tuple[Gap, ...], x_max: float) -> Array:
     return np.unique(points[np.abs(points) <= x_max])
 
 
-def _unless_refused(label: str, measured: Callable[..., Values], *given: Any) -> Values:
+def _unless_refused(label: Representation, measured: Callable[..., Values], *given: Any) -> Values:
     """The values that a function measures for a law, or else the reason of its refusal."""
     try:
         return measured(*given)
     except ModelError as error:
         return {"refusal": str(error)}
     except Exception as error:  # raised by a user law, which then counts as refused
-        if ":" not in label:
+        if not label.is_own:
             raise
         return {"refusal": f"{type(error).__name__}: {error}"}
 

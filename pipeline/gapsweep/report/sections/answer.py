@@ -116,7 +116,9 @@ def _compared(responses: xr.Dataset, found: Sequence[Contact]) -> Iterator[Figur
         return
     contact = max(found, key=lambda one: (len(list(filter(None, one.columns.values()))), one.K_c))
     scene = Scenes(responses).at(contact.at)
-    laws = {o.law: f"{o.law}: {o.verdict}{' ±' * (not o.is_firm)}" for o in telling(contact)}
+    laws: dict[str, str] = {
+        o.law: f"{o.law}: {o.verdict}{' ±' * (not o.is_firm)}" for o in telling(contact)
+    }
     if scene is None or not laws:
         return
     description = (

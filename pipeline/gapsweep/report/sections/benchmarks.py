@@ -10,7 +10,7 @@ import xarray as xr
 
 from gapsweep.analysis.bench.judge import CellOutcome
 from gapsweep.analysis.bench.pareto import TARGETS, corners
-from gapsweep.model.labels import EXACT, law_of
+from gapsweep.model.labels import EXACT, Representation
 from gapsweep.report.bench_figures import (
     STATUS_LETTERS,
     atlas,
@@ -51,7 +51,7 @@ def conclusions(dataset: xr.Dataset) -> Conclusions:
 
 def _is_exact(label: str) -> bool:
     """Whether a label is of the exact law, with any solver settings."""
-    return law_of(label) == EXACT
+    return Representation(label).law == EXACT
 
 
 def beaten(bench: xr.Dataset) -> dict[str, list[str]]:
@@ -118,8 +118,9 @@ def _cheapest(bench: xr.Dataset) -> list[dict[str, Any]]:
     for target in TARGETS:
         for K_c, gap, cost in corners(bench, target):
             ranked = cost.to_series().dropna().sort_values()
-            best = str(ranked.index[0]) if len(ranked) else ""
-            rivals = [m for m in ranked.index if law_of(m) != law_of(best)]
+            methods = [Representation(label) for label in ranked.index]
+            best = methods[0] if methods else ""
+            rivals = [method for method in methods if method.law != methods[0].law]
             rows.append(
                 {
                     "K_c": K_c,

@@ -10,7 +10,6 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from gapsweep.analysis.dimensions import REPRESENTATION, in_metres
-from gapsweep.analysis.unit_check import doubts_of, never_reached
 from gapsweep.model.labels import EXACT
 from gapsweep.report.drawing import labels_of
 from gapsweep.report.parts import Part
@@ -30,6 +29,7 @@ from gapsweep.status import Status
 from gapsweep.study.grid import CONTACT, COORDINATE, START
 from gapsweep.study.points import FIXED
 from gapsweep.study.study import Study
+from gapsweep.study.unit_check import doubts_of, never_reached
 
 
 def sections(
@@ -115,7 +115,7 @@ def outcomes(responses: xr.Dataset) -> str:
     of_laws = zip(labels_of(responses), left.sum(others_than).values, strict=True)
     n_left = Counter[bool]()
     for label, n in of_laws:
-        n_left[":" in label] += int(n)  # among user laws, only tables have ends
+        n_left[label.is_own] += int(n)  # among user laws, only tables have ends
     beyond = "".join(
         f"; {n_left[is_table]} with a steady response beyond {words}"
         for is_table, words in ((False, "the range of their fit"), (True, "the table's ends"))
@@ -208,7 +208,7 @@ def _agreeing(agreement: xr.Dataset) -> Iterator[str]:
         of_scenes = by_coordinate.max(COORDINATE)
         of_scenes[recall] = by_coordinate[recall].min(COORDINATE)
     pooled = condensed(of_scenes)
-    numbers = {
+    numbers: dict[str, dict[str, NDArray[np.float64]]] = {
         label: {
             name: np.array([pooled[long].sel(representation=label)]) for name, long in SHOWN.items()
         }

@@ -11,13 +11,13 @@ import xarray as xr
 
 from gapsweep.analysis.datasets.contact_errors import ADEQUATE, TOO_COARSE
 from gapsweep.analysis.dimensions import Array, scene_dims, scenes
-from gapsweep.model.labels import EXACT
+from gapsweep.model.labels import EXACT, NOT_LOCATED
 from gapsweep.report.drawing import labels_of
 from gapsweep.report.parts import Part, Table
 from gapsweep.report.sections.parameter_sets import title_of
 from gapsweep.report.tables import number
 
-_EXACT = (EXACT, "piecewise-noevents")  # laws without a force error
+_EXACT = EXACT, NOT_LOCATED  # laws without a force error
 _MOST_CASES = 8  # columns of cases; more cases are counted
 _WORDS = {"✓": "accurate", "◐": "between", "✗": "too coarse"}
 

@@ -8,7 +8,7 @@ import numpy as np
 import xarray as xr
 
 from gapsweep.analysis.dimensions import in_metres
-from gapsweep.model.labels import AUTO, family, is_fitted, law_of
+from gapsweep.model.labels import Representation
 from gapsweep.report.drawing import labels_of
 from gapsweep.report.parts import Part
 from gapsweep.report.scales import plain, shortened
@@ -66,8 +66,8 @@ def _oscillator(responses: xr.Dataset) -> list[tuple[str, str]]:
         f"{symbol} {_text(held[name])} {unit}".strip() for name, (symbol, unit) in _NUMBERS.items()
     ]
     numbers.append(_walls(responses))
-    labels = [label for label in labels_of(responses) if label != AUTO]
-    if any(map(is_fitted, labels)):
+    labels = [label for label in labels_of(responses) if not label.is_auto]
+    if any(label.is_fitted for label in labels):
         numbers.append(f"fits over ±{1e3 * study['fit']['range']:g} mm")
     return [
         ("Equation", _EQUATION),
@@ -98,7 +98,7 @@ def _system(responses: xr.Dataset) -> list[tuple[str, str]]:
         rows.append((f"F of {name}", f"times 1 + {' + '.join(parts)}"))
     rows += _numbers_of_contacts(responses, study.get("contact", {}))
     equation = _EQUATION_OF_SYSTEMS + (_EQUATION_OF_LAGS if lags else "")
-    labels = [label for label in labels_of(responses) if label != AUTO]
+    labels = [label for label in labels_of(responses) if not label.is_auto]
     names = ", ".join(held["coordinates"])
     return [
         ("Equation", f"{equation}; x = b·q, q = ({names})"),
@@ -172,21 +172,20 @@ def _listed(texts: Sequence[str]) -> str:
     return ", ".join(texts) if len(texts) <= _MANY else f"{texts[0]} to {texts[-1]}"
 
 
-def _laws(responses: xr.Dataset, labels: Iterable[str]) -> list[tuple[str, str]]:
+def _laws(responses: xr.Dataset, labels: Iterable[Representation]) -> list[tuple[str, str]]:
     """Name and formula of the force of each law; user laws are named by their label."""
     tables = json.loads(responses.attrs.get("tables_json", "{}"))
     is_length = in_metres(responses)
     found = {}
     for label in labels:
-        law = family(law_of(label))
-        if law is None:
-            table = tables.get(law_of(label))
+        if not label.family:
+            table = tables.get(label.law)
             formula = _table(table, is_length) if table else "user-defined"
-            found[f"F of {law_of(label)}"] = formula
+            found[f"F of {label.law}"] = formula
         else:
             # The length unit of a system is the user's choice.
             unit = "[1/m]" if is_length else "[1/unit of x]"
-            found[f"F of {law.family}"] = _FORCES[law.family].replace("[1/m]", unit)
+            found[f"F of {label.family}"] = _FORCES[label.family].replace("[1/m]", unit)
     return list(found.items())
 
 

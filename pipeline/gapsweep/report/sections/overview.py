@@ -20,7 +20,7 @@ from gapsweep.analysis.dimensions import (
     scenes,
     swept,
 )
-from gapsweep.model.labels import EXACT
+from gapsweep.model.labels import EXACT, Representation
 from gapsweep.report.captioned import LEAST, STATE, along_axis, curves_figure, maps_of, plane_of
 from gapsweep.report.maps import numbered_as, numeric_axes
 from gapsweep.report.parts import Figured, Part
@@ -66,7 +66,7 @@ def sections(
     """The section on all parameter sets, which replaces a section for each set."""
     asked = responses["status"].load() != Status.NOT_REQUESTED
     n_points = asked.sum([dim for dim in asked.dims if dim != REPRESENTATION])
-    labels = [str(label) for label in asked[REPRESENTATION].values[n_points.values > 0]]
+    labels = [Representation(one) for one in asked[REPRESENTATION].values[n_points.values > 0]]
     n_scenes = int(asked.any((REPRESENTATION, *swept(asked))).sum())
     axes, few = _axes(responses)
     cuts = [{axis: [i]} for axis in few for i in range(responses.sizes[axis])] or [{}]
@@ -86,7 +86,7 @@ def sections(
     is_alike = bool((n_of_each == n_scenes).all())
     over = f", median over {'' if is_alike else 'the computed ones of '}{n_scenes} parameter sets"
     over = over if n_scenes > 1 else ""
-    plain = [label for label in labels if "@" not in label] or labels
+    plain = [label for label in labels if not label.protocol] or labels
     title = "All parameter sets" if n_scenes > 1 else "Results"
     yield Part(
         "overview",

@@ -109,5 +109,5 @@ def _where_few(found: xr.Dataset, scene: xr.Dataset) -> str:
 
 def _without_protocols(scene: xr.Dataset) -> xr.Dataset:
     """The parameter set without protocols such as ``@half``; with them if all laws have one."""
-    plain = [i for i, label in enumerate(scene["representation"].values) if "@" not in str(label)]
+    plain = [i for i, label in enumerate(labels_of(scene)) if not label.protocol]
     return swept(scene.isel(representation=plain)) if plain else scene
