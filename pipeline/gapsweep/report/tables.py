@@ -63,7 +63,10 @@ def scene_tables(
             title = f"Agreement with the exact law{suffix}{'' if apart else over}"
             tables.append(Table(title, _AGREEMENT, rows, _OF_AGREEMENT))
     title = f"Cost per sweep point (medians over the points of each law){over}"
-    notes = [_OF_COST, *([_OF_PROTOCOLS] if any(Representation(label).protocol for label in labels) else [])]
+    notes = [
+        _OF_COST,
+        *([_OF_PROTOCOLS] if any(Representation(label).protocol for label in labels) else []),
+    ]
     notes.append(f"Processor times were measured on {timing.attrs['measured_on'] or 'no machine'}.")
     tables.append(Table(title, _TIMING, list(_timing_rows(timing, labels)), notes))
     return [table for table in tables if table.rows]

@@ -50,7 +50,7 @@ def sections(
     if agreement is not None:
         # The rules of verdicts are for one displacement between two walls.
         judged = in_metres(responses)
-        sentences += _judged(contacts(agreement)) if judged else _agreeing(agreement)
+        sentences += counted(contacts(agreement)) if judged else _agreeing(agreement)
     if advice is not None:
         sentences.append(_choices(advice))
     if claims is not None:
@@ -226,7 +226,7 @@ def _agreeing(agreement: xr.Dataset) -> Iterator[str]:
         yield consequence(label, verdict(values, floors)[0], p95, found) + over
 
 
-def _judged(found: Sequence[Contact]) -> Iterator[str]:
+def counted(found: Sequence[Contact]) -> Iterator[str]:
     """Counts of approximations by verdict; no cost, since costs differ from run to run."""
     laws = [one for contact in found for one in contact.laws if one.is_approximation]
     counts = Counter(one.column for one in laws)
