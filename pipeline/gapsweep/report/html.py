@@ -43,7 +43,7 @@ def write_report(path: Path, inputs: Inputs, made_from: str = "") -> Path:
     environment.globals.update(
         links=Links(parts),
         report=inputs.responses.attrs["title"],
-        # Parts of the same group one after the other; a part without a group is one of its own.
+        # Neighbours of the same group together; a part without a group has no neighbour.
         groups=[list(g) for _, g in groupby(parts, lambda part: part["group"] or part["anchor"])],
     )
     page = environment.get_template("report.html").render(
@@ -65,7 +65,7 @@ def write_report(path: Path, inputs: Inputs, made_from: str = "") -> Path:
 
 
 def _parts(inputs: Inputs) -> list[dict[str, Any]]:
-    """The rendered parts of all sections, each with the group, template and script of its own."""
+    """The rendered parts of all sections, each with its group, template and script."""
     return [
         part | {"group": each.group, "template": each.template, "script": each.script}
         for each in SECTIONS
