@@ -114,9 +114,9 @@ def test_sections_name_the_files_that_a_report_is_made_from():
 @pytest.mark.parametrize(
     ("lost", "titles"),
     [
-        ({}, {"Answer", "Findings", "Model", "Provenance", "Claims", "Force errors of the laws"}),
+        ({}, {"Answer", "Findings", "Model", "Provenance", "Claims", "Force errors"}),
         ({"claims": None}, {"Claims"}),
-        ({"static": None}, {"Force errors of the laws"}),
+        ({"static": None}, {"Force errors"}),
         ({"agreement": None}, {"Answer"}),
     ],
 )
@@ -387,7 +387,7 @@ def test_force_errors_are_judged_by_the_rule(K_c, errors, header, rows):
     (table,) = part.tables
     assert table.header == ["Representation", *header]
     assert table.rows == rows
-    assert "at most 0.001;" in part.sentences[0]
+    assert "at most 0.001;" in part.sentences[1]
     assert "visited by the exact law" in part.sentences[0]
 
 

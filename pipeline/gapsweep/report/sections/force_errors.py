@@ -24,17 +24,15 @@ _WORDS = {"✓": "accurate", "◐": "between", "✗": "too coarse"}
 
 def sections(static: xr.Dataset) -> Iterator[Part]:
     """The force error of every approximation in every case, none if the forcing is zero."""
-    ratio = static[["force_error_ratio"]].load()
+    name = "force_error_ratio"
     laws = [label for label in labels_of(static) if label not in _EXACT]
-    cases = [
-        (title_of(one), one["force_error_ratio"].values)
-        for at in scenes(ratio, scene_dims(ratio["force_error_ratio"].dims))
-        if np.isfinite((one := ratio.sel(representation=laws).isel(at))["force_error_ratio"]).any()
-    ]
+    ratio = static[[name]].sel(representation=laws).load()
+    every = (ratio.isel(at) for at in scenes(ratio, scene_dims(ratio[name].dims)))
+    cases = [case for case in every if np.isfinite(case[name]).any()]
     if not cases:
         return
-    names = [name for name, _ in cases]
-    errors = np.stack([values for _, values in cases], axis=1)
+    names = list(map(title_of, cases))
+    errors = np.stack([case[name].values for case in cases], axis=1)
     is_listed = len(names) <= _MOST_CASES
     of_law = _each if is_listed else _counted
     rows = [
@@ -44,16 +42,16 @@ def sections(static: xr.Dataset) -> Iterator[Part]:
     ]
     header = ["Representation", *(names if is_listed else ["Range", *_WORDS.values()])]
     title = f"Force error{'' if is_listed else f' in {len(names)} cases'}"
-    visited = static["force_error_ratio"].attrs["visited"].replace("by", "visited by", 1)
-    rule = (
-        "Force error: root-mean-square difference of a law's force from that of the exact law over "
-        f"the displacements {visited}, divided by the forcing amplitude. ✓ (accurate): at most "
-        f"{ADEQUATE:g}; 95 % of tested oscillators keep 95 % of the exact law's periodic "
-        "attractors, with displacements within 5 %. ✗ (too coarse): at least "
-        f"{TOO_COARSE:g}. ◐ (between): compare the responses. The rule was tested for walls of "
-        "equal stiffness."
-    )
-    yield Part("force-errors", "Force errors of the laws", [rule], [Table(title, header, rows)])
+    visited = static[name].attrs["visited"].replace("by", "visited by", 1)
+    sentences = [
+        "Root-mean-square difference of a law's force from that of the exact law over the "
+        f"displacements {visited}, divided by the forcing amplitude.",
+        f"✓ accurate: at most {ADEQUATE:g}; 95 % of tested oscillators keep 95 % of the exact "
+        "law's periodic attractors, with displacements within 5 %. ◐ between: compare the "
+        f"responses. ✗ too coarse: at least {TOO_COARSE:g}. The rule was tested for walls of equal "
+        "stiffness.",
+    ]
+    yield Part("force-errors", "Force errors", sentences, [Table(title, header, rows)])
 
 
 def _sign(error: float) -> str:
