@@ -41,7 +41,7 @@ def figure():
             marks.ticks(x=[2.5], series="differ"),
             marks.edge(y=[1.0], marker="x"),
             marks.text(x=0.5, y=0.9, series="here", in_data=False, align=("right", "top")),
-            marks.key("an entry without data"),
+            marks.key(entry="an entry without data"),
         ],
     )
     put(

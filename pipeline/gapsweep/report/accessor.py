@@ -105,8 +105,7 @@ class GapsweepAccessor:
         shown = scene_along(self._dataset, along, dict.fromkeys(names, CURVES), wanted)
         kinds = shown.get("response_class")
         axes = axes_of(ax)
-        marks.put(axes, drawing.curves(shown[variable], along, kinds))
-        marks.put(axes, drawing.key_of_marks(shown))
+        marks.put(axes, drawing.curves(shown[variable], along, kinds), drawing.key_of_marks(shown))
         if kinds is not None:
             marks.put(axes, backdrop.unresolved(shown, along))
         axes.set_ylabel(axis_label(shown[variable], WORDS.get(variable, "")))
@@ -201,9 +200,8 @@ class GapsweepAccessor:
         for label, size in ((a, _RIM), (b, _DOT)):
             one = selected(shown, {"representation": label})
             marks.put(axes, drawing.peaks(one, size, along=along))
-            marks.put(axes, [marks.key(label, colour=colour(label), size=size)])
-        marks.put(axes, drawing.key_of_marks(shown, "x_max"))
-        marks.put(axes, backdrop.unresolved(shown, along))
+            marks.put(axes, [marks.key(entry=label, colour=colour(label), size=size)])
+        marks.put(axes, drawing.key_of_marks(shown, "x_max"), backdrop.unresolved(shown, along))
         axes.set_ylabel(axis_label(shown["x_max"], "peak displacement"))
         return finished(axes, shown, along)
 
@@ -240,7 +238,7 @@ class GapsweepAccessor:
         marks.put(axes, backdrop.walls(shown, along, of_peaks=True))
         for label in labels_of(shown):
             marks.put(axes, drawing.attractor_peaks(shown.sel(representation=label), along))
-            marks.put(axes, [marks.key(label, colour=colour(label))])
+            marks.put(axes, [marks.key(entry=label, colour=colour(label))])
         marks.put(axes, drawing.key_of_marks(shown, "x_max"))
         axes.set_ylabel(axis_label(shown["x_max"], "peak displacement"))
         return finished(axes, shown, along)

@@ -111,7 +111,7 @@ def unresolved(scene: xr.Dataset, along: str) -> Iterator[Marks]:
     """Bands of unresolved responses, with a legend entry, if there are any."""
     if _UNRESOLVED in _has(scene):
         yield from bands(scene, along, of=[_UNRESOLVED])
-        yield marks.key(_UNRESOLVED, colour=BANDS[_UNRESOLVED], marker="s", size=8.0)
+        yield marks.key(entry=_UNRESOLVED, colour=BANDS[_UNRESOLVED], marker="s", size=8.0)
 
 
 def _has(scene: xr.Dataset) -> list[str]:
@@ -122,7 +122,7 @@ def _has(scene: xr.Dataset) -> list[str]:
 
 def key_of_bands(scene: xr.Dataset) -> Iterator[Marks]:
     """Legend entries of the bands in a figure."""
-    return (marks.key(kind, colour=BANDS[kind], marker="s", size=8.0) for kind in _has(scene))
+    return (marks.key(entry=kind, colour=BANDS[kind], marker="s", size=8.0) for kind in _has(scene))
 
 
 def caption_of_bands(scene: xr.Dataset) -> str:

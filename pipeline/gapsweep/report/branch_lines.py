@@ -203,10 +203,10 @@ def orbits(
             about = {"dashes": dashes, "series": f"{entry or BRANCH} {word}"}
             yield marks.line(x=part[:, 0], y=part[:, 1], colour=own, **about, **style)
     for entry, own in {entry: own for own, entry in look if entry}.items():
-        yield marks.key(entry, kind=marks.LINE, colour=own, **style)
+        yield marks.key(entry=entry, kind=marks.LINE, colour=own, **style)
     if (branches["stable"] == 0).any():
         name = f"{BRANCH} unstable" if shade else "unstable"
-        yield marks.key(name, kind=marks.LINE, colour=shade or GREY, dashes="--", **style)
+        yield marks.key(entry=name, kind=marks.LINE, colour=shade or GREY, dashes="--", **style)
     x, y, special = of_orbits(branches, along, heights[0], "special")
     for kind, (marker, word) in KINDS.items():
         here, name = special == kind, f"{kind.symbol} {word}"

@@ -100,11 +100,11 @@ def key_of_marks(shown: xr.Dataset, variable: str = "", other: str = "") -> Iter
     """
     for kind in SWEEPS:
         if kind in start_kinds(shown):
-            yield marks.key(kind, colour=GREY, marker=SWEEPS[kind])
+            yield marks.key(entry=kind, colour=GREY, marker=SWEEPS[kind])
     if variable:
         is_other = shown["response_class"] != ResponseClass.PERIODIC
         if shown[variable].where(is_other).notnull().any():
-            yield marks.key("not periodic", colour=other or GREY, face="none")
+            yield marks.key(entry="not periodic", colour=other or GREY, face="none")
 
 
 def extrema(

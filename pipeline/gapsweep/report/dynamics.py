@@ -109,9 +109,8 @@ def dots(axes: "Axes", shown: xr.Dataset, variable: str, along: str, label: str)
     for name, look in looks(labels).items():
         one = renamed.sel(representation=name)
         marks.put(axes, drawing.extrema(one, along, other=other, marker=look.marker))
-        marks.put(axes, [marks.key(name, colour=look.colour, marker=look.marker)])
-    marks.put(axes, drawing.key_of_marks(shown, variable, other))
-    marks.put(axes, backdrop.unresolved(shown, along))
+        marks.put(axes, [marks.key(entry=name, colour=look.colour, marker=look.marker)])
+    marks.put(axes, drawing.key_of_marks(shown, variable, other), backdrop.unresolved(shown, along))
     axes.set_ylabel(label)
     return finished(axes, shown, along)
 
@@ -198,7 +197,7 @@ def poincare(
         look: dict[str, Any] = {"colour": colour(name), "series": name}
         size = 0.8 if len(x) > _FEW else 2.5
         marks.put(axes, [marks.points(x=factors[0] * x, y=factors[1] * v, size=size, **look)])
-        marks.put(axes, [marks.key(name, colour=colour(name))])
+        marks.put(axes, [marks.key(entry=name, colour=colour(name))])
     labels = [axis_label(shown[name], WORDS.get(name, "")) for name in pair]
     axes.set(xlabel=labels[0], ylabel=labels[1])
     return titled(axes, shown)

@@ -48,8 +48,7 @@ def bifurcation(
     """
 
     def extrema(axes: Axes, one: xr.Dataset) -> None:
-        marks.put(axes, backdrop.walls(responses, along))
-        marks.put(axes, backdrop.bands(one, along))
+        marks.put(axes, backdrop.walls(responses, along), backdrop.bands(one, along))
         branch_lines.behind(axes, continued, one, along, ("x_max", "x_min"))
         marks.put(axes, drawing.extrema(one, along))
 

@@ -4,8 +4,10 @@ Functions of figures yield marks. `put` draws them with matplotlib and keeps the
 `gapsweep.report.figure_data` writes the files that the page draws and that users download.
 """
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from functools import partial
+from itertools import chain
 from typing import TYPE_CHECKING, Any
 from weakref import WeakKeyDictionary
 
@@ -82,14 +84,16 @@ class Marks:
         return _ORDER.get(self.kind, 2.0) if self.zorder is None else self.zorder
 
 
-def points(**style: Any) -> Marks:
-    """Points at `x` and `y`; a `size` for all or for each."""
-    return Marks(kind=POINT, **style)
-
-
-def line(**style: Any) -> Marks:
-    """A line along `x` and `y`, with gaps at NaN."""
-    return Marks(kind=LINE, **style)
+# Marks of one kind, from the other attributes.
+points: Callable[..., Marks] = partial(Marks, kind=POINT)
+line: Callable[..., Marks] = partial(Marks, kind=LINE)
+ticks: Callable[..., Marks] = partial(Marks, kind=TICK)
+band: Callable[..., Marks] = partial(Marks, kind=BAND)
+level: Callable[..., Marks] = partial(Marks, kind=LEVEL, x_end=(0.0, 1.0))
+text: Callable[..., Marks] = partial(Marks, kind=TEXT)
+edge: Callable[..., Marks] = partial(Marks, kind=EDGE)
+# A legend entry without data.
+key: Callable[..., Marks] = partial(Marks, kind=POINT, x=(), y=(), size=4.0)
 
 
 def bars(x: Any, low: Any, high: Any, **style: Any) -> Marks:
@@ -99,39 +103,9 @@ def bars(x: Any, low: Any, high: Any, **style: Any) -> Marks:
     return line(x=places, y=ends, **style)
 
 
-def band(**style: Any) -> Marks:
-    """Bands behind the panel, from `x` to `x_end`."""
-    return Marks(kind=BAND, **style)
-
-
-def ticks(**style: Any) -> Marks:
-    """Ticks above the panel at `x`."""
-    return Marks(kind=TICK, **style)
-
-
-def level(**style: Any) -> Marks:
-    """A line across the panel at one `x` or `y`, or across the shares of it in `x_end`."""
-    return Marks(**{"kind": LEVEL, "x_end": (0.0, 1.0), **style})
-
-
-def edge(**style: Any) -> Marks:
-    """Symbols on the right frame, at `y`."""
-    return Marks(kind=EDGE, **style)
-
-
-def text(**style: Any) -> Marks:
-    """A text, the `series`, at `x` and `y`."""
-    return Marks(kind=TEXT, **style)
-
-
-def key(entry: str, **style: Any) -> Marks:
-    """A legend entry without data, of a point if `kind` is not given."""
-    return Marks(**{"kind": POINT, "size": 4.0, "x": (), "y": (), "entry": entry, **style})
-
-
-def put(axes: "Axes", marks: Iterable[Marks]) -> None:
+def put(axes: "Axes", *several: Iterable[Marks]) -> None:
     """Draw marks into axes, with their legend entries."""
-    for each in marks:
+    for each in chain(*several):
         draw = _DRAW.get(each.kind, _data)
         draw(axes, each, {"label": each.entry or f"_{each.series}", "zorder": each.order})
         if np.size(each.x):
