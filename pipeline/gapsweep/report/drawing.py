@@ -1,4 +1,4 @@
-"""What figures show of a dataset: functions that yield the marks of one panel.
+"""Functions of a dataset that yield the marks of one panel.
 
 Every function takes a dataset that holds the dimensions it names; `marks.put` draws its marks.
 """

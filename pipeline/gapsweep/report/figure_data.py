@@ -26,7 +26,7 @@ def as_csv(figure: Figure) -> str:
 
     Lines that begin with # describe the panels and their axes. Points that agree to six digits
     occur once: many initial conditions lead to one attractor. Empty without marks, as of images,
-    whose numbers are in the datasets, and of figures that matplotlib alone has drawn.
+    whose numbers are in the datasets, and of figures drawn without `put`.
     """
     panels = _panels(figure)
     text = io.StringIO()
