@@ -23,7 +23,8 @@ x, _ = run.sample(0.5)
 print(run.x_end.hex(), run.n_contacts, float(x).hex())
 """
 COUNTED = """
-from gapsweep.integrate.stepping import loop, sample, start_rows
+from gapsweep.integrate.lanes import start_rows
+from gapsweep.integrate.stepping import loop, sample
 used = loop.advance, sample.sample_steps, start_rows.set_starts
 print(sum(sum(each.stats.cache_misses.values()) for each in used))
 """

@@ -161,8 +161,8 @@ def test_every_representation_has_its_peaks_before_those_of_the_exact_law(scene)
 def test_peaks_far_above_the_exact_law_are_on_the_edge_of_a_linear_axis(scene):
     scene["x_max"][1, 3, 0] = 9e-3
     axes = peaks(scene).axes[1]
-    triangles = [line for line in axes.lines if line.get_marker() == "^"]
-    assert [line.get_xdata().tolist() for line in triangles] == [[OMEGA[3]]]
+    ticks = [line for line in axes.lines if line.get_marker() == "|"]
+    assert [line.get_xdata().tolist() for line in ticks] == [[OMEGA[3]]]
     assert axes.get_ylim()[1] < 2.0
     assert axes.get_yscale() == "linear"
 

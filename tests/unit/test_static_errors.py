@@ -359,6 +359,10 @@ def test_thresholds_of_tanh_part_one_well_from_several(dataset):
     assert wells[1] == 1
 
 
+def test_thresholds_of_tanh_are_sought_only_where_it_is_swept():
+    assert "tanh_threshold" not in static(study(["piecewise", "poly-13"], [SOFT], [SYMMETRIC]))
+
+
 def test_what_is_swept_of_the_oscillator_is_what_statics_are_of():
     """Every setting has the numbers of a study whose only oscillator it is."""
     swept = {"omega_n": [5.0, 20.0], "mass": [1.0, 3.0], "alpha": [1e9], "K_ratio": [0.1, 1.0]}

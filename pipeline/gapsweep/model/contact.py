@@ -51,10 +51,8 @@ class ContactLaw:
     [0.0, 1.4]
     """
 
-    # Beginning of the label, and colour in every figure (Okabe & Ito, 2008: safe for colour-blind
-    # readers).
+    # Beginning of the label.
     family: ClassVar[str] = ""
-    colour: ClassVar[str] = "#56B4E9"
     # Whether laws of the family differ only in numbers, so that one compiled form takes them all.
     is_numbers: ClassVar[bool] = False
     # Whether the law has a convergence parameter: the larger, the closer to the exact law.
@@ -146,7 +144,6 @@ class Piecewise(ContactLaw):
     """
 
     family: ClassVar[str] = "piecewise"
-    colour: ClassVar[str] = "#000000"
     is_numbers: ClassVar[bool] = True
 
     located: bool = True
@@ -277,7 +274,6 @@ class Tanh(_Switched):
     """
 
     family: ClassVar[str] = "tanh"
-    colour: ClassVar[str] = "#0072B2"
 
     @property
     def has_thin_layers(self) -> bool:
@@ -332,7 +328,6 @@ class Arctan(_Switched):
     """
 
     family: ClassVar[str] = "arctan"
-    colour: ClassVar[str] = "#009E73"
 
     def _switch(self, z: Array) -> tuple[Array, Array]:
         return (2.0 / math.pi) * np.arctan(z), (2.0 / math.pi) / (1.0 + z * z)
@@ -362,7 +357,6 @@ class LogArctan(_Sharpened):
     """
 
     family: ClassVar[str] = "logarctan"
-    colour: ClassVar[str] = "#D55E00"
 
     gamma: float
 

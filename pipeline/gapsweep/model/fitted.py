@@ -111,7 +111,6 @@ class Polynomial(Fitted):
     """
 
     family: ClassVar[str] = "poly"
-    colour: ClassVar[str] = "#E69F00"
 
     degree: int
     fit_range: float = FIT_RANGE
@@ -155,7 +154,6 @@ class RationalPolynomial(Fitted):
     """
 
     family: ClassVar[str] = "ratpoly"
-    colour: ClassVar[str] = "#CC79A7"
 
     numerator: int
     denominator: int

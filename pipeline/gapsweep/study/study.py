@@ -24,7 +24,7 @@ from gapsweep.model.own_law import OwnLaw, checked
 from gapsweep.model.structure import AnyStructure
 from gapsweep.response.result import Steady
 from gapsweep.study.axes import MAX_POINTS, forms
-from gapsweep.study.axis_selection import listed, positions
+from gapsweep.study.axis_selection import listed, numbers_of_sweeps, positions
 from gapsweep.study.blocks import expanded, requested_of, union
 from gapsweep.study.grid import START, Axes, Grid, Selection, Starts
 from gapsweep.study.least_model import Advice, advised
@@ -377,8 +377,8 @@ class Study:
             Values by dimension: a value, a list or, for numbers, a slice that includes both
             ends. `representation` and `gap` have labels, as ``"tanh-1e4"`` and ``"0.4/0.4"``; a
             gap may also be a pair [m], as ``(4e-4, 4e-4)``, or a list of pairs.
-            `initial_condition` has numbers from 0. Numbers are compared after rounding to 12
-            significant digits.
+            `initial_condition` has numbers from 0; sweeps also have names, as ``"sweep_up"``.
+            Numbers are compared after rounding to 12 significant digits.
 
         Raises
         ------
@@ -397,7 +397,10 @@ class Study:
         found = []
         for name, axis in axes.items():
             try:
-                found.append(positions(name, axis, wanted.get(name, slice(None)), "the study"))
+                values = wanted.get(name, slice(None))
+                if name == START:
+                    values = numbers_of_sweeps(values, [kind for kind, _ in self.grid.starts])
+                found.append(positions(name, axis, values, "the study"))
             except ValueError as error:
                 named = f": {self._starts_in_words()}" if name == START else ""
                 problems.append(f"{self.source}: {error}{named}")

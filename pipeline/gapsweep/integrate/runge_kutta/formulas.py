@@ -8,10 +8,7 @@ from numba import njit
 
 from gapsweep.integrate import simd
 from gapsweep.integrate.jit import inlined, internal
-from gapsweep.integrate.simd import bits, fma, load, select
-
-from . import vecmath
-from .parameters import (
+from gapsweep.integrate.lanes.parameters import (
     ACTIVE_STIFFNESS,
     ACTIVE_WALL,
     CENTRE,
@@ -27,6 +24,7 @@ from .parameters import (
     WALL_HIGH,
     WALL_LOW,
 )
+from gapsweep.integrate.simd import bits, fma, load, select
 
 _INV_PI = 0.3183098861837907
 
@@ -48,7 +46,7 @@ def _tanh_parts(q, x):
     g = load(q, HALF_GAP)
     near, far = s - g, s + g
     z = simd.minimum(simd.maximum(-2.0 * load(q, SHARPNESS) * near, -40.0), 40.0)
-    e = vecmath.exp(z)
+    e = simd.exp(z)
     ratio, one = load(q, RATIO), simd.splat(1.0)
     is_below = simd.copysign(one, y) < 0.0  # by the sign that the force gets, also of a zero
     weights = select(is_below, ratio, one), select(is_below, one, ratio)
@@ -83,7 +81,7 @@ def tanh_slope(q, x):
 def arctan_force(q, x):
     eps = load(q, SHARPNESS)
     below, above = x - load(q, WALL_LOW), x - load(q, WALL_HIGH)
-    t_below, t_above = vecmath.arctan(eps * below), vecmath.arctan(eps * above)
+    t_below, t_above = simd.arctan(eps * below), simd.arctan(eps * above)
     below = load(q, RATIO) * below
     return load(q, STIFFNESS) * fma(
         0.5, below + above, _INV_PI * (above * t_above - below * t_below)
@@ -94,8 +92,8 @@ def arctan_force(q, x):
 def arctan_slope(q, x):
     eps, ratio = load(q, SHARPNESS), load(q, RATIO)
     z1, z2 = eps * (x - load(q, WALL_LOW)), eps * (x - load(q, WALL_HIGH))
-    d1 = vecmath.arctan(z1) + z1 / fma(z1, z1, 1.0)
-    d2 = vecmath.arctan(z2) + z2 / fma(z2, z2, 1.0)
+    d1 = simd.arctan(z1) + z1 / fma(z1, z1, 1.0)
+    d2 = simd.arctan(z2) + z2 / fma(z2, z2, 1.0)
     return load(q, STIFFNESS) * fma(_INV_PI, d2 - ratio * d1, 0.5 + 0.5 * ratio)
 
 
@@ -104,11 +102,11 @@ def logarctan_force(q, x):
     gamma, ratio = load(q, SHARPNESS), load(q, RATIO)
     below, above = x - load(q, WALL_LOW), x - load(q, WALL_HIGH)
     z1, z2 = gamma * below, gamma * above
-    logarithm = vecmath.log(fma(z1, z1, 1.0) / fma(z2, z2, 1.0)) / (2.0 * gamma)
+    logarithm = simd.log(fma(z1, z1, 1.0) / fma(z2, z2, 1.0)) / (2.0 * gamma)
     more = ratio - 1.0
     if bits(simd.absolute(more) > 0.0) != 0:  # one more logarithm only for walls that differ
-        logarithm = fma(more, vecmath.log(fma(z1, z1, 1.0)) / (2.0 * gamma), logarithm)
-    arctans = above * vecmath.arctan(z2) - ratio * below * vecmath.arctan(z1)
+        logarithm = fma(more, simd.log(fma(z1, z1, 1.0)) / (2.0 * gamma), logarithm)
+    arctans = above * simd.arctan(z2) - ratio * below * simd.arctan(z1)
     linear = (0.5 + 0.5 * ratio) * x
     return load(q, STIFFNESS) * fma(_INV_PI, arctans + logarithm + load(q, OFFSET), linear)
 
@@ -116,8 +114,8 @@ def logarctan_force(q, x):
 @inlined
 def logarctan_slope(q, x):
     gamma, ratio = load(q, SHARPNESS), load(q, RATIO)
-    t1 = vecmath.arctan(gamma * (x - load(q, WALL_LOW)))
-    t2 = vecmath.arctan(gamma * (x - load(q, WALL_HIGH)))
+    t1 = simd.arctan(gamma * (x - load(q, WALL_LOW)))
+    t2 = simd.arctan(gamma * (x - load(q, WALL_HIGH)))
     return load(q, STIFFNESS) * fma(_INV_PI, t2 - ratio * t1, 0.5 + 0.5 * ratio)
 
 

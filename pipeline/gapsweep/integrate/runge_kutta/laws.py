@@ -17,10 +17,10 @@ from numpy.typing import NDArray
 
 from gapsweep.integrate import simd
 from gapsweep.integrate.jit import chosen_by_type, inlined
+from gapsweep.integrate.lanes.parameters import N_PARAMETERS, STIFFNESS
 from gapsweep.integrate.simd import load
 
 from . import formulas
-from .parameters import N_PARAMETERS, STIFFNESS
 
 
 @dataclass(frozen=True, slots=True)

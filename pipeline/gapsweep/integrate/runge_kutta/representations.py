@@ -11,9 +11,10 @@ from numba.core.errors import TypingError
 from numba.core.types import Number
 from numpy.typing import ArrayLike, NDArray
 
+from gapsweep.integrate.lanes import parameters
 from gapsweep.model.user_law import SLOPE_LENGTH, SLOPE_STEP
 
-from . import laws, parameters
+from . import laws
 from .laws import Formula, Law
 
 Array = NDArray[np.float64]

@@ -29,8 +29,9 @@ from numba.extending import (
 )
 from numpy.typing import NDArray
 
-from gapsweep.integrate.runge_kutta.parameters import N_PARAMETERS
 from gapsweep.integrate.simd import WIDTH
+
+from .parameters import N_PARAMETERS
 
 # Lanes of a table with at most so many rows: one point takes half the time of one in a wide vector.
 NARROW = 4

@@ -4,12 +4,10 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import partial
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from .loop import Taylor
 from .row_layout import RowLayout, of_width
 from .start_rows import FLOOR_SHARE
 
@@ -32,9 +30,6 @@ def order_for(rtol: float) -> int:
     return next(order for smallest, order in ORDERS if rtol >= smallest)
 
 
-_TAYLOR = Taylor()
-
-
 @dataclass(frozen=True, slots=True)
 class SceneTable:
     """Table of models for the kernel: all numbers of a point except initial state and times.
@@ -47,14 +42,11 @@ class SceneTable:
         motion that the forcing maintains against all springs.
     rtol : float
         As in `scenes`.
-    method : Taylor or RungeKutta
-        A RungeKutta has no work space yet.
     """
 
     at: RowLayout
     table: Array
     rtol: float
-    method: Any = _TAYLOR
 
 
 def scenes(

@@ -7,9 +7,17 @@ it. Every function is exactly odd or even where its name promises it, so mirrore
 mirrored.
 """
 
-from gapsweep.integrate import simd
-from gapsweep.integrate.jit import inlined
-from gapsweep.integrate.simd import copysign, fma, select
+from .vectors import (
+    absolute,
+    copysign,
+    exponent,
+    fma,
+    maximum,
+    minimum,
+    nearest,
+    power_of_two,
+    where,
+)
 
 _E = (
     1.0,
@@ -72,11 +80,10 @@ _PI_2 = 1.5707963267948966
 _SQRT_2 = 1.4142135623730951
 
 
-@inlined
 def exp(z):
     """e**z for ``|z| <= 700``; outside it the argument is clipped."""
-    z = simd.minimum(simd.maximum(z, -700.0), 700.0)
-    whole = simd.nearest(z * _LOG2_E)
+    z = minimum(maximum(z, -700.0), 700.0)
+    whole = nearest(z * _LOG2_E)
     r = fma(whole, -_LN2_LOW, fma(whole, -_LN2_HIGH, z))
     # Estrin's scheme: four short chains instead of one of eleven steps, bound by its latency.
     r2 = r * r
@@ -84,14 +91,13 @@ def exp(z):
     p0 = fma(fma(r, _E[3], _E[2]), r2, fma(r, _E[1], _E[0]))
     p1 = fma(fma(r, _E[7], _E[6]), r2, fma(r, _E[5], _E[4]))
     p2 = fma(fma(r, _E[11], _E[10]), r2, fma(r, _E[9], _E[8]))
-    return fma(fma(p2, r4, p1), r4, p0) * simd.power_of_two(whole)
+    return fma(fma(p2, r4, p1), r4, p0) * power_of_two(whole)
 
 
-@inlined
 def cos_turns(turns):
     """cos(2 pi turns); the argument counts whole revolutions, so its reduction is exact."""
-    r = turns - simd.nearest(turns)
-    y = 0.25 - simd.absolute(r)  # cos(2 pi r) = sin(2 pi (1/4 - |r|))
+    r = turns - nearest(turns)
+    y = 0.25 - absolute(r)  # cos(2 pi r) = sin(2 pi (1/4 - |r|))
     u = y * y
     u2 = u * u
     u4 = u2 * u2
@@ -100,15 +106,14 @@ def cos_turns(turns):
     return y * fma(fma(u4, _S[8], p1), u4, p0)
 
 
-@inlined
 def arctan(z):
     """Arctangent, odd, one division."""
-    s = simd.absolute(z)
+    s = absolute(z)
     is_far = s > _COT_PI_8
     is_middle = (s > _TAN_PI_8) & ~is_far
-    numerator = select(is_far, -1.0, select(is_middle, s - 1.0, s))
-    denominator = select(is_far, s, select(is_middle, s + 1.0, 1.0))
-    offset = select(is_far, _PI_2, select(is_middle, simd.splat(_PI_4), 0.0))
+    numerator = where(is_far, -1.0, where(is_middle, s - 1.0, s))
+    denominator = where(is_far, s, where(is_middle, s + 1.0, 1.0))
+    offset = where(is_far, _PI_2, where(is_middle, z.constant(_PI_4), 0.0))
     t = numerator / denominator
     u = t * t
     u2 = u * u
@@ -120,24 +125,22 @@ def arctan(z):
     return copysign(offset + fma(t, p, t), z)
 
 
-@inlined
 def log(z):
     """Natural logarithm of a positive normal number."""
-    exponent = simd.exponent(z)
-    m = z * simd.power_of_two(-exponent)
+    whole = exponent(z)
+    m = z * power_of_two(-whole)
     is_high = m > _SQRT_2
-    m = select(is_high, m * 0.5, m)
-    exponent = select(is_high, exponent + 1.0, exponent)
+    m = where(is_high, m * 0.5, m)
+    whole = where(is_high, whole + 1.0, whole)
     f = (m - 1.0) / (m + 1.0)
     u = f * f
     u2 = u * u
     p0 = fma(fma(u, _L[3], _L[2]), u2, u * _L[1])
     p1 = fma(fma(u, _L[7], _L[6]), u2, fma(u, _L[5], _L[4]))
     p = fma(p1, u2 * u2, p0)
-    return fma(exponent, _LN2_HIGH, fma(exponent, _LN2_LOW, fma(f, p, 2.0 * f)))
+    return fma(whole, _LN2_HIGH, fma(whole, _LN2_LOW, fma(f, p, 2.0 * f)))
 
 
-@inlined
-def power(z, exponent):
-    """z**exponent for positive z; used for step sizes only."""
-    return exp(exponent * log(simd.maximum(z, 1e-300)))
+def power(z, index):
+    """z**index for positive z; used for step sizes only."""
+    return exp(index * log(maximum(z, 1e-300)))
