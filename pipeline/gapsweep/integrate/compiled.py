@@ -13,7 +13,7 @@ from gapsweep.integrate.lanes.method import Method
 from gapsweep.integrate.lanes.scene_table import SceneTable, scenes
 from gapsweep.integrate.lanes.system_rows import Walls, system_scenes
 from gapsweep.integrate.motions import Events, Motions
-from gapsweep.integrate.problem import Integrate, Models, Problems, Solver
+from gapsweep.integrate.problem import Integrate, Models, Problems, Solver, locates
 from gapsweep.integrate.runge_kutta import representations
 from gapsweep.integrate.runge_kutta.smooth_scenes import runge_kutta_scenes
 from gapsweep.integrate.stepping import batch, record
@@ -83,10 +83,10 @@ def prepared(models: Models, solver: Solver) -> Integrate:
 def _by_taylor(models: Models, solver: Solver) -> bool:
     """Whether the Taylor method integrates the models; refuse models that no method integrates."""
     laws = models.laws[0]
-    located = [law for law in laws if isinstance(law, Piecewise) and law.located]
+    is_located = locates(laws)
     is_written = solver.contact_force == "as_written"
-    if solver.controller != "native" or (located and (solver.restart or is_written)):
-        if located and not _is_oscillator(models):
+    if solver.controller != "native" or (is_located and (solver.restart or is_written)):
+        if is_located and not _is_oscillator(models):
             what = "restart = true" if solver.restart else "controller = 'ode45'"
             what = "contact_force = 'as_written'" if is_written else what
             raise ModelError(
@@ -94,14 +94,9 @@ def _by_taylor(models: Models, solver: Solver) -> bool:
                 "otherwise use engine='scipy', or located=False (piecewise-noevents)"
             )
         return not laws
-    if located and len(located) < len(laws):
-        raise ModelError(
-            f"{located[0]}: contacts are located for all contacts or none; use located=False "
-            "(piecewise-noevents), or engine='scipy', which then locates none"
-        )
     if _is_oscillator(models) and isinstance(laws[0], Tanh):
         return laws[0].has_thin_layers or solver.rtol <= _THICK_LAYERS_UP_TO
-    return len(located) == len(laws)
+    return is_located or not laws
 
 
 def _is_oscillator(models: Models) -> bool:

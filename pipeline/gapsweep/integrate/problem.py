@@ -204,6 +204,23 @@ def _distinct(objects: Sequence[T], key: Callable[[T], Hashable]) -> tuple[list[
     return [found[i] for i in range(len(found))], np.array(which, np.intp)
 
 
+def locates(laws: Laws) -> bool:
+    """Whether the contacts of some laws are located, which an engine does for all or none.
+
+    Raises
+    ------
+    ModelError
+        If only some laws are exact laws that locate contacts.
+    """
+    located = [law for law in laws if isinstance(law, Piecewise) and law.located]
+    if located and len(located) < len(laws):
+        raise ModelError(
+            f"{located[0]}: contacts are located for all contacts or none; use located=False "
+            "(piecewise-noevents), as the other contacts are not exact or not located"
+        )
+    return bool(located)
+
+
 def law_kind(law: ContactLaw) -> Hashable:
     """Return a key that is equal for laws which an engine can integrate together.
 

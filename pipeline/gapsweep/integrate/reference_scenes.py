@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gapsweep.model.contact import ContactLaw, Piecewise
+from gapsweep.integrate.problem import locates
+from gapsweep.model.contact import ContactLaw
 from gapsweep.model.oscillator import Oscillator
 from gapsweep.model.system import first_order
 
@@ -45,7 +46,7 @@ class ReferenceScene:
 
     @property
     def located(self) -> bool:
-        return all(isinstance(law, Piecewise) and law.located for law in self.laws)
+        return locates(self.laws) or not self.laws
 
     @property
     def directions(self) -> Array:
