@@ -20,7 +20,8 @@ from tests.unit.test_system_tables import TWO_MASSES
 from gapsweep.analysis.agreement.comparison import agreement
 from gapsweep.analysis.datasets.timing import timing
 from gapsweep.errors import StoreError
-from gapsweep.model.labels import FAMILIES, Representation, contact_law
+from gapsweep.model.labels import Representation, contact_law
+from gapsweep.model.laws import LAWS
 from gapsweep.model.oscillator import Gap
 from gapsweep.report import model as model_module
 from gapsweep.report.answer import Contact, Judged, contacts
@@ -606,8 +607,8 @@ def test_forces_are_told_as_they_are():
     """What the report says of tanh, arctan and log-arctan, by another hand; walls differ."""
     K_c, r, gap, epsilon = 1.4e4, 0.5, Gap(0.3e-3, 0.5e-3), 2e3
     x = np.linspace(-2e-3, 2e-3, 401)
-    told = model_module._FORCES
-    assert told.keys() == FAMILIES.keys()
+    told = {law.family: law.words for law in LAWS}
+    assert all(told.values())
     for family, word, s in (
         ("tanh", "tanh", np.tanh),
         ("arctan", "(2/π) arctan", lambda z: 2.0 / np.pi * np.arctan(z)),
