@@ -5,8 +5,8 @@
 1. Orbits with multipliers per second of processor time at rtol 1e-9, of an isolated branch and of
    branches that are followed together.
 2. Processor time of the frequency response of the hard contact 0/0.8 mm, 1 to 30 Hz.
-3. Faults of random branches by kind (`tests/random_branches.py`), and of 32 nearly symmetric
-   oscillators, whose branches do not cross.
+3. Faults of random branches by kind (`tests/oracles/random_branches.py`), and of 32 nearly
+   symmetric oscillators, whose branches do not cross.
 4. Symmetric orbits between walls against the solution of four equations in closed form.
 """
 
@@ -21,8 +21,8 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
-from tests.exact_orbits import is_trilinear, kinds, rows, trilinear_cases, trilinear_error
-from tests.random_branches import examined, nearly_symmetric, printed, scenes
+from tests.oracles.exact_orbits import is_trilinear, kinds, rows, trilinear_cases, trilinear_error
+from tests.oracles.random_branches import examined, nearly_symmetric, printed, scenes
 
 import gapsweep as gs
 from gapsweep.continuation.branches import Branches

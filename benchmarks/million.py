@@ -25,7 +25,7 @@ from pathlib import Path
 import psutil
 
 STUDY = """
-oscillator = { mass = 3.0, omega_n = 5.0, zeta = 0.03, forcing = 4.0, alpha = 7e8 }
+oscillator = {{ mass = 3.0, omega_n = 5.0, zeta = 0.03, forcing = 4.0, alpha = 7e8 }}
 [study]
 name = "million"
 [[sweep]]

@@ -22,8 +22,7 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
-from tests.oracles import orbit_distance
-from tests.section_points import complex_points, parts
+from tests.oracles.section_points import complex_points, orbit_distance, parts
 
 import gapsweep as gs
 from gapsweep.response.section import period_multiple

@@ -2,8 +2,8 @@
 
     python benchmarks/systems.py [--systems 300] [--seed 0]
 
-Random piecewise-linear systems (`tests/random_systems.py`) of 2 to 6 coordinates with 1 to 3
-contacts, constant loads and lags or without, against closed forms by matrix exponentials:
+Random piecewise-linear systems (`tests/builders/random_systems.py`) of 2 to 6 coordinates with
+1 to 3 contacts, constant loads and lags or without, against closed forms by matrix exponentials:
 
 1. At the tightest tolerance: end states, numbers of crossings, and for up to four coordinates
    monodromy matrices; what is off by more than 1e-9 times its sensitivity is listed.
@@ -19,7 +19,7 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
-from tests.random_systems import random_case
+from tests.builders.random_systems import random_case
 
 SIZES = ((2, 1), (3, 2), (4, 3), (6, 3))  # coordinates, contacts
 LOOSER = (1e-3, 1e-6, 1e-9)

@@ -2,7 +2,7 @@
 
     python benchmarks/trust.py [--scenes 2000] [--clocks 150] [--seed 7]
 
-Random scenes (`tests/random_scenes.py`) and what must hold in them whatever the method:
+Random oscillators (`tests/builders/random_oscillators.py`) and properties of every method on them:
 
 1. The tangent over a periodic response shrinks areas by exp(-2 zeta omega_n n T); a linear
    oscillator has one period-1 response; what is called anything else is listed, with what a long
@@ -25,7 +25,7 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
-from tests import random_scenes as rs
+from tests.builders import random_oscillators as rs
 
 import gapsweep as gs
 from gapsweep.integrate.problem import Solver

@@ -12,8 +12,8 @@ from distributed import Client
 from hypothesis import settings
 
 from gapsweep.execution.cluster import cluster
-from tests.commands import on_a_cluster
-from tests.machine import PAPER
+from tests.builders.runs import on_a_cluster
+from tests.builders.studies import small_study
 
 settings.register_profile("quick", max_examples=25, deadline=None)
 settings.register_profile("thorough", max_examples=500, deadline=None)
@@ -48,23 +48,11 @@ def client() -> Iterator[Client]:
 
 @pytest.fixture(scope="session")
 def run_command(client: Client) -> Callable[..., Any]:
-    """``gapsweep`` in this process, on the shared cluster: see `tests.commands`."""
+    """``gapsweep`` in this process, on the shared cluster: see `tests.builders.runs`."""
     return on_a_cluster(client)
 
 
 @pytest.fixture
 def tables() -> dict[str, Any]:
-    """A small study: three representations at three frequencies, fast settings."""
-    return {
-        "study": {"name": "small"},
-        "oscillator": PAPER,
-        "sweep": [
-            {
-                "representation": ["piecewise", "tanh-1e4", "poly-13"],
-                "K_c": [1.4e4],
-                "gap": [[0.4e-3, 0.4e-3]],
-                "omega": [7.0, 12.0, 20.0],
-            }
-        ],
-        "steady": {"settle_tol": 1e-2, "n_periods": 16, "max_period_multiple": 8},
-    }
+    """See `tests.builders.studies.small_study`."""
+    return small_study()

@@ -14,7 +14,7 @@ import gapsweep as gs
 from gapsweep.cli.main import commands, exit_code
 from gapsweep.report.accessor import GapsweepAccessor
 from gapsweep.study.spec import check
-from tests.machine import PAPER
+from tests.builders.studies import PAPER
 
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"

@@ -29,6 +29,15 @@ LAYERS = (
     {"cli", "__init__"},
     {"__main__"},
 )
+# Within `integrate/`: modules of one floor do not import each other; a folder is one module.
+FLOORS = (
+    {"motions", "vectors"},
+    {"problem", "elementary"},
+    {"jit", "simd"},
+    {"lanes"},
+    {"taylor", "runge_kutta", "stepping"},
+    {"compiled", "reference", "reference_motion", "reference_scenes", "simulate", "trajectory"},
+)
 FENCES = {
     "scipy": {"model", "integrate", "response", "continuation", "study", "analysis"},
     "numba": {"model", "integrate", "response"},
@@ -106,6 +115,28 @@ def test_modules_import_only_what_stands_below_them(path):
             assert at_top or late, f"{name} is imported inside a function"
         elif library in FENCES:
             assert here in FENCES[library], f"{library} does not belong into {here}"
+
+
+def floor(name):
+    """Floor of a module's name, with all packages above it, within `integrate/`."""
+    return next(i for i, names in enumerate(FLOORS) if name.split(".")[2] in names)
+
+
+@pytest.mark.parametrize(
+    "path", sorted((PACKAGE / "integrate").rglob("*.py")), ids=lambda p: p.stem
+)
+def test_steppers_and_the_stepping_loop_meet_only_in_the_rows_of_lanes(path):
+    here = dotted(path)
+    if here == "gapsweep.integrate.__init__":
+        return
+    for name, _ in imports(path):
+        if not name.startswith("gapsweep.integrate."):
+            continue
+        if floor(here) == len(FLOORS) - 1:
+            assert floor(name) <= floor(here), name
+        else:
+            is_own = name.split(".")[2] == here.split(".")[2]
+            assert is_own or floor(name) < floor(here), f"{name} is imported in {here}"
 
 
 def test_relative_imports_are_followed():

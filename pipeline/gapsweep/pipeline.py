@@ -19,7 +19,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from gapsweep.analysis.unit_check import doubts_of, never_reached, out_of_range
 from gapsweep.console import progress_bar
 from gapsweep.errors import ClusterError, StoreError, StudyError
 from gapsweep.execution.assemble import attributes_of, fill
@@ -54,6 +53,7 @@ from gapsweep.store.cache import Cache
 from gapsweep.study.axes import MAX_POINTS
 from gapsweep.study.grid import Selection
 from gapsweep.study.study import Study
+from gapsweep.study.unit_check import doubts_of, doubts_of_run
 from gapsweep.study_code import check_modules
 
 if TYPE_CHECKING:
@@ -226,10 +226,7 @@ def carry_out(
                 recorder.state = replace(recorder.state, failed=n_failed, message=why)
             del planned, store  # a tenth of a gigabyte of keys at a million points
             make([stage for stage in stages if POINTS not in stage.sources], run)
-    far, values, grid = "", partial(netcdf.values, folder / RESPONSES), study.grid
-    if study.spec.oscillator:
-        far = never_reached(values, grid.dims, grid.representations)
-    doubts = *doubts_of(study, far), *out_of_range(values("status"), grid.representations)
+    doubts = tuple(doubts_of_run(study, partial(netcdf.values, folder / RESPONSES)))
     motions = {stage.file: stage.failed_motions(folder) for stage in stages}
     failed = {file: counts for file, counts in motions.items() if counts}
     return Outcome(folder, progress, failures, failed, doubts)

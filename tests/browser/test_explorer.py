@@ -9,7 +9,7 @@ import re
 import numpy as np
 import pytest
 from tests.browser.tab import tab
-from tests.made import datasets, periodic, tables
+from tests.builders.datasets import datasets, periodic, tables
 
 import gapsweep as gs
 from gapsweep.explorer.page_results import from_rest

@@ -9,9 +9,9 @@ import csv
 import pytest
 from matplotlib.figure import Figure
 from tests.browser.tab import tab
-from tests.made import datasets, periodic, tables
+from tests.builders.datasets import datasets, periodic, tables
 from tests.unit.test_paper_figures import LIMITS, STRONG, WEAK, responses_of
-from tests.unit.test_report import HOSTILE, decided
+from tests.unit.test_report_sections import HOSTILE, decided
 from workflows.paper.figures import sections
 
 from gapsweep.analysis.agreement.comparison import agreement

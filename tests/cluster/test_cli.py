@@ -13,7 +13,7 @@ import time
 
 import psutil
 import pytest
-from tests.stored import damaged_row, n_stored
+from tests.builders.cache import damaged_row, n_stored
 
 # A stage and its time, told of what takes longer than a moment.
 PROGRESS = re.compile(r", \d+:\d\d:\d\d$")

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from tests.machine import PAPER
-from tests.stored import stored
+from tests.builders.cache import stored
+from tests.builders.studies import PAPER
 
 import gapsweep as gs
 from gapsweep import pipeline
@@ -99,9 +99,10 @@ def test_of_a_sweep_through_a_polynomial_that_runs_away(client, tmp_path):
     assert any(np.isfinite(one.x_end) for one in found)
 
 
-@pytest.mark.parametrize("label", ["tests.laws:raising", "tests.laws:undefined"])
-def test_of_a_sweep_through_failures(client, tmp_path, label):
+@pytest.mark.parametrize("force", ["raising", "undefined"])
+def test_of_a_sweep_through_failures(client, tmp_path, force):
     """The law fails beyond a displacement that is reached at resonance alone."""
+    label = f"tests.misbehaving.forces:{force}"
     others = {"solver": {"engine": "scipy", "rtol": 1e-4}}
     others["oscillator"] = PAPER | {"zeta": 0.3, "forcing": 0.2}
     study = swept(label, [1.0, 5.0, 12.0, 20.0], **others)

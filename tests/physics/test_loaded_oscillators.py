@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.optimize import brentq
-from tests.machine import PAPER
+from tests.builders.studies import PAPER
 
 import gapsweep as gs
 from gapsweep.analysis.datasets.static import static

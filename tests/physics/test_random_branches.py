@@ -5,8 +5,8 @@ from functools import cache
 import numpy as np
 import pytest
 import xarray as xr
-from tests.exact_orbits import kinds, rows
-from tests.random_branches import Scene, drawn, examined, faults, nearly_symmetric
+from tests.oracles.exact_orbits import kinds, rows
+from tests.oracles.random_branches import Scene, drawn, examined, faults, nearly_symmetric
 
 import gapsweep as gs
 

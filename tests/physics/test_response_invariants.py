@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
-from tests.equation import Equation, laws_of
-from tests.labels import LABELS
-from tests.rescaled import rescaled_law, rescaled_model
+from tests.builders.rescaled import rescaled_law, rescaled_model
+from tests.builders.studies import LABELS
+from tests.oracles.equation import Equation, laws_of
 
 import gapsweep as gs
 from gapsweep.model.structure import structure_of

@@ -9,7 +9,7 @@ from numpy.testing import assert_allclose
 from scipy.integrate import RK45
 from scipy.linalg import expm
 from scipy.optimize import brentq
-from tests.equation import Equation
+from tests.oracles.equation import Equation
 
 import gapsweep as gs
 from gapsweep.integrate.runge_kutta import tableaux

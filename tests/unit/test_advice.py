@@ -10,8 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 from scipy.integrate import quad
-from tests.machine import PAPER, TOML
-from tests.stored import point
+from tests.builders.cache import point
+from tests.builders.studies import PAPER, TOML
 
 import gapsweep as gs
 from gapsweep.analysis.datasets.contact_errors import ADEQUATE, expected_range

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import xarray as xr
 from numpy.testing import assert_allclose, assert_array_equal
-from tests.made import chaotic, datasets, failed, periodic, tables, unresolved
+from tests.builders.datasets import chaotic, datasets, failed, periodic, tables, unresolved
 
 from gapsweep import ResponseClass, Status
 from gapsweep.analysis.agreement.comparison import _width, agreement

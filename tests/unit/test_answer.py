@@ -8,7 +8,15 @@ import pytest
 import xarray as xr
 from benchmarks.answer import finding, page, signs
 from numpy.testing import assert_allclose
-from tests.made import chaotic, datasets, datasets_by_place, failed, periodic, tables, unresolved
+from tests.builders.datasets import (
+    chaotic,
+    datasets,
+    datasets_by_place,
+    failed,
+    periodic,
+    tables,
+    unresolved,
+)
 from workflows.paper import scenes
 from workflows.paper.answer import SCIPY_AS_WRITTEN, SCIPY_BY_MODE, answer
 from workflows.paper.answer import judged as judged_of
@@ -209,7 +217,7 @@ def test_a_price_of_all_motions_stands_beside_that_of_periodic_ones(tmp_path):
 
 
 def test_code_of_the_users_that_only_fails_is_no_approximation(tmp_path):
-    broken = {"tests.laws:raising": (None, 0.0)}
+    broken = {"tests.misbehaving.forces:raising": (None, 0.0)}
     _, (contact,) = made(tmp_path, LAWS | broken)
     assert {one.law for one in contact.laws} == LAWS.keys() - {"piecewise", "piecewise@half"}
     alone = {name: LAWS[name] for name in ("piecewise", "piecewise@half")} | broken
@@ -219,7 +227,7 @@ def test_code_of_the_users_that_only_fails_is_no_approximation(tmp_path):
 @pytest.mark.parametrize("one_case", [True, False])
 def test_without_a_steady_exact_response_no_law_is_judged(tmp_path, one_case):
     """As of an oscillator without damping: nothing says that a law is not adequate."""
-    labels = ["piecewise", "tanh-1e4", "tests.laws:raising"]
+    labels = ["piecewise", "tanh-1e4", "tests.misbehaving.forces:raising"]
     study = tables(labels, OMEGA)
     study["sweep"][0]["forcing"] = [4.0] if one_case else [4.0, 5.0]
 

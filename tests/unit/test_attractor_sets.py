@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
-from tests.made import chaotic, datasets, failed, periodic, tables, unresolved
+from tests.builders.datasets import chaotic, datasets, failed, periodic, tables, unresolved
 
 from gapsweep.analysis.agreement.attractor_sets import (
     CLOSE,

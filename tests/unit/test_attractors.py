@@ -4,8 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from tests.oracles import orbit_distance
-from tests.section_points import complex_points
+from tests.oracles.section_points import complex_points, orbit_distance
 
 from gapsweep.model.structure import Structure
 from gapsweep.response.attractors import NONE, Grouping, attractors_of_scenes

@@ -14,7 +14,7 @@ import pytest
 from click.testing import CliRunner
 from hypothesis import given
 from hypothesis import strategies as st
-from tests.stored import KIND, keys, made
+from tests.builders.cache import KIND, keys, made
 
 import gapsweep as gs
 from gapsweep import pipeline

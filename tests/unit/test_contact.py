@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from numpy.polynomial import chebyshev
 from numpy.testing import assert_allclose
-from tests import strategies as own
+from tests.builders import strategies as own
 
 import gapsweep as gs
 from gapsweep.model.contact import FIT_RANGE

@@ -6,9 +6,9 @@ import pytest
 from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
 from numpy.testing import assert_allclose
-from tests.figure_texts import overlaps
-from tests.machine import PAPER
-from tests.made import datasets, datasets_by_place, tables
+from tests.builders.datasets import datasets, datasets_by_place, tables
+from tests.builders.studies import PAPER
+from tests.readers.figures import overlaps
 
 import gapsweep as gs
 import gapsweep.report.accessor  # plain xarray.load_dataset does not bring it along

@@ -11,7 +11,7 @@ from numpy.polynomial import Polynomial, chebyshev
 from numpy.testing import assert_allclose
 from scipy.integrate import quad
 from scipy.optimize import brentq
-from tests import strategies as own
+from tests.builders import strategies as own
 
 import gapsweep as gs
 from gapsweep.model.contact import ContactLaw

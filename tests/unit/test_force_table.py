@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 from scipy.integrate import solve_ivp
 from scipy.interpolate import PchipInterpolator
-from tests.machine import PAPER
+from tests.builders.studies import PAPER
 
 import gapsweep as gs
 from gapsweep.analysis.bench.references import motion

@@ -5,8 +5,8 @@ import json
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
-from tests.machine import PAPER
-from tests.stored import all_keys
+from tests.builders.cache import all_keys
+from tests.builders.studies import PAPER
 
 import gapsweep as gs
 from gapsweep.analysis.datasets.histories import histories, sampled
@@ -145,7 +145,7 @@ def test_failures_are_statuses():
 
 @pytest.mark.slow  # each law is compiled
 def test_raising_and_undefined_laws_are_statuses():
-    labels = ["tests.laws:raising", "tests.laws:undefined"]
+    labels = ["tests.misbehaving.forces:raising", "tests.misbehaving.forces:undefined"]
     found = histories(study_of(SCENE | {"t_end": 1.0, "representation": labels}))
     assert_array_equal(found["status"], [[Status.ERROR, Status.MODEL_INVALID]])
 

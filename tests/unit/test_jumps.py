@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
-from tests.made import chaotic, datasets, failed, periodic, tables
+from tests.builders.datasets import chaotic, datasets, failed, periodic, tables
 
 from gapsweep.analysis.agreement.jumps import WINDOW, breaks, jump_shifts, jumps
 from gapsweep.analysis.agreement.law_tables import law_table

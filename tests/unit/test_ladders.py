@@ -7,7 +7,7 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy.integrate import quad
 from scipy.special import lambertw
-from tests.machine import PAPER
+from tests.builders.studies import PAPER
 from workflows.paper import ladders as ladder
 
 import gapsweep as gs

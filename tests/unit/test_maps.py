@@ -13,8 +13,16 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import to_rgba
 from matplotlib.figure import Figure
 from numpy.testing import assert_allclose
-from tests.made import chaotic, datasets, failed, periodic, tables, unresolved
-from tests.swept import over_forcing, over_walls
+from tests.builders.datasets import (
+    chaotic,
+    datasets,
+    failed,
+    over_forcing,
+    over_walls,
+    periodic,
+    tables,
+    unresolved,
+)
 
 import gapsweep as gs
 import gapsweep.report.accessor  # plain xarray.load_dataset does not bring it along

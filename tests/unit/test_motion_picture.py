@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
-from tests.figure_texts import overlaps
+from tests.readers.figures import overlaps
 
 import gapsweep as gs
 from gapsweep.model.systems import paper_oscillator

@@ -8,7 +8,7 @@ import numpy as np
 import psutil
 import pytest
 import xarray as xr
-from tests.made import datasets_by_place, periodic, tables
+from tests.builders.datasets import datasets_by_place, periodic, tables
 
 import gapsweep as gs
 from gapsweep.errors import STOPPING

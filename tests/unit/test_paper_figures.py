@@ -8,9 +8,8 @@ import pytest
 import xarray as xr
 from matplotlib.colors import to_hex
 from numpy.testing import assert_allclose
-from tests.figure_texts import overlaps
-from tests.machine import PAPER
-from tests.redrawn import is_redrawn
+from tests.builders.studies import PAPER
+from tests.readers.figures import is_redrawn, overlaps
 from workflows.paper import scenes
 from workflows.paper.figures import LIMITS, band_rows, costs, figures, sections
 from workflows.paper.ladders import ladders
@@ -162,8 +161,8 @@ def test_every_representation_has_its_peaks_before_those_of_the_exact_law(scene)
 def test_peaks_far_above_the_exact_law_are_on_the_edge_of_a_linear_axis(scene):
     scene["x_max"][1, 3, 0] = 9e-3
     axes = peaks(scene).axes[1]
-    triangles = [line for line in axes.lines if line.get_marker() == "^"]
-    assert [line.get_xdata().tolist() for line in triangles] == [[OMEGA[3]]]
+    ticks = [line for line in axes.lines if line.get_marker() == "|"]
+    assert [line.get_xdata().tolist() for line in ticks] == [[OMEGA[3]]]
     assert axes.get_ylim()[1] < 2.0
     assert axes.get_yscale() == "linear"
 

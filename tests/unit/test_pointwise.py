@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
-from tests.made import datasets, failed, periodic, tables
+from tests.builders.datasets import datasets, failed, periodic, tables
 
 from gapsweep.analysis.agreement.bootstrap import ratio
 from gapsweep.analysis.agreement.law_tables import law_table

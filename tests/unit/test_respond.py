@@ -12,8 +12,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
-from tests.labels import LABELS
-from tests.section_points import parts
+from tests.builders.studies import LABELS
+from tests.oracles.section_points import parts
 
 import gapsweep as gs
 from gapsweep.integrate.problem import Solver

@@ -10,8 +10,8 @@ import pytest
 import xarray as xr
 from hypothesis import given
 from hypothesis import strategies as st
-from tests.machine import PAPER, TOML
-from tests.stored import all_keys, point
+from tests.builders.cache import all_keys, point
+from tests.builders.studies import PAPER, TOML
 
 import gapsweep as gs
 from gapsweep.cli.options import selected

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import gapsweep as gs
-from gapsweep.analysis.unit_check import doubts_of
+from gapsweep.study.unit_check import doubts_of
 
 USUAL = {"zeta": 0.02, "omega_n": 18.0, "mass": 12.0, "forcing": 50.0}
 SPRING = 12.0 * (36.0 * np.pi) ** 2

@@ -10,8 +10,8 @@ from click.testing import CliRunner
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
-from tests.figure_texts import overlaps
-from tests.machine import PAPER
+from tests.builders.studies import PAPER
+from tests.readers.figures import overlaps
 
 import gapsweep as gs
 from gapsweep import pipeline

@@ -12,7 +12,7 @@ from gapsweep.model.labels import Representation
 from gapsweep.report import backdrop, drawing
 from gapsweep.report.drawing import labels_of
 from gapsweep.report.scales import axis_label, drawn
-from gapsweep.report.style import NOT_PERIODIC, colour, lines
+from gapsweep.report.style import GREY, NOT_PERIODIC, colour, looks
 from gapsweep.status import Status
 
 from .scenes import EXACT, NO_EVENTS, STARTS
@@ -56,12 +56,10 @@ def diagram(
             if peaks:
                 drawing.peaks(axes, one, size, high=high)
                 continue
-            drawing.extrema(axes, one, "omega")
-            for line in axes.lines[-2:]:
-                line.set_markersize(size)
+            drawing.extrema(axes, one, "omega", size=size)
             peak, trough = (drawn(one[name])[:, 0] for name in ("x_max", "x_min"))
-            drawing.outside(axes, omega[peak > high], high, "^", label)
-            drawing.outside(axes, omega[trough < low], low, "v", label)
+            drawing.outside(axes, omega[peak > high], high, label)
+            drawing.outside(axes, omega[trough < low], low, label)
         if len(layers) == 1 and not peaks:
             backdrop.bands(axes, one)
         if marks:
@@ -74,7 +72,7 @@ def diagram(
     figure.supxlabel("forcing frequency [Hz]", fontsize=9)
     figure.supylabel(f"{'peak displacement' if peaks else 'steady extrema'} [mm]", fontsize=9)
     if not peaks and not marks:
-        backdrop.key_of_bands(figure, scene)
+        backdrop.key(figure, scene, drawing.key_of_marks(scene, "extrema"))
     return figure
 
 
@@ -87,12 +85,14 @@ def histories_and_spectra(histories: xr.Dataset) -> Figure:
     for (motion, spectrum), (_, one) in zip(panels, histories.groupby("history"), strict=True):
         one = one.squeeze("history")
         backdrop.walls(motion, one)
-        for label, line in lines(labels).items():
+        for label, look in looks(labels).items():
             own = one.sel(representation=label)
             width = 1.2 if label.endswith("-mode") else widths.get(Representation(label).law, 0.9)
-            style = {"color": colour(label), "linewidth": width, "label": f"_{label}"}
-            motion.plot(*_last_periods(own), line, **style)
-            spectrum.plot(own["frequency"] / one["omega"], drawn(own["spectrum"]), line, **style)
+            style = {"color": look.colour, "linewidth": width, "label": f"_{label}"}
+            motion.plot(*_last_periods(own), look.dashes, **style)
+            spectrum.plot(
+                own["frequency"] / one["omega"], drawn(own["spectrum"]), look.dashes, **style
+            )
         top = np.nanmax(drawn(one["spectrum"]), initial=0.0) or 1.0
         motion.set(xlim=(0.0, SHOWN_PERIODS), ylabel="displacement [mm]")
         limits = (top * 10.0**-_DECADES, 2.0 * top)
@@ -120,7 +120,7 @@ def start_scan(scan: xr.Dataset) -> Figure:
     along.set_title("initial velocity 0", fontsize=9, loc="left")
     along.legend()
     x, y = (100.0 * scan[name].values.ravel() for name in ("outside", "inside"))
-    all_of_them.plot(x, y, "o", color="#999999", markersize=4, label="_initial conditions")
+    all_of_them.plot(x, y, "o", color=GREY, markersize=4, label="_initial conditions")
     for name, (x_0, v_0) in STARTS.items():
         one = 100.0 * scan.sel(x_0=x_0, v_0=v_0, method="nearest")
         at = float(one["outside"]), float(one["inside"])

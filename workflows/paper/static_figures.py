@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from gapsweep.model.labels import contact_law
 from gapsweep.model.oscillator import Gap
 from gapsweep.report.scales import axis_label, drawn, plain
-from gapsweep.report.style import colour, lines
+from gapsweep.report.style import GREY, NUMBERED, colour, looks
 
 from .ladders import polynomial
 from .scenes import EXACT, SOFT
@@ -18,7 +18,7 @@ from .scenes import EXACT, SOFT
 Forces = dict[str, NDArray[np.float64]]
 
 WIDTH = 9.5  # inches, the report's column
-CONSTRAINED, _DARK = ", constrained", "#7a4b00"  # a darker shade of polynomials
+CONSTRAINED, _OTHER = ", constrained", NUMBERED[1]  # colour of constrained polynomials
 _MARGIN = 0.75  # what is shown on either side of the gap, in widths of the gap
 _ROUNDING = 1e-15  # errors below this are those of the arithmetic
 # "Each model has RMSE < 0.5 and R² > 0.998" (Sect. 4.1).
@@ -49,16 +49,14 @@ def force_curves(static: xr.Dataset, forces: Forces, stiffnesses: Sequence[float
     panels = figure.subplots(n, 2, squeeze=False, sharex="col")
     x, (low, high) = drawn(static["x"]), (-drawn(static["j_1"]).item(), drawn(static["j_2"]).item())
     near = np.abs(x - 0.5 * (low + high)) <= (0.5 + _MARGIN) * (high - low)
-    styles = lines(list(dict.fromkeys(name.removesuffix(CONSTRAINED) for name in forces)))
+    styles = looks(dict.fromkeys(name.removesuffix(CONSTRAINED) for name in forces))
     for row, K_c in zip(panels, stiffnesses, strict=True):
-        shades = np.linspace(0.2 if len(forces) > 8 else 1.0, 1.0, len(forces))
-        for (label, force), shade in zip(forces.items(), shades, strict=True):
+        for label, force in forces.items():
             law = label.removesuffix(CONSTRAINED)
             look = {
-                "color": colour(law) if law == label else _DARK,
+                "color": styles[law].colour if law == label else _OTHER,
                 "linewidth": 2.2 if law == EXACT else 1.3,
-                "linestyle": styles[law],
-                "alpha": 1.0 if law == EXACT else shade,
+                "linestyle": styles[law].dashes,
                 "label": f"_{label}",
             }
             row[0].plot(x[near], K_c * force[near], **look)
@@ -89,9 +87,9 @@ def static_convergence(ladders: xr.Dataset) -> Figure:
             for n, one in enumerate(loss.transpose(by, ...) if by else [loss]):
                 name = str(one[by].values).replace("none", "free") if by else ""
                 shade = colour(name if kind == "smooth" else kind)
-                look = {"color": _DARK if kind == "poly" and n else shade, "markersize": 3.5}
+                look = {"color": _OTHER if kind == "poly" and n else shade, "markersize": 3.5}
                 axes.plot(one[along].values, one.where(one > _ROUNDING), mark, label=name, **look)
-            axes.axhline(bound, color="#777777", linewidth=0.8, linestyle=":")
+            axes.axhline(bound, color=GREY, linewidth=0.8, linestyle=":")
             axes.set_yscale("log")
             if row is panels[0]:
                 axes.set_title(title, fontsize=9, loc="left")

@@ -94,15 +94,15 @@ def plan(
       gapsweep plan quick.toml --json
     """
     from gapsweep import pipeline
-    from gapsweep.analysis.unit_check import bounded, doubts_of
     from gapsweep.console import print_table
+    from gapsweep.study.unit_check import bounded, doubts_of
 
     loaded = options.loaded(study, engine)
     with options.at_work() as observer:
         planned = pipeline.plan(loaded, cache, retry_failed=retry_failed, on_progress=observer)
         expected = pipeline.expected_seconds(planned, cache, workers)
         stages = pipeline.stage_reasons(loaded, planned, out, cache)
-    doubts = [*doubts_of(loaded, bounded(loaded) if loaded.spec.oscillator else "")]
+    doubts = [*doubts_of(loaded, bounded(loaded))]
     numbers = {
         "points": planned.n_points,
         "hits": planned.n_hits,

@@ -25,7 +25,6 @@ from gapsweep.continuation.seed import Attractor
 from gapsweep.execution.cluster import check_workers
 from gapsweep.execution.execute import is_gone
 from gapsweep.execution.isolated import CallError, Isolated, failure
-from gapsweep.execution.task import laws_of
 from gapsweep.status import Status
 from gapsweep.study.parametric_model import AlongParameter
 from gapsweep.study.points import FIXED, OF_CONTACT, Points
@@ -89,7 +88,7 @@ def follow(scene: BranchScene) -> Any:
     example = scene.system() if scene.system else kind.structure.system(numbers)
     family = Family(
         scene.system or example,
-        dict(zip(example.contacts, laws_of(kind, walls), strict=True)),
+        dict(zip(example.contacts, kind.laws(walls), strict=True)),
         None if window.name == "omega" else float(omega[0]) or None,
         (window.name,),
         values,

@@ -12,8 +12,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, nullcontext, suppress
 from dataclasses import dataclass, replace
-from functools import cache, partial
-from typing import TypeVar
+from functools import cache
 
 import numpy as np
 from distributed import get_worker
@@ -24,15 +23,12 @@ from gapsweep.execution.isolated import CallError, Isolated, failure
 from gapsweep.execution.sweeps import origins
 from gapsweep.integrate.problem import Models
 from gapsweep.integrate.simulate import loaded
-from gapsweep.model.contact import ContactLaw
-from gapsweep.model.labels import contact_law
-from gapsweep.model.oscillator import Gap
 from gapsweep.response.ensemble import Ensemble
 from gapsweep.response.respond import respond_models
 from gapsweep.response.result import Response, Responses
 from gapsweep.response.scene import CONFIRMING_RTOL, TANGENT_RTOL
 from gapsweep.store.slab import Slab, slabs
-from gapsweep.study.points import KEY, OF_CONTACT, Kind, Points
+from gapsweep.study.points import KEY, Kind, Points
 from gapsweep.study.software import software, versions
 
 _RESTARTED = "the preceding point has no end state; started from the last point that has"
@@ -44,8 +40,6 @@ WARM_UP_SECONDS = 600.0
 _NO_TIME = 1e9  # Hz: a forcing period without notable motion
 
 States = NDArray[np.float64]
-Rows = NDArray[np.intp]
-Made = TypeVar("Made")
 Ask = Callable[[Points, States], Responses]
 
 
@@ -234,85 +228,14 @@ def respond_to(tile: Tile, ask: Ask | None = None) -> Responses:
 
 def _together(points: Points, states: States) -> Responses:
     """Responses of independent points, all in one call; refused models give failures."""
-    (rows, models), refused = models_of(points)
-    found = _answered(points.kind, models, _starts(points, states)[rows])
+    (rows, models), refused = points.models()
+    starts = states if points.kind.is_sweep else points.starts
+    found = _answered(points.kind, models, starts[rows])
     if not refused:
         return found
     others = Responses.of(list(map(failed, refused.values())), points.kind.structure)
     whole = Responses.concatenated([found, others])
     return whole.take(np.argsort([*rows.tolist(), *refused]))
-
-
-def _starts(points: Points, states: States) -> States:
-    """Initial states of points: `states` for sweeps, otherwise from the points' numbers."""
-    if points.kind.is_sweep:
-        return states
-    found = points.numbers[:, -points.kind.n_states :].copy()
-    found[:, 0] += points.kind.start_jitter
-    return found
-
-
-def laws_of(kind: Kind, walls: States) -> tuple[ContactLaw, ...]:
-    """The laws of all contacts of a point.
-
-    Parameters
-    ----------
-    kind : Kind
-    walls : ndarray, shape (number of contacts * len(OF_CONTACT),)
-        Stiffness [N/m], distances [m] and stiffness ratio of the walls of every contact.
-
-    Raises
-    ------
-    ModelError
-        If a law cannot be built.
-    """
-    found = []
-    rows = walls.reshape(-1, len(OF_CONTACT)).tolist()
-    for one, (K_c, j_1, j_2, K_ratio) in zip(kind.contacts, rows, strict=True):
-        gap = Gap(j_1, j_2)
-        if not one.is_own:
-            found.append(contact_law(one, K_c, gap, kind.fit_range, K_ratio=K_ratio))
-        elif kind.own is None:
-            raise ModelError(f"{one}: the code of this user law is not stored")
-        else:
-            found.append(kind.own.law(K_c, gap, K_ratio))
-    return tuple(found)
-
-
-def models_of(points: Points) -> tuple[tuple[Rows, Models], dict[int, ModelError]]:
-    """Rows of valid points and their models, and the errors of the other rows."""
-    kind = points.kind
-    n, n_states = len(kind.contacts) * len(OF_CONTACT), kind.n_states
-
-    walls, omega, others = np.split(points.numbers[:, :-n_states], [n, n + 1], axis=1)
-    systems, its_system, no_system = _made(kind.structure.system, others)
-    several, its_laws, no_laws = _made(partial(laws_of, kind), walls)
-    refused = no_system | no_laws
-    rows = np.array([row for row in range(len(points)) if row not in refused], np.intp)
-    columns = {"system": its_system[rows], "law": its_laws[rows], "omega": omega[rows, 0]}
-    return (rows, Models(systems=systems, laws=several, **columns)), refused
-
-
-def _made(
-    make: Callable[[States], Made], rows: States
-) -> tuple[list[Made], Rows, dict[int, ModelError]]:
-    """Objects made of the distinct rows, the number of its object for every row, and errors.
-
-    The number is -1 for rows that `make` refuses; their errors are returned by row.
-    """
-    some = rows if rows.shape[1] else np.zeros((len(rows), 1))
-    _, first, which = np.unique(some, axis=0, return_index=True, return_inverse=True)
-    made: list[Made] = []
-    number, errors = np.full(len(first), -1), dict[int, ModelError]()
-    for i, row in enumerate(rows[first]):
-        try:
-            made.append(make(row))
-            number[i] = len(made) - 1
-        except ModelError as error:
-            errors[i] = error
-    which = which.reshape(-1)
-    refused = {row: errors[i] for row, i in enumerate(which.tolist()) if i in errors}
-    return made, number[which], refused
 
 
 def _warm_up(kind: Kind, models: Models, start: States) -> None:
@@ -337,15 +260,16 @@ def _warm_up(kind: Kind, models: Models, start: States) -> None:
 
 def warm_up(tile: Tile) -> None:
     """Load or compile the code for the first point of a tile, before its time is measured."""
-    first = slice(1)
     if tile.points.kind.solver.engine != "compiled":  # if a law hangs, its point times out
         if tile.points.kind.own is not None:
             with suppress(ModelError):  # its points report it
                 tile.points.kind.own.load()
         return
-    (rows, models), _ = models_of(tile.points.take(first))
+    first = tile.points.take(slice(1))
+    (rows, models), _ = first.models()
     if rows.size:
-        _warm_up(tile.points.kind, models, _starts(tile.points.take(first), tile.states[first])[0])
+        starts = tile.states if first.kind.is_sweep else first.starts
+        _warm_up(first.kind, models, starts[0])
 
 
 def _answered(kind: Kind, models: Models, starts: States) -> Responses:

@@ -9,13 +9,15 @@ from numba.core.errors import NumbaError
 from numpy.typing import NDArray
 
 from gapsweep.errors import ModelError
+from gapsweep.integrate.lanes.method import Method
+from gapsweep.integrate.lanes.scene_table import SceneTable, scenes
+from gapsweep.integrate.lanes.system_rows import Walls, system_scenes
 from gapsweep.integrate.motions import Events, Motions
 from gapsweep.integrate.problem import Integrate, Models, Problems, Solver
 from gapsweep.integrate.runge_kutta import representations
 from gapsweep.integrate.runge_kutta.smooth_scenes import runge_kutta_scenes
 from gapsweep.integrate.stepping import batch, record
-from gapsweep.integrate.stepping.scene_table import SceneTable, scenes
-from gapsweep.integrate.stepping.system_rows import Walls, system_scenes
+from gapsweep.integrate.taylor.method import Taylor
 from gapsweep.model.contact import Piecewise
 from gapsweep.model.laws.fitted import Fitted
 from gapsweep.model.laws.tanh import Tanh
@@ -36,17 +38,18 @@ def prepared(models: Models, solver: Solver) -> Integrate:
     """Return the integrator of some models; no result depends on the other rows of a call."""
     is_taylor = _by_taylor(models, solver)
     scenes = _scenes(models, solver, is_taylor)
+    method: Method = Taylor()
     if not is_taylor:
         laws = [_kernel_law(models, contact) for contact in range(len(models.laws[0]))]
         mass = np.ones(len(models))
         if _is_oscillator(models):
             mass = models.of_systems(attrgetter("mass"))
-        scenes = runge_kutta_scenes(scenes, laws, mass, solver)
+        scenes, method = runge_kutta_scenes(scenes, laws, mass, solver)
 
     def integrate(problems: Problems) -> Motions:
         contacts = problems.contacts or (problems.contact_time and not is_taylor)
         given = {"contacts": contacts, "sampled": problems.sampled, **_given(problems)}
-        run = batch.run(scenes, start=problems.start, **given)
+        run = batch.run(scenes, method, start=problems.start, **given)
 
         def events() -> Events:
             head = record.POINT, record.TIME, record.WHICH

@@ -16,7 +16,7 @@ from numba.core import types
 from numba.core.typing.templates import ConcreteTemplate, infer_global, signature
 from numba.extending import intrinsic, lower_builtin, models, register_model
 
-from gapsweep.integrate import vectors
+from gapsweep.integrate import elementary, vectors
 from gapsweep.integrate.vectors import F64, I64, Mask, Vec
 
 WIDTH = 16
@@ -134,8 +134,11 @@ absolute = _of_one(vectors.absolute)
 floor = _of_one(vectors.floor)
 nearest = _of_one(vectors.nearest)
 splat = _of_one(lambda a: a)
-power_of_two = _of_one(vectors.power_of_two)
-exponent = _of_one(vectors.exponent)
+exp = _of_one(elementary.exp)
+cos_turns = _of_one(elementary.cos_turns)
+arctan = _of_one(elementary.arctan)
+log = _of_one(elementary.log)
+power = _of_two(elementary.power)
 minimum = _of_two(vectors.minimum)
 maximum = _of_two(vectors.maximum)
 copysign = _of_two(vectors.copysign)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict
 from functools import partial
 from operator import attrgetter
 from typing import Any, TypeAlias, TypeVar
@@ -177,6 +178,36 @@ def simulate(
     }
     kind = SystemTrajectory if "q_0" in inputs else Trajectory
     return kind(inputs, _laws_of(models, shape), models.absolute(solver).reshape(shape)[()], solve)
+
+
+def motion_of(models: Models, solver: Solver, state: Array, n_periods: int) -> Trajectory:
+    """Return the motion of one parameter set over whole forcing periods, with dense output.
+
+    Parameters
+    ----------
+    models : Models
+        One row.
+    solver : Solver
+    state : ndarray, shape (n_states,)
+        Displacements [m], velocities [m/s] and first-order states at time zero.
+    n_periods : int
+        ``> 0``.
+
+    Raises
+    ------
+    ModelError
+        If the engine cannot integrate the model.
+    """
+    (system,), (laws,) = models.systems, models.laws
+    n = system.n
+    start = dict(zip(("x_0", "v_0"), state.tolist(), strict=False))
+    law: Any = laws[0]
+    if isinstance(system, System):
+        start = {"q_0": state[:n], "v_0": state[n : 2 * n]}
+        start |= {"z_0": state[2 * n :]} if system.n_lags else {}
+        law = dict(zip(system.contacts, laws, strict=True))
+    options = {"n_periods": n_periods, "dense_output": True, **asdict(solver)}
+    return simulate(system, law, float(models.omega[0]), **start, **options)
 
 
 def _solved(

@@ -186,34 +186,6 @@ def exponent(a):
     return Vec(builder, builder.sitofp(whole, a.value.type))
 
 
-# Relative truncation error 4e-18 for |r| up to half the logarithm of two.
-_EXPONENTIAL = (
-    1.0,
-    1.0,
-    0.5000000000000019,
-    0.1666666666666668,
-    0.04166666666648666,
-    0.00833333333331949,
-    0.0013888888952696516,
-    0.00019841269890340666,
-    2.4801485074105115e-05,
-    2.7557240604663896e-06,
-    2.763279054211718e-07,
-    2.511015364692893e-08,
-)
-
-
-def exp(a):
-    """``e ** a`` for ``|a| <= 700``, to about two units in the last place."""
-    whole = nearest(a * 1.4426950408889634)
-    # of the logarithm of two the leading 33 bits: their product with any exponent is exact
-    r = fma(whole, -1.9082149292705877e-10, fma(whole, -0.6931471803691238, a))
-    total = r.constant(_EXPONENTIAL[-1])
-    for factor in reversed(_EXPONENTIAL[:-1]):
-        total = fma(total, r, factor)
-    return total * power_of_two(whole)
-
-
 # 2**52 as a double: its low 52 bits hold an integer, so adding it converts a small integer
 # to a double and back without the conversion instructions that AVX2 does not have.
 _MAGIC_BITS = 0x4330000000000000

@@ -64,10 +64,8 @@ class ContactLaw:
     [0.0, 1.4]
     """
 
-    # Beginning of the label, and colour in every figure (Okabe & Ito, 2008: safe for colour-blind
-    # readers).
+    # Beginning of the label.
     family: ClassVar[str] = ""
-    colour: ClassVar[str] = "#56B4E9"
     # Whether laws of the family differ only in numbers, so that one compiled form takes them all.
     is_numbers: ClassVar[bool] = False
     # Whether the law has a convergence parameter: the larger, the closer to the exact law.
@@ -194,7 +192,6 @@ class Piecewise(ContactLaw):
     """
 
     family: ClassVar[str] = "piecewise"
-    colour: ClassVar[str] = "#000000"
     is_numbers: ClassVar[bool] = True
     examples: ClassVar[tuple[str, ...]] = ("piecewise", "piecewise-noevents")
     words: ClassVar[str] = (

@@ -106,6 +106,7 @@ class GapsweepAccessor:
         kinds = shown.get("response_class")
         axes = axes_of(ax)
         drawing.curves(axes, shown[variable], along, kinds)
+        drawing.name_marks(axes, shown)
         if kinds is not None:
             backdrop.unresolved(axes, shown, along)
         axes.set_ylabel(axis_label(shown[variable], WORDS.get(variable, "")))
@@ -182,7 +183,7 @@ class GapsweepAccessor:
         """Peaks of two representations for all initial conditions, `a` behind `b`.
 
         Visible dots of `a` are missed by `b`; dots of `b` without `a` behind are spurious.
-        Responses that are not periodic are pale.
+        Responses that are not periodic are hollow; triangles show the direction of sweeps.
 
         Parameters
         ----------
@@ -201,6 +202,7 @@ class GapsweepAccessor:
             one = selected(shown, {"representation": label})
             drawing.peaks(axes, one, size, along=along)
             axes.plot([], [], "o", color=colour(label), markersize=size, label=label)
+        drawing.name_marks(axes, shown, "x_max")
         backdrop.unresolved(axes, shown, along)
         axes.set_ylabel(axis_label(shown["x_max"], "peak displacement"))
         return finished(axes, shown, along)
@@ -239,6 +241,7 @@ class GapsweepAccessor:
         for label in labels_of(shown):
             drawing.attractor_peaks(axes, shown.sel(representation=label), along)
             axes.plot([], [], "o", color=colour(label), markersize=4, label=label)
+        drawing.name_marks(axes, shown, "x_max")
         axes.set_ylabel(axis_label(shown["x_max"], "peak displacement"))
         return finished(axes, shown, along)
 

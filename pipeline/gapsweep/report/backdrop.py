@@ -1,7 +1,7 @@
 """Walls and class bands behind the points of a figure, and the sentences for its caption."""
 
 import json
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -16,6 +16,7 @@ from gapsweep.study.grid import COORDINATE, START
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+    from matplotlib.lines import Line2D
 
 _NOT_DRAWN = {
     ResponseClass.EQUILIBRIUM: "equilibria",
@@ -132,11 +133,11 @@ def _has(scene: xr.Dataset) -> list[str]:
     return [kind for kind in BANDS if ResponseClass[kind.upper()] in found]
 
 
-def key_of_bands(figure: "Figure", scene: xr.Dataset) -> None:
-    """Add a legend of the bands to a figure, if it has any."""
+def key(figure: "Figure", scene: xr.Dataset, marks: Sequence["Line2D"] = ()) -> None:
+    """Add a legend of the bands, and of these markers, to a figure, if it has any."""
     from matplotlib.patches import Patch
 
-    handles = [Patch(color=BANDS[kind], label=kind) for kind in _has(scene)]
+    handles = [*marks, *(Patch(color=BANDS[kind], label=kind) for kind in _has(scene))]
     if handles:
         figure.legend(handles=handles, loc="outside upper right", ncols=len(handles), fontsize=8)
 

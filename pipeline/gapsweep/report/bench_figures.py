@@ -10,8 +10,8 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
 from gapsweep.analysis.bench.judge import CellOutcome
-from gapsweep.report.drawing import MARKERS, work_precision
-from gapsweep.report.style import by_colour, colour, lines
+from gapsweep.report.drawing import work_precision
+from gapsweep.report.style import GREY, NUMBERED, looks
 from gapsweep.status import Status
 
 _WIDTH = 9.5  # inches, the report's column
@@ -26,7 +26,7 @@ _SEVERITY = (
     CellOutcome.SILENT_WRONG,
 )
 _RANK = np.array([_SEVERITY.index(outcome) for outcome in CellOutcome])
-_SHADES = ("#ffffff", "#cfe8dc", "#f3d08a", "#d5d5d5", "#9fd0f0", "#D55E00")
+_SHADES = ("#ffffff", "#cfe8dc", "#f3d08a", "#d5d5d5", "#9fd0f0", NUMBERED[1])
 _LETTERS = {
     CellOutcome.NOT_REQUESTED: "",
     CellOutcome.RIGHT: "R",
@@ -111,18 +111,18 @@ def tolerance_figure(bench: xr.Dataset) -> Figure:
     figure = Figure(figsize=(_WIDTH, 4.2), layout="constrained")
     panels = figure.subplots(1, len(_QUANTITIES))
     labels = bench["method"].values.tolist()
-    styles, marks = lines(labels), by_colour(labels, MARKERS)
+    styles = looks(labels)
     for axes, (name, title) in zip(panels, _QUANTITIES.items(), strict=True):
         axes.set_xscale("log")
         axes.set_yscale("log")
         middle = bench[name].median("scene")
         for label in labels:
             x, y = bench["rtol"].sel({"method": label}), middle.sel({"method": label})
-            y = y.where(y > 0.0)
-            axes.plot(x, y, styles[label], marker=marks[label], color=colour(label),
-                      markersize=3, linewidth=0.9, label=label)  # fmt: skip
+            y, own = y.where(y > 0.0), styles[label]
+            axes.plot(x, y, own.dashes, marker=own.marker, color=own.colour, markersize=3,
+                      linewidth=0.9, label=label)  # fmt: skip
         ends = [float(bench["rtol"].min()), float(bench["rtol"].max())]
-        axes.plot(ends, ends, "--", color="#777777", linewidth=0.8)
+        axes.plot(ends, ends, "--", color=GREY, linewidth=0.8)
         axes.set_title(title, fontsize=9, loc="left")
         axes.set(xlabel="relative tolerance", ylabel="error")
         axes.grid(which="minor", visible=False)

@@ -21,7 +21,7 @@ from gapsweep.errors import DatasetError
 from gapsweep.report import scales
 from gapsweep.report.scales import drawn
 from gapsweep.report.selection import places, scene
-from gapsweep.report.style import colour
+from gapsweep.report.style import GREY, NUMBERED, colour
 from gapsweep.status import Status
 from gapsweep.study.grid import COORDINATE
 from gapsweep.study.schema import COORDINATES
@@ -49,7 +49,6 @@ KINDS = {
     Special.RESONANCE_1_1: ("h", "resonance 1:1"),
     Special.RESONANCE_1_2: ("p", "resonance 1:2"),
 }
-_COLOURS = "#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00", "#666666"
 _MOST_NAMES = 8  # branches in a legend
 _FONT = 8.0  # points
 _LETTERS = 2.1, 1.1  # width and height of a symbol of two letters, in sizes of its font
@@ -150,7 +149,7 @@ def behind(
     branches = of_scene(found, here, along, *heights)
     if branches is not None:
         labels = np.atleast_1d(here[REPRESENTATION].values)
-        draw(axes, branches, along, heights, colour(labels[0]) if len(labels) == 1 else "#888888")
+        draw(axes, branches, along, heights, colour(labels[0]) if len(labels) == 1 else GREY)
         name_points(axes, branches, along, heights[0])
 
 
@@ -206,7 +205,7 @@ def draw(
     if shade and dashed:  # one legend entry
         dashed[0].set_label(f"{BRANCH} unstable")
     elif (branches["stable"] == 0).any():
-        axes.plot([], [], "--", color=_COLOURS[-1], label="unstable", **style)
+        axes.plot([], [], "--", color=GREY, label="unstable", **style)
     x, y, special = of_orbits(branches, along, heights[0], "special")
     for kind, (marker, word) in KINDS.items():
         if (special == kind).any():
@@ -233,7 +232,10 @@ def _looks(branches: xr.Dataset) -> list[tuple[str, str]]:
     n = branches.sizes[BRANCH]
     if CURVE_KIND in branches.coords:
         kinds = map(Special, np.broadcast_to(branches[CURVE_KIND].values, n).tolist())
-        return [(_COLOURS[kind - 1], f"{kind.symbol} {KINDS[kind][1]}") for kind in kinds]
+        return [
+            (NUMBERED[(kind - 1) % len(NUMBERED)], f"{kind.symbol} {KINDS[kind][1]}")
+            for kind in kinds
+        ]
     if REPRESENTATION in branches.coords:
         labels = np.broadcast_to(branches[REPRESENTATION].values, n).tolist()
         if len(set(labels)) > 1:
@@ -245,7 +247,7 @@ def _looks(branches: xr.Dataset) -> list[tuple[str, str]]:
         for number, times in zip(numbers, multiple, strict=True)
     ]
     is_named = 1 < n <= _MOST_NAMES
-    return [(_COLOURS[i % len(_COLOURS)], name * is_named) for i, name in enumerate(names)]
+    return [(NUMBERED[i % len(NUMBERED)], name * is_named) for i, name in enumerate(names)]
 
 
 def lines(branches: xr.Dataset, along: str, height: str) -> Iterator[tuple[int, bool, Array]]:

@@ -2,7 +2,6 @@
 
 import json
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict
 from typing import Any
 
 import numpy as np
@@ -10,11 +9,8 @@ import xarray as xr
 
 from gapsweep.analysis.dimensions import Array
 from gapsweep.errors import DatasetError
-from gapsweep.execution.task import models_of
-from gapsweep.integrate.problem import Models, Solver
-from gapsweep.integrate.simulate import simulate
+from gapsweep.integrate.simulate import motion_of
 from gapsweep.integrate.trajectory import SystemTrajectory, Trajectory
-from gapsweep.model.system import System
 from gapsweep.report.selection import scene
 from gapsweep.study.axis_selection import listed, positions
 from gapsweep.study.grid import CONTACT, COORDINATE, LAG, START, Grid
@@ -82,13 +78,13 @@ def motions(
     where = [shown.isel(dict(zip(dims, at, strict=True))) for at in there.tolist()]
     cells = np.array([_cell(study.grid, one) for one in where], dtype=np.int64)
     for rows, points in study.points(cells):
-        (some, models), refused = models_of(points)
+        (some, models), refused = points.models()
         for error in refused.values():
             raise error
         for number, row in enumerate(rows[some].tolist()):
             at = tuple(there[row].tolist())
             n = int(multiple[at]) if once and multiple[at] > 0 else n_periods
-            yield at, _motion(models.take([number]), points.kind.solver, states[at], n)
+            yield at, motion_of(models.take([number]), points.kind.solver, states[at], n)
 
 
 def weights(run: Trajectory, shown: xr.Dataset, variable: str) -> Array:
@@ -146,16 +142,3 @@ def _cell(grid: Grid, one: xr.Dataset) -> int:
         else:
             at.append(int(positions(name, values, one[name].item(), "the study")[0]))
     return int(np.ravel_multi_index(at, grid.shape))
-
-
-def _motion(models: Models, solver: Solver, state: Array, n_periods: int) -> Trajectory:
-    (system,), (laws,) = models.systems, models.laws
-    n = system.n
-    start = dict(zip(("x_0", "v_0"), state.tolist(), strict=False))
-    law: Any = laws[0]
-    if isinstance(system, System):
-        start = {"q_0": state[:n], "v_0": state[n : 2 * n]}
-        start |= {"z_0": state[2 * n :]} if system.n_lags else {}
-        law = dict(zip(system.contacts, laws, strict=True))
-    options = {"n_periods": n_periods, "dense_output": True, **asdict(solver)}
-    return simulate(system, law, float(models.omega[0]), **start, **options)

@@ -14,14 +14,16 @@ from numpy.typing import NDArray
 from gapsweep.analysis.agreement.jumps import breaks
 from gapsweep.model.labels import EXACT, Representation
 from gapsweep.report.scales import drawn, shown_unit
-from gapsweep.report.style import WALL, by_colour, colour, lines
+from gapsweep.report.style import GREY, NUMBERED, SWEEPS, WALL, colour, looks
 from gapsweep.response.result import ResponseClass
 from gapsweep.status import Status
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+    from matplotlib.lines import Line2D
 
+FEW = 60  # places along an axis, up to which marks are larger
 MANY = 60  # points; more are rasterized, to limit the size of the file
 _SPARE = 0.5  # room around the exact law, in widths of its range
 _DOT = 12.0  # points², dot of an attractor with an unknown basin share
@@ -33,8 +35,7 @@ def labels_of(dataset: xr.Dataset) -> list[Representation]:
 
 
 SETS = "sets_axis"
-MARKERS = ("o", "s", "^", "D", "v")
-DOTS = (".", "x", "+", "1", "2")  # markers of many points, one for each representation of a colour
+_FIXED = "fixed"  # coordinate ``start`` of initial conditions that are not swept
 _ERRORS = (1e-14, 1e2)
 # Variables of a work-precision diagram.
 WORK_PRECISION = (
@@ -58,7 +59,8 @@ def curves(
     setting = variable.notnull() if kinds is None else sets_axis(variable, kinds)
     x = drawn(variable[along])
     labels = [str(label) for label in variable["representation"].values]
-    styles = lines(labels)
+    styles = looks(labels)
+    kinds_of_start = start_kinds(variable)
     for label in labels:
         order = ("initial_condition", along)
         y = drawn(variable.sel(representation=label).transpose(*order))
@@ -75,20 +77,65 @@ def curves(
                 np.insert(x[there], gaps, np.nan),
                 np.insert(curve[there], gaps, np.nan),
                 np.insert(sets[start, there], gaps, False),
-                linestyle=styles[label],
-                color=colour(label),
+                linestyle=styles[label].dashes,
+                color=styles[label].colour,
                 label=label if start == 0 else f"_{label}",  # one legend entry per law
                 linewidth=2.2 if exact else 1.2,
                 zorder=1 if exact else 2,
-                marker=".",  # shows single values between two jumps
+                # Shows single values between two jumps, and the direction of a sweep.
+                marker=SWEEPS.get(kinds_of_start[start], "."),
                 markersize=5 if exact else 3,
             )
 
 
+def start_kinds(shown: Any) -> list[str]:
+    """``fixed``, ``sweep_up`` or ``sweep_down`` for each initial condition."""
+    kinds = shown.coords["start"].values if "start" in shown.coords else _FIXED
+    names: list[str] = np.broadcast_to(kinds, shown.sizes.get("initial_condition", 1)).tolist()
+    return names
+
+
+def key_of_marks(shown: xr.Dataset, variable: str = "", other: str | None = None) -> list["Line2D"]:
+    """Legend entries of the markers in a figure: sweeps, and responses that are not periodic.
+
+    Parameters
+    ----------
+    variable : str
+        What is drawn; if empty, all responses are drawn alike.
+    other : str, optional
+        Colour of responses that are not periodic; None: grey.
+    """
+    from matplotlib.lines import Line2D
+
+    kinds = [kind for kind in SWEEPS if kind in start_kinds(shown)]
+    look: dict[str, Any] = {"color": GREY, "linestyle": "none", "markersize": 4}
+    entries = [Line2D([], [], **look, marker=SWEEPS[kind], label=kind) for kind in kinds]
+    if variable and _not_periodic(shown[variable], shown["response_class"]):
+        look |= {"color": other or GREY, "markerfacecolor": "none", "label": "not periodic"}
+        entries.append(Line2D([], [], **look, marker="o"))
+    return entries
+
+
+def _not_periodic(values: xr.DataArray, kinds: xr.DataArray) -> bool:
+    return bool(values.where(kinds != ResponseClass.PERIODIC).notnull().any())
+
+
+def name_marks(axes: "Axes", *about: Any) -> None:
+    """Add the entries of `key_of_marks` to the legend of the axes."""
+    for entry in key_of_marks(*about):
+        axes.add_artist(entry)
+
+
 def extrema(
-    axes: "Axes", one: xr.Dataset, along: str, *, other: str | None = None, marker: str = "."
+    axes: "Axes",
+    one: xr.Dataset,
+    along: str,
+    *,
+    other: str | None = None,
+    marker: str = "o",
+    size: float = 0.0,
 ) -> None:
-    """Draw all steady extrema of one representation as dots.
+    """Draw all steady extrema of one representation: filled if periodic, else hollow.
 
     Parameters
     ----------
@@ -97,20 +144,16 @@ def extrema(
     other : str, optional
         Colour of responses that are not periodic; None: the colour of the representation.
     marker : str
-        Symbol of matplotlib.
+        Symbol of matplotlib for initial conditions that are not swept.
+    size : float
+        Diameter of filled marks [points]; hollow ones are larger. 0: by the number of places.
     """
-    label, own = _label(one), colour(_label(one))
-    x, y = _broadcast(one, "extrema", along)
-    kinds = one["response_class"].transpose(along, "initial_condition")
-    sets = one[SETS].transpose(*kinds.dims, ...).values
-    periodic = (kinds.values == ResponseClass.PERIODIC)[..., None]
-    for chosen, shade, kind in (
-        (periodic, own, "periodic"),
-        (~periodic, other or own, "not periodic"),
-    ):
-        shown = chosen & np.isfinite(y)
-        look = {"color": shade, "marker": marker, "markersize": 2.5, "label": f"_{label}, {kind}"}
-        _points(axes, x[shown], y[shown], sets[shown], **look)
+    own, size = colour(_label(one)), size or (3.0 if one.sizes[along] <= FEW else 1.6)
+    for shown, name, look in _by_mark(one, "extrema", along, marker):
+        is_hollow = "markerfacecolor" in look
+        look["color"] = other or own if is_hollow else own
+        look |= {"markersize": size + 0.8 * is_hollow, "markeredgewidth": 0.5 * is_hollow}
+        _points(axes, *shown, label=f"_{name}", **look)
 
 
 def peaks(
@@ -122,7 +165,7 @@ def peaks(
     *,
     along: str = "omega",
 ) -> None:
-    """Draw peaks of one representation: periodic opaque, others pale, triangles at the frame.
+    """Draw peaks of one representation: filled if periodic, else hollow; ticks at the frame.
 
     Parameters
     ----------
@@ -131,30 +174,47 @@ def peaks(
     size : float
         Diameter [points].
     low, high : float
-        Edges of the frame.
+        Edges of the frame; a tick marks a point beyond them.
     """
     label = _label(one)
-    places, height = _broadcast(one, "x_max", along)
+    for (x, y, sets), name, look in _by_mark(one, "x_max", along):
+        inside = (y >= low) & (y <= high)
+        look |= {"color": colour(label), "markersize": size, "markeredgewidth": 0.0}
+        if "markerfacecolor" in look:
+            look |= {"markeredgewidth": 0.5}
+        _points(axes, x[inside], y[inside], sets[inside], label=f"_{name}", **look)
+        outside(axes, x[y < low], low, label)
+        outside(axes, x[y > high], high, label)
+
+
+def _by_mark(
+    one: xr.Dataset, name: str, along: str, marker: str = "o"
+) -> Iterator[tuple[tuple[Any, Any, Any], str, dict[str, Any]]]:
+    """Points of one representation by marker: places, values and `SETS`; name; style."""
+    x, y = _broadcast(one, name, along)
     kinds = one["response_class"].transpose(along, "initial_condition")
-    sets = one[SETS].transpose(*kinds.dims).values
-    periodic = kinds.values == ResponseClass.PERIODIC
-    below, above = height < low, height > high
-    style = {"color": colour(label), "marker": "o", "markersize": size, "markeredgewidth": 0.0}
-    for where, alpha, kind in ((~periodic, 0.35, "not periodic"), (periodic, 1.0, "periodic")):
-        shown = where & np.isfinite(height) & ~below & ~above
-        style["label"] = f"_{label}, {kind}"
-        _points(axes, places[shown], height[shown], sets[shown], alpha=alpha, **style)
-    outside(axes, places[below], low, "v", label)
-    outside(axes, places[above], high, "^", label)
+    sets = one[SETS].transpose(*kinds.dims, ...).values
+    of_start = np.array(start_kinds(one))
+    rest = (...,) + (None,) * (y.ndim - 2)
+    for is_periodic in (False, True):
+        for kind in dict.fromkeys(of_start.tolist()):
+            chosen = (kinds.values == ResponseClass.PERIODIC) == is_periodic
+            shown = (chosen & (of_start == kind))[rest] & np.isfinite(y)
+            parts = [_label(one), kind, "periodic" if is_periodic else "not periodic"]
+            look: dict[str, Any] = {"marker": SWEEPS.get(kind, marker)}
+            if not is_periodic:
+                look["markerfacecolor"] = "none"
+            words = ", ".join(part for part in parts if part != _FIXED)
+            yield (x[shown], y[shown], sets[shown]), words, look
 
 
 def caption_of_marks(figure: "Figure") -> str:
-    """Caption sentences on pale dots and triangles, with leading blanks; empty without any."""
+    """Caption sentences on hollow dots and ticks, with leading blanks; empty without any."""
     lines = [line for axes in figure.axes for line in axes.lines]
     labels = {str(line.get_label()) for line in lines if np.size(line.get_xdata())}
     kinds = {
-        "not periodic": " Pale: not periodic.",
-        "outside": " Triangles: outside the axes.",
+        "not periodic": " Hollow: not periodic.",
+        "outside": " Ticks on the frame: outside the axes.",
     }
     return "".join(v for kind, v in kinds.items() if any(name.endswith(kind) for name in labels))
 
@@ -186,12 +246,11 @@ def frame(scene: xr.Dataset, lowest: str, exact: str) -> tuple[float, float]:
     return float(low - margin), float(high + margin)
 
 
-def outside(axes: "Axes", omega: Any, edge: float, marker: str, label: str) -> None:
-    """Draw triangles on the edge of the frame for points beyond it."""
+def outside(axes: "Axes", omega: Any, edge: float, label: str) -> None:
+    """Draw ticks on the edge of the frame for points beyond it."""
     if len(omega):
-        edges = np.full(len(omega), edge)
         look: dict[str, Any] = {"color": colour(label), "label": f"_{label}, outside"}
-        axes.plot(omega, edges, marker, markersize=2.5, clip_on=False, **look)
+        axes.plot(omega, np.full(len(omega), edge), "|", markersize=5, clip_on=False, **look)
 
 
 def attractor_peaks(axes: "Axes", one: xr.Dataset, along: str) -> None:
@@ -248,10 +307,9 @@ def sections(axes: "Axes", one: xr.Dataset) -> None:
     order = ("attractor", "section_point")
     x, v = (drawn(one[name].transpose(*order)) for name in ("section_x", "section_v"))
     names = attractor_names(one["period_multiple"], one["x_max"])
-    shades = _shades(len(names))
     for n, name in enumerate(names):
         if np.isfinite(x[n]).any():
-            axes.plot(x[n], v[n], "o", color=shades(n), markersize=4, label=name)
+            axes.plot(x[n], v[n], "o", color=_numbered(n), markersize=4, label=name)
 
 
 def starts(axes: "Axes", one: xr.Dataset) -> None:
@@ -265,13 +323,12 @@ def starts(axes: "Axes", one: xr.Dataset) -> None:
     one = one.isel(initial_condition=np.isfinite(one["x_0"].values))
     ids = one["attractor"].values
     x, v = drawn(one["x_0"]), drawn(one["v_0"])
-    shades = _shades(int(ids.max(initial=0)) + 1)
-    axes.plot(x[ids < 0], v[ids < 0], "x", color="#888888", markersize=4)
+    axes.plot(x[ids < 0], v[ids < 0], "x", color=GREY, markersize=4)
     for n in np.unique(ids[ids >= 0]):
         here = ids == n
         first = one.isel(initial_condition=slice(int(np.argmax(here)), int(np.argmax(here)) + 1))
         (name,) = attractor_names(first["period_multiple"], first["x_max"])
-        axes.plot(x[here], v[here], "o", color=shades(n), markersize=4, label=name)
+        axes.plot(x[here], v[here], "o", color=_numbered(n), markersize=4, label=name)
 
 
 def attractor_names(period_multiple: xr.DataArray, x_max: xr.DataArray) -> list[str]:
@@ -320,17 +377,17 @@ def work_precision(axes: "Axes", scene: xr.Dataset) -> None:
         The variables `WORK_PRECISION`, over method and tolerance.
     """
     labels = scene["method"].values.tolist()
-    styles, marks = lines(labels), by_colour(labels, MARKERS)
+    styles = looks(labels)
     axes.set_xscale("log")
     axes.set_yscale("log")
     shown = (scene["status"] == Status.OK) & (scene["at_reference_floor"] == 0)
     error = scene["total_error"].where(shown).clip(*_ERRORS)
     for label in labels:
         one, x = scene.sel({"method": label}), error.sel({"method": label}).values
-        y = one["cpu_time"].values
-        look: dict[str, Any] = {"color": colour(label), "linewidth": 0.9, "markersize": 3}
+        y, own = one["cpu_time"].values, styles[label]
+        look: dict[str, Any] = {"color": own.colour, "linewidth": 0.9, "markersize": 3}
         look["label"] = label
-        axes.plot(x, y, styles[label], marker=marks[label], markerfacecolor="white", **look)
+        axes.plot(x, y, own.dashes, marker=own.marker, markerfacecolor="white", **look)
     for label in labels:
         one, x = scene.sel({"method": label}), error.sel({"method": label}).values
         y, front = one["cpu_time"].values, one["on_front"].values.astype(bool)
@@ -340,9 +397,15 @@ def work_precision(axes: "Axes", scene: xr.Dataset) -> None:
         axes.errorbar(x, y, bars, label=f"_{label}, quartiles", **look)
         named = f"_{label}, on the front"
         axes.plot(
-            x[front], y[front], marks[label], color=shade, markersize=6, zorder=4, label=named
+            x[front],
+            y[front],
+            styles[label].marker,
+            color=shade,
+            markersize=6,
+            zorder=4,
+            label=named,
         )
-        ring: dict[str, Any] = {"markerfacecolor": "none", "markeredgecolor": "#D55E00"}
+        ring: dict[str, Any] = {"markerfacecolor": "none", "markeredgecolor": NUMBERED[1]}
         axes.plot(x[front], y[front], "o", markersize=9, zorder=3, label=named, **ring)
         model = float(one["model_error"].max())
         if model > 0.0:
@@ -415,7 +478,6 @@ def _line(
     axes.autoscale_view()
 
 
-def _shades(n: int) -> Any:
-    from matplotlib import colormaps
-
-    return colormaps["cividis"].resampled(max(n, 1))
+def _numbered(n: int) -> str:
+    """Colour of an attractor."""
+    return NUMBERED[n % len(NUMBERED)]

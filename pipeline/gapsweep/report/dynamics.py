@@ -20,7 +20,7 @@ from gapsweep.report.drawing import labels_of
 from gapsweep.report.labelled import axes_of, axis_of, finished, scene_along, titled
 from gapsweep.report.scales import axis_label, drawn, shown_unit
 from gapsweep.report.selection import places, scene
-from gapsweep.report.style import NOT_PERIODIC, by_colour, colour
+from gapsweep.report.style import GREY, NOT_PERIODIC, NUMBERED, colour, looks
 from gapsweep.response.result import ResponseClass
 from gapsweep.study.axis_selection import listed
 from gapsweep.study.grid import START
@@ -65,9 +65,9 @@ def bifurcation(
 ) -> "Axes":
     """Bifurcation diagram: steady extrema, or section points, for all initial conditions.
 
-    Unresolved responses have a pale band and set no axis: their dots may be outside it. A single
-    representation has its colour where the response is periodic and red elsewhere; several
-    representations have a colour each.
+    Unresolved responses have a pale band and set no axis: their dots may be outside it. Marks of
+    responses that are not periodic are hollow, and red in a plot of a single representation;
+    triangles show the direction of sweeps.
 
     Parameters
     ----------
@@ -101,20 +101,16 @@ def bifurcation(
 
 
 def dots(axes: "Axes", shown: xr.Dataset, variable: str, along: str, label: str) -> "Axes":
-    """Draw dots of a variable for every response; responses of a single law that are not
-    periodic are red.
-    """
+    """Draw marks of a variable for every response, hollow if it is not periodic."""
     labels = labels_of(shown)
     other = NOT_PERIODIC if len(labels) == 1 else None
     # Any variable is drawn in the same way as extrema.
     renamed = drawing.with_setting(shown.rename({variable: "extrema"}), "extrema")
-    for name, marker in by_colour(labels, drawing.DOTS).items():
+    for name, look in looks(labels).items():
         one = renamed.sel(representation=name)
-        drawing.extrema(axes, one, along, other=other, marker=marker)
-        axes.plot([], [], marker, color=colour(name), label=name)
-    others = shown[variable].where(shown["response_class"] != ResponseClass.PERIODIC)
-    if other and others.notnull().any():
-        axes.plot([], [], ".", color=other, label="not periodic")
+        drawing.extrema(axes, one, along, other=other, marker=look.marker)
+        axes.plot([], [], look.marker, color=look.colour, markersize=4, label=name)
+    drawing.name_marks(axes, shown, variable, other)
     backdrop.unresolved(axes, shown, along)
     axes.set_ylabel(label)
     return finished(axes, shown, along)
@@ -140,7 +136,7 @@ def lyapunov(
     shown = scene_along(dataset, along, dict.fromkeys(names, CURVES), wanted)
     axes, labels = axes_of(ax), labels_of(shown)
     x = np.repeat(drawn(shown[along]), shown.sizes[START])
-    axes.axhline(0.0, color="#888888", linewidth=0.8, zorder=1.6)
+    axes.axhline(0.0, color=GREY, linewidth=0.8, zorder=1.6)
     for name in labels:
         one = shown.sel(representation=name).transpose(along, START)
         value, error = (one[each].values.ravel() for each in names[:2])
@@ -293,7 +289,7 @@ def _ridges(axes: "Axes", places: xr.DataArray, rows: _Rows, unit: tuple[float, 
         axes.plot(frequency[here], row + height, color="black", linewidth=0.7, zorder=order)
     if places.name == "omega":
         forcing = [at[n] for n, _, _ in rows]
-        look: dict[str, Any] = {"color": "#D55E00", "linewidth": 1.0, "zorder": 4}
+        look: dict[str, Any] = {"color": NUMBERED[1], "linewidth": 1.0, "zorder": 4}
         axes.plot(forcing, range(len(rows)), "--", label="forcing frequency", **look)
     ticks = np.unique(np.linspace(0, len(rows) - 1, _MOST_TICKS).round().astype(int))
     axes.set_yticks(ticks, [f"{at[rows[i][0]]:.4g}" for i in ticks])

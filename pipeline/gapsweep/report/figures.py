@@ -15,7 +15,6 @@ from gapsweep.report.scales import axis_label, drawn, is_log
 from gapsweep.status import Status
 
 _WIDTH = 9.5  # inches, the report's column
-_FEW = 60  # frequencies, up to which dots are larger
 
 
 def frequency_response(responses: xr.Dataset, along: str = "omega") -> Figure:
@@ -31,6 +30,7 @@ def frequency_response(responses: xr.Dataset, along: str = "omega") -> Figure:
     figure = Figure(figsize=(_WIDTH, 4.2))
     axes = figure.subplots()
     drawing.curves(axes, responses["amplitude"], along, responses.get("response_class"))
+    drawing.name_marks(axes, responses)
     _axis(axes, responses[along])
     axes.set_ylabel(axis_label(responses["amplitude"], "amplitude"))
     axes.set_ylim(bottom=0)
@@ -55,7 +55,7 @@ def bifurcation(
 
     shown = drawing.with_setting(responses, "extrema")
     figure = _grid(shown, along, axis_label(responses["extrema"], "extrema"), extrema)
-    backdrop.key_of_bands(figure, responses)
+    backdrop.key(figure, responses, drawing.key_of_marks(responses, "extrema"))
     return figure
 
 
@@ -112,7 +112,7 @@ def compared_with_exact(scene: xr.Dataset, exact: str, titles: Mapping[str, str]
     panels = figure.subplots(1, len(titles), sharex=True, sharey=True, squeeze=False)[0]
     scene = drawing.with_setting(scene, "x_max")
     low, high = drawing.frame(scene, "x_max", exact)
-    sizes = (7.0, 3.2) if scene.sizes["omega"] <= _FEW else (3.4, 1.6)
+    sizes = (7.0, 3.2) if scene.sizes["omega"] <= drawing.FEW else (3.4, 1.6)
     for axes, (label, title) in zip(panels, titles.items(), strict=True):
         backdrop.walls(axes, scene, of_peaks=True)
         law = scene.sel(representation=label)

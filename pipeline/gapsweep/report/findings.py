@@ -10,7 +10,6 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from gapsweep.analysis.dimensions import REPRESENTATION, in_metres
-from gapsweep.analysis.unit_check import doubts_of, never_reached
 from gapsweep.model.labels import EXACT
 from gapsweep.report.answer import COLUMNS, SHOWN, Contact, consequence, verdict, worst
 from gapsweep.report.drawing import labels_of
@@ -22,6 +21,7 @@ from gapsweep.status import Status
 from gapsweep.study.grid import CONTACT, COORDINATE, START
 from gapsweep.study.points import FIXED
 from gapsweep.study.study import Study
+from gapsweep.study.unit_check import doubts_of, never_reached
 
 
 def findings(inputs: Inputs, found: Sequence[Contact]) -> list[str]:

@@ -80,7 +80,7 @@ def titled(axes: "Axes", shown: xr.Dataset) -> "Axes":
     names = ["scene", "representation", *places(shown), "regime", COORDINATE, CONTACT, START]
     one = [named(shown[name]) for name in names if name in shown.coords and shown[name].size == 1]
     if START in shown.coords and "start" in shown.coords and shown["start"].size == 1:
-        one[-1] += f" ({shown['start'].item()})"
+        one[-1] = one[-1] if shown["start"] == "fixed" else f"{START} = {shown['start'].item()}"
     words = textwrap.wrap(
         ", ".join(each.replace(" ", "\u00a0") for each in one),
         _WIDTH,

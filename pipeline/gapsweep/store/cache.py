@@ -78,6 +78,7 @@ class Cache:
         self._frames: list[Frame] = []  # index: number of the slab
         self._numbers: dict[bytes, int] = {}
         self._scanned: dict[Path, bool] = {}  # scanned segments, and whether they have frames
+        self._newest = 0  # largest serial number of a frame
         self._n_commits = 0
         self._contents = lru_cache(maxsize=_KEPT)(self._decoded)
         self._refresh()
@@ -162,9 +163,8 @@ class Cache:
     def commit(self, slabs: Sequence[Slab]) -> None:
         """Write slabs to a new segment, all or none; merge small segments now and then."""
         self._refresh()
-        serial = 1 + max((frame.serial for frame in self._frames), default=0)
         with _store_errors(self.path):
-            write(self.path, (packed(slab, serial) for slab in slabs))
+            write(self.path, (packed(slab, self._newest + 1) for slab in slabs))
         self._n_commits += 1
         if self._n_commits % _OFTEN == 0:
             self.merge()
@@ -231,6 +231,7 @@ class Cache:
                 if not is_whole:
                     self._warn(path)
                 for frame, entry in found:
+                    self._newest = max(self._newest, frame.serial)
                     number = self._numbers.setdefault(frame.digest, len(self._frames))
                     if number < len(self._frames):  # known already, or moved to this file
                         self._frames[number] = frame

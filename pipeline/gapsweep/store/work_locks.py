@@ -14,7 +14,7 @@ from gapsweep.errors import StoreError
 from gapsweep.store.filesystem import fcntl
 
 _HELD_BY_OTHERS = {errno.EAGAIN, errno.EACCES}
-_ROOM = 2**24  # largest number of points of a study; offsets in a file have 63 bits
+_ROOM = 2**32  # more points than a study can have; offsets in a file have 63 bits
 
 
 class WorkLocks:
@@ -32,7 +32,7 @@ class WorkLocks:
         if file.is_symlink() or (file.exists() and not file.is_file()):
             raise StoreError(f"{file}: must be a regular file; remove it")
         self._file = file.open("ab")
-        self._place = int.from_bytes(hashlib.sha256(points).digest()[:4], "big") * _ROOM
+        self._place = (int.from_bytes(hashlib.sha256(points).digest()[:4], "big") >> 1) * _ROOM
 
     def __enter__(self) -> "WorkLocks":
         return self

@@ -2,16 +2,18 @@
 
 import hashlib
 import json
+from collections.abc import Callable
 from dataclasses import asdict, dataclass, field, replace
 from functools import cache, lru_cache
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from gapsweep.integrate.problem import Solver
-from gapsweep.model.contact import FIT_RANGE
-from gapsweep.model.labels import Representation
+from gapsweep.errors import ModelError
+from gapsweep.integrate.problem import Models, Solver
+from gapsweep.model.contact import FIT_RANGE, ContactLaw
+from gapsweep.model.labels import Representation, contact_law
 from gapsweep.model.oscillator import Gap
 from gapsweep.model.own_law import OwnLaw
 from gapsweep.model.structure import AnyStructure, OscillatorStructure, read_structure
@@ -32,6 +34,7 @@ _OSCILLATOR = OscillatorStructure()
 KEY = np.dtype("V32")  # a content key, as an element of an array
 
 Numbers = NDArray[np.intp]
+Made = TypeVar("Made")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -67,6 +70,31 @@ class Kind:
     def is_sweep(self) -> bool:
         """Whether a point starts in the end state of the one before it."""
         return self.start != FIXED
+
+    def laws(self, walls: NDArray[np.float64]) -> tuple[ContactLaw, ...]:
+        """Return the laws of all contacts.
+
+        Parameters
+        ----------
+        walls : ndarray, shape (n_contacts * 4,)
+            Columns `OF_CONTACT` of every contact.
+
+        Raises
+        ------
+        ModelError
+            If a law cannot be built.
+        """
+        several = walls.reshape(-1, len(OF_CONTACT)).tolist()
+        return tuple(self._law(*each) for each in zip(self.contacts, several, strict=True))
+
+    def _law(self, one: Representation, walls: list[float]) -> ContactLaw:
+        K_c, j_1, j_2, K_ratio = walls
+        gap = Gap(j_1, j_2)
+        if not one.is_own:
+            return contact_law(one, K_c, gap, self.fit_range, K_ratio=K_ratio)
+        if self.own is None:
+            raise ModelError(f"{one}: the code of this user law is not stored")
+        return self.own.law(K_c, gap, K_ratio)
 
     @property
     def identity(self) -> str:
@@ -134,6 +162,25 @@ class Points:
         """Return some of the points."""
         return Points(self.kind, self.numbers[rows])
 
+    @property
+    def starts(self) -> NDArray[np.float64]:
+        """Fixed initial states, shape (n, n_states), shifted by the jitter of the protocol."""
+        found = self.numbers[:, -self.kind.n_states :].copy()
+        found[:, 0] += self.kind.start_jitter
+        return found
+
+    def models(self) -> tuple[tuple[Numbers, Models], dict[int, ModelError]]:
+        """Return the rows of valid points and their models, and the errors of the other rows."""
+        kind = self.kind
+        n = len(kind.contacts) * len(OF_CONTACT)
+        walls, omega, others = np.split(self.numbers[:, : -kind.n_states], [n, n + 1], axis=1)
+        systems, its_system, no_system = _made(kind.structure.system, others)
+        several, its_laws, no_laws = _made(kind.laws, walls)
+        refused = no_system | no_laws
+        rows = np.array([row for row in range(len(self)) if row not in refused], np.intp)
+        columns = {"system": its_system[rows], "law": its_laws[rows], "omega": omega[rows, 0]}
+        return (rows, Models(systems=systems, laws=several, **columns)), refused
+
     def gap(self, row: int) -> Gap:
         return Gap(*self.numbers[row, 1:3].tolist())
 
@@ -179,6 +226,28 @@ def columns_of(structure: AnyStructure) -> tuple[str, ...]:
     sizes = {"q_0": structure.n, "v_0": structure.n, "z_0": structure.m}
     start = [f"{name}[{i}]" for name, size in sizes.items() for i in range(size)]
     return (*contacts, "omega", *structure.names, *start)
+
+
+def _made(
+    make: Callable[[NDArray[np.float64]], Made], rows: NDArray[np.float64]
+) -> tuple[list[Made], Numbers, dict[int, ModelError]]:
+    """Objects made of the distinct rows, the number of its object for every row, and errors.
+
+    The number is -1 for rows that `make` refuses; their errors are returned by row.
+    """
+    some = rows if rows.shape[1] else np.zeros((len(rows), 1))
+    _, first, which = np.unique(some, axis=0, return_index=True, return_inverse=True)
+    made: list[Made] = []
+    number, errors = np.full(len(first), -1), dict[int, ModelError]()
+    for i, row in enumerate(rows[first]):
+        try:
+            made.append(make(row))
+            number[i] = len(made) - 1
+        except ModelError as error:
+            errors[i] = error
+    which = which.reshape(-1)
+    refused = {row: errors[i] for row, i in enumerate(which.tolist()) if i in errors}
+    return made, number[which], refused
 
 
 def _key(kind: Any, row: bytes, previous: bytes) -> bytes:

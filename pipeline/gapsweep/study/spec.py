@@ -169,6 +169,20 @@ class HistoryTable(TomlTable):
             )
         return self
 
+    @property
+    def parameters(self) -> dict[str, float]:
+        """Parameters, and the stiffness ratio of the walls, that this history sets."""
+        ratio = {} if self.K_ratio is None else {"K_ratio": self.K_ratio}
+        return {**self.parameter, **ratio}
+
+    def undecided(self, where: str, known: Mapping[str, float], axes: Axes) -> Iterator[str]:
+        """Yield a problem for every parameter that the study sweeps and this history lacks."""
+        for name in (*known, "K_ratio"):
+            axis = axes.get(name, ())
+            if len(axis) > 1 and name not in self.parameters:
+                remedy = f"choose one value, as {name} = {axis[0]:g}"
+                yield f"{where}.{name}: swept by the study; {remedy}"
+
 
 class AutoTable(TomlTable):
     """Allowed error of representation "auto" and `gapsweep advise`."""

@@ -24,13 +24,12 @@ from gapsweep.model.own_law import OwnLaw, checked
 from gapsweep.model.structure import AnyStructure
 from gapsweep.response.result import Steady
 from gapsweep.study.axes import MAX_POINTS, forms
-from gapsweep.study.axis_selection import listed, positions
+from gapsweep.study.axis_selection import listed, numbers_of_sweeps, positions
 from gapsweep.study.blocks import expanded, requested_of, union
 from gapsweep.study.grid import START, Axes, Grid, Selection, Starts
-from gapsweep.study.history import setting, undecided
 from gapsweep.study.least_model import Advice, advised
 from gapsweep.study.parametric_model import ParametricModel
-from gapsweep.study.points import SWEEPS, Kind, Points
+from gapsweep.study.points import FIXED, SWEEPS, Kind, Points, canonical
 from gapsweep.study.spec import (
     HistoryTable,
     ModuleTable,
@@ -150,7 +149,10 @@ class Study:
         self._check_modules()
         self.model.check()
         known = {**self.spec.model, **self.spec.parameters}
-        lines = undecided(self.spec.history, known, self._axes)
+        lines: Iterator[str] = chain.from_iterable(
+            table.undecided(f"history[{i}]", known, self._axes)
+            for i, table in enumerate(self.spec.history)
+        )
         if self.spec.branches:
             of_branches = self.spec.branches.problems(self._axes, known, self.spec.contact)
             lines = chain(lines, of_branches, self._problems_of_range())
@@ -221,10 +223,6 @@ class Study:
     def json(self) -> str:
         """The checked study, defaults filled in, as JSON."""
         return json.dumps(self.spec.tables, sort_keys=True)
-
-    def setting(self, history: HistoryTable) -> dict[str, float]:
-        """Return parameters of model and laws, and the walls' stiffness ratio, of a history."""
-        return setting(history, {**self.spec.model, **self.spec.parameters}, self._axes)
 
     @cached_property
     def claims_module(self) -> Path | None:
@@ -379,8 +377,8 @@ class Study:
             Values by dimension: a value, a list or, for numbers, a slice that includes both
             ends. `representation` and `gap` have labels, as ``"tanh-1e4"`` and ``"0.4/0.4"``; a
             gap may also be a pair [m], as ``(4e-4, 4e-4)``, or a list of pairs.
-            `initial_condition` has numbers from 0. Numbers are compared after rounding to 12
-            significant digits.
+            `initial_condition` has numbers from 0; sweeps also have names, as ``"sweep_up"``.
+            Numbers are compared after rounding to 12 significant digits.
 
         Raises
         ------
@@ -399,7 +397,10 @@ class Study:
         found = []
         for name, axis in axes.items():
             try:
-                found.append(positions(name, axis, wanted.get(name, slice(None)), "the study"))
+                values = wanted.get(name, slice(None))
+                if name == START:
+                    values = numbers_of_sweeps(values, [kind for kind, _ in self.grid.starts])
+                found.append(positions(name, axis, values, "the study"))
             except ValueError as error:
                 named = f": {self._starts_in_words()}" if name == START else ""
                 problems.append(f"{self.source}: {error}{named}")
@@ -474,6 +475,30 @@ class Study:
             )
             raise StudyError([f"{self.source}: {problem}"])
         return found
+
+    def history_axes(self, table: HistoryTable) -> Axes:
+        """Return the axes of a ``[[history]]``, each of one value.
+
+        Values of the history come first, then the single values of sweep axes, then the model's.
+        """
+        given = {**self.spec.model, **self.spec.parameters, "K_ratio": 1.0}
+        given |= {name: self._axes[name][0] for name in given if name in self._axes}
+        walls = {"K_c": table.K_c, "gap": Gap(*map(canonical, table.gap)), "omega": table.omega}
+        values = given | table.parameters | walls
+        return {n: (x,) for n, x in values.items()} | {START: Starts.fixed([table.start])}
+
+    def history_point(self, table: HistoryTable, one: Representation) -> Points:
+        """Return the sweep point, a table of one row, in which a motion of a history starts.
+
+        Raises
+        ------
+        ModelError
+            If the code of a user law cannot be loaded.
+        """
+        axes = self.history_axes(table)
+        named = {name: axes[name][0] for name in self.spec.parameters}
+        places = dict.fromkeys(axes, np.zeros(1, np.intp))
+        return Points(self._kind(one, FIXED, named), self.model.numbers(axes, places, 1))
 
     def _kind(self, one: Representation, start: str, parameters: Mapping[str, float]) -> Kind:
         own = self.own_law(one, **parameters)

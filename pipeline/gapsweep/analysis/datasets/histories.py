@@ -6,9 +6,6 @@ scaled so that a sinusoid on a bin shows its amplitude. The number of periods ha
 divisors, so that the harmonics of period-2 to period-6 motions, too, lie on bins.
 """
 
-from collections.abc import Callable
-from dataclasses import asdict
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -19,13 +16,12 @@ from gapsweep.analysis.spectra import N_PERIODS, SAMPLES_PER_PERIOD, spectrum
 from gapsweep.errors import ModelError
 from gapsweep.execution.isolated import CallError, Isolated
 from gapsweep.execution.progress import DEFAULT_TIMEOUT
-from gapsweep.integrate.problem import Solver
-from gapsweep.integrate.simulate import simulate
-from gapsweep.model.contact import ContactLaw
-from gapsweep.model.oscillator import Gap, Oscillator
+from gapsweep.integrate.simulate import motion_of
+from gapsweep.model.labels import Representation
 from gapsweep.response.section import period_multiple, scaled, unit_of
 from gapsweep.status import Status
-from gapsweep.study.points import canonical
+from gapsweep.study.grid import START
+from gapsweep.study.points import Points
 from gapsweep.study.schema import COORDINATES
 from gapsweep.study.spec import HistoryTable
 from gapsweep.study.study import Study
@@ -153,66 +149,41 @@ def _described(study: Study) -> dict[str, dict[str, Any]]:
 
 def _scene(study: Study, table: HistoryTable) -> dict[str, Any]:
     """Values of the coordinates of a history, by name."""
-    gap = _gap(table)
-    return study.setting(table) | {
-        "K_c": table.K_c,
+    values = {name: axis[0] for name, axis in study.history_axes(table).items()}
+    gap, (_, (x_0, v_0)) = values["gap"], values[START]
+    return values | {
         "gap": gap.label,
         "j_1": gap.j_1,
         "j_2": gap.j_2,
-        "omega": table.omega,
-        "x_0": table.start[0],
-        "v_0": table.start[1],
+        "x_0": x_0,
+        "v_0": v_0,
         "t_end": table.t_end,
         "n_periods": min(N_PERIODS, _whole_periods(table.omega, table.t_end)),
     }
 
 
-def _gap(table: HistoryTable) -> Gap:
-    j_1, j_2 = table.gap
-    return Gap(canonical(j_1), canonical(j_2))
-
-
 def _history(study: Study, table: HistoryTable, label: str, process: Isolated) -> dict[str, Any]:
     """The variables of one motion by name; only its status if it has failed."""
-    x_0, v_0 = table.start
     try:
-        numbers = study.setting(table)
-        own = study.own_law(label, **{name: numbers.pop(name) for name in study.spec.parameters})
-        walls = table.K_c, _gap(table), numbers.pop("K_ratio")
-        law = partial(own.law, *walls) if own else partial(study.law, label, *walls)
-        start = x_0 + study.start_jitter(label), v_0
-        motion = law, Oscillator(**numbers), table.omega, table.t_end, start, study.solver(label)
-        return process(_motion, *motion) if own else _motion(*motion)
+        point = study.history_point(table, Representation(label))
+        motion = point, table.omega, table.t_end
+        return process(_motion, *motion) if point.kind.own else _motion(*motion)
     except ModelError:
         return {"status": Status.MODEL_INVALID}
     except CallError as lost:
         return {"status": lost.status}
 
 
-def _motion(
-    law: Callable[[], ContactLaw],
-    oscillator: Oscillator,
-    omega: float,
-    t_end: float,
-    start: tuple[float, float],
-    solver: Solver,
-) -> dict[str, Any]:
+def _motion(point: Points, omega: float, t_end: float) -> dict[str, Any]:
+    (_, models), refused = point.models()
+    for error in refused.values():
+        raise error
     t, _ = sampled(omega, t_end)
-    try:
-        motion = simulate(
-            oscillator,
-            law(),
-            omega,
-            *start,
-            t_end=_whole_periods(omega, t_end) / omega,
-            dense_output=True,
-            **asdict(solver),
-        )
-    except ModelError:
-        return {"status": Status.MODEL_INVALID}
+    n_periods = _whole_periods(omega, t_end)
+    motion = motion_of(models, point.kind.solver, point.starts[0], n_periods)
     if motion.t_end < t.max():
         return {"status": motion.status}
-    x, v = motion.sample(t)
+    x, v = (values.reshape(t.shape) for values in motion.sample(t)[:2])
     steady = np.transpose([x[-1], v[-1]])[::SAMPLES_PER_PERIOD]
     same = _SAME_POINT * float(np.max(np.abs(x[-1])))
     return {

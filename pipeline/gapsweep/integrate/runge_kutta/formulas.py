@@ -5,7 +5,7 @@ functions have theirs here. Numbers that differ between points are in the parame
 contact; numbers that a batch shares are in `law`.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from inspect import signature
 from types import CellType, FunctionType
 from typing import Any
@@ -14,12 +14,11 @@ from numba import njit
 
 from gapsweep.integrate import simd
 from gapsweep.integrate.jit import inlined, internal
+from gapsweep.integrate.lanes import parameters
+from gapsweep.integrate.lanes.parameters import ACTIVE_STIFFNESS, ACTIVE_WALL, OWN, STIFFNESS
 from gapsweep.integrate.simd import bits, fma, load
 from gapsweep.model import arithmetic
 from gapsweep.model.contact import ContactLaw
-
-from . import parameters, vecmath
-from .parameters import ACTIVE_STIFFNESS, ACTIVE_WALL, OWN, STIFFNESS
 
 # --- laws with a label --------------------------------------------------------------------------
 
@@ -30,19 +29,12 @@ def _is_any(condition):
 
 
 # Forms for vectors of the functions that formulas call.
-_VECTORS: Mapping[Any, Any] = {
-    arithmetic.fma: simd.fma,
-    arithmetic.select: simd.select,
-    arithmetic.splat: simd.splat,
-    arithmetic.is_any: _is_any,
-    arithmetic.absolute: simd.absolute,
-    arithmetic.copysign: simd.copysign,
-    arithmetic.minimum: simd.minimum,
-    arithmetic.maximum: simd.maximum,
-    arithmetic.exp: vecmath.exp,
-    arithmetic.log: vecmath.log,
-    arithmetic.arctan: vecmath.arctan,
-}
+_SAME = (
+    *("fma", "select", "splat", "absolute", "copysign", "minimum", "maximum"),
+    *("exp", "log", "arctan"),
+)
+_VECTORS = {getattr(arithmetic, name): getattr(simd, name) for name in _SAME}
+_VECTORS[arithmetic.is_any] = _is_any
 # Rows of the arguments that are numbers of every law.
 _ROWS = {
     "stiffness": STIFFNESS,

@@ -18,13 +18,13 @@ from numpy.typing import NDArray
 
 from gapsweep.integrate import simd
 from gapsweep.integrate.jit import chosen_by_type, inlined
+from gapsweep.integrate.lanes.parameters import N_PARAMETERS, STIFFNESS
 from gapsweep.integrate.simd import load
 from gapsweep.model.contact import Piecewise
 from gapsweep.model.laws import LAWS
 
 from . import formulas
 from .formulas import vectorised
-from .parameters import N_PARAMETERS, STIFFNESS
 
 
 @dataclass(frozen=True, slots=True)

@@ -4,9 +4,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from gapsweep.integrate.stepping.row_layout import RowLayout, aligned
+from gapsweep.integrate.lanes.method import implement_step
+from gapsweep.integrate.lanes.parameters import N_PARAMETERS
+from gapsweep.integrate.lanes.row_layout import RowLayout, aligned
 
-from .parameters import N_PARAMETERS
+from .runge_kutta_step import runge_kutta_step
 from .tableaux import Tableau
 
 
@@ -52,24 +54,25 @@ class RungeKutta(NamedTuple):
     contacts: bool
     is_users: bool
 
+    @property
+    def n_stages(self) -> int:
+        """Stages of a step."""
+        return self.tableau.n_stages
 
-def with_work_space(
-    at: RowLayout,
-    method: RungeKutta,
-    lanes: np.ndarray,
-    *,
-    tangent: bool,
-    dense: bool,
-    contacts: bool,
-) -> RungeKutta:
-    """Return the method with work space and options for one run in these lanes."""
-    law = lanes[at.law : at.law + at.blocks["law"]]
-    n_rows = method.tableau.c.size * (at.n + at.m)
-    return method._replace(
-        q=law.reshape(at.contacts, N_PARAMETERS, at.width),
-        k=aligned(n_rows, at.width),
-        k_tangent=aligned(n_rows * at.n_states, at.width),
-        tangent=tangent,
-        dense=dense,
-        contacts=contacts,
-    )
+    def with_work_space(
+        self, at: RowLayout, lanes: np.ndarray, *, tangent: bool, dense: bool, contacts: bool
+    ) -> "RungeKutta":
+        """Return the method with work space and options for one run in these lanes."""
+        law = lanes[at.law : at.law + at.blocks["law"]]
+        n_rows = self.tableau.c.size * (at.n + at.m)
+        return self._replace(
+            q=law.reshape(at.contacts, N_PARAMETERS, at.width),
+            k=aligned(n_rows, at.width),
+            k_tangent=aligned(n_rows * at.n_states, at.width),
+            tangent=tangent,
+            dense=dense,
+            contacts=contacts,
+        )
+
+
+implement_step(RungeKutta, runge_kutta_step)

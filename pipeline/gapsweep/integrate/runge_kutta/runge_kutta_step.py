@@ -11,9 +11,8 @@ import numpy as np
 
 from gapsweep.integrate import simd
 from gapsweep.integrate.jit import inlined, internal
-from gapsweep.integrate.motions import VANISHED
-from gapsweep.integrate.simd import fma, load, maximum, minimum, select, store
-from gapsweep.integrate.stepping.outcome import (
+from gapsweep.integrate.lanes import parameters
+from gapsweep.integrate.lanes.outcome import (
     AT_START,
     AT_WALL,
     CLOCK_SLACK,
@@ -22,8 +21,10 @@ from gapsweep.integrate.stepping.outcome import (
     STEP_UNDERFLOW,
     StepOutcome,
 )
+from gapsweep.integrate.motions import VANISHED
+from gapsweep.integrate.simd import fma, load, maximum, minimum, select, store
 
-from . import laws, parameters, vecmath
+from . import laws
 from .stage_values import polynomials, stage_derivative, stages, tangent_stages
 from .tableaux import E3, E5, OTHER_E5
 
@@ -145,7 +146,7 @@ def _size(lane, before, after):
 @inlined
 def _next_step(method, error, h, after_failure, accepted):
     """Next step size of the controller [s]."""
-    scaled = vecmath.power(maximum(error, 1e-16), -method.tableau.exponent)
+    scaled = simd.power(maximum(error, 1e-16), -method.tableau.exponent)
     if method.is_ode45:
         grown = select(after_failure, h, h * minimum(0.8 * scaled, 5.0))
         shrunk = select(after_failure, 0.5 * h, h * maximum(0.8 * scaled, 0.1))

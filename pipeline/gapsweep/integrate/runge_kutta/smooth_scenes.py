@@ -7,13 +7,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gapsweep.integrate import simd
+from gapsweep.integrate.lanes import parameters
+from gapsweep.integrate.lanes.outcome import AT_START
+from gapsweep.integrate.lanes.row_layout import known
+from gapsweep.integrate.lanes.scene_table import SceneTable
 from gapsweep.integrate.problem import Solver
-from gapsweep.integrate.stepping.outcome import AT_START
-from gapsweep.integrate.stepping.row_layout import known
-from gapsweep.integrate.stepping.scene_table import SceneTable
 from gapsweep.model.laws.tanh import SATURATION
 
-from . import laws, parameters, tableaux
+from . import laws, tableaux
 from .laws import Formula, Law
 from .method import RungeKutta
 
@@ -26,8 +27,8 @@ _MIN_STEP = 1e-17  # of a period: stiff laws need far shorter steps than a Taylo
 
 def runge_kutta_scenes(
     exact: SceneTable, kernel_laws: Sequence[Law], mass: Array, solver: Solver
-) -> SceneTable:
-    """Return the table of the same systems with other laws, for a Runge-Kutta method.
+) -> tuple[SceneTable, RungeKutta]:
+    """Return the table of the same systems with other laws, and their Runge-Kutta method.
 
     Parameters
     ----------
@@ -92,4 +93,4 @@ def runge_kutta_scenes(
         contacts=False,
         is_users=any(isinstance(law.kind, laws.User) for law in kernel_laws),
     )
-    return replace(exact, at=at, table=table, method=method)
+    return replace(exact, at=at, table=table), method

@@ -7,7 +7,7 @@ from gapsweep.integrate import simd
 from gapsweep.integrate.jit import chosen_by_type, inlined
 from gapsweep.integrate.simd import fma, load, store
 
-from . import laws, vecmath
+from . import laws
 
 
 def stages(at, kinds, q, lane, tableau, k, h):
@@ -95,7 +95,7 @@ def _oscillator_stages(at, kinds, q, lane, tableau, k, h):
         sv = fma(last, tableau.a[i, i - 1], sv)
         x_i = fma(h2, sx, fma(h * tableau.c[i], v, x))
         v_i = fma(h, sv, v)
-        phase = vecmath.cos_turns(fma(turns, tableau.c[i], tau))
+        phase = simd.cos_turns(fma(turns, tableau.c[i], tau))
         # The law depends on x_i only, which does not wait for the previous stage: the processor
         # overlaps this law with the previous one.
         restoring = fma(
@@ -120,7 +120,7 @@ def _oscillator_stage(at, kinds, q, lane, tableau, k, h, stage):
     turn = fma(h * load(lane, at.omega), tableau.c[stage], load(lane, at.tau))
     stiffness = fma(load(lane, at.cubic) * x, x, load(lane, at.stiffness))
     restoring = fma(x, stiffness, laws.acceleration(kinds[0], q[0], x))
-    driving = fma(load(lane, at.push), vecmath.cos_turns(turn), -restoring)
+    driving = fma(load(lane, at.push), simd.cos_turns(turn), -restoring)
     store(k, stage, fma(-load(lane, at.damping), v, driving))
 
 
@@ -239,15 +239,15 @@ def _set_clock(at, lane, c, h):
     turn = fma(h * load(lane, at.omega), c, load(lane, at.tau))
     for i in range(at.harmonics):
         if at.in_step:
-            store(lane, at.cosine + i, vecmath.cos_turns(turn))
+            store(lane, at.cosine + i, simd.cos_turns(turn))
         else:
             phase = fma(load(lane, at.multiple + i), turn, load(lane, at.phase + i))
-            store(lane, at.cosine + i, vecmath.cos_turns(phase))
+            store(lane, at.cosine + i, simd.cos_turns(phase))
     for i in range(at.contacts):
         store(lane, at.modulation + i, simd.splat(1.0))
     for j in range(at.modulations):
         phase = fma(load(lane, at.depth_multiple + j), turn, load(lane, at.depth_phase + j))
-        cosine = vecmath.cos_turns(phase)
+        cosine = simd.cos_turns(phase)
         for i in range(at.contacts):
             depth = load(lane, at.depth + j * at.contacts + i)
             store(lane, at.modulation + i, fma(depth, cosine, load(lane, at.modulation + i)))

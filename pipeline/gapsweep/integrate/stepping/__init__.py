@@ -1,1 +1,1 @@
-"""Stepping loop for many points at once in SIMD lanes, for both methods, and its records."""
+"""Stepping loop for many points at once in SIMD lanes, for any method, and its records."""

@@ -8,13 +8,16 @@ its buffers.
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from gapsweep.integrate.lanes.method import Method
+from gapsweep.integrate.lanes.outcome import CLOCK_SLACK
+from gapsweep.integrate.lanes.row_layout import LOADED, RowLayout, aligned
+from gapsweep.integrate.lanes.scene_table import SceneTable, check, set_modes_on_walls
+from gapsweep.integrate.lanes.start_rows import BACKWARD, NOT_FINITE, ON_WALL, set_starts
 from gapsweep.integrate.problem import is_late
-from gapsweep.integrate.runge_kutta.method import with_work_space
 from gapsweep.status import DIVERGED_AT, Status
 
 from . import record
@@ -28,12 +31,8 @@ from .loop import (
     advance,
     advance_users,
 )
-from .outcome import CLOCK_SLACK
 from .roots import work_space
-from .row_layout import LOADED, RowLayout, aligned
 from .sample import sample_steps
-from .scene_table import SceneTable, check, set_modes_on_walls
-from .start_rows import BACKWARD, NOT_FINITE, ON_WALL, set_starts
 
 Array = NDArray[np.float64]
 
@@ -124,6 +123,7 @@ class Batch:
 
 def run(
     prepared: SceneTable,
+    method: Method,
     which: NDArray[np.intp],
     start: Array,
     t_0: Array,
@@ -143,6 +143,8 @@ def run(
     Parameters
     ----------
     prepared : SceneTable
+    method : Method
+        Taylor or RungeKutta, without work space; its rows are in the table.
     which : ndarray of int, shape (n,)
         Row of `prepared` of each point.
     start : ndarray, shape (n, n_states)
@@ -170,10 +172,9 @@ def run(
         Record wall crossings.
     """
     at = prepared.at.of_tangent if tangent else prepared.at
-    method, lanes = prepared.method, aligned(at.n_rows, at.width)
-    if not at.is_taylor:
-        wanted = {"tangent": tangent, "dense": dense_output, "contacts": contacts}
-        method = with_work_space(at, method, lanes, **wanted)
+    lanes = aligned(at.n_rows, at.width)
+    wanted = {"tangent": tangent, "dense": dense_output, "contacts": contacts}
+    method = method.with_work_space(at, lanes, **wanted)
     points = np.empty((len(which) + 1, at.n_rows))
     follows = np.append(np.zeros(len(which), bool) if follows is None else follows, False)
     given = start, follows, t_0, t_end, record_from, section_only and not dense_output
@@ -217,15 +218,14 @@ def run(
         # A point that follows a failed point has failed with the same status.
         source = np.maximum.accumulate(np.where(has_failed, 0, np.arange(len(statuses))))
         statuses = statuses[source]
-    n_stages = 0 if at.is_taylor else method.tableau.n_stages
-    counts = _counts(at, ended, n_stages)
+    counts = _counts(at, ended, method.n_stages)
     return _outcome(at, ended, statuses, t_end, events, steps if dense_output else None, counts)
 
 
 def _drained(
     layout: RowLayout,
     at: RowLayout,
-    method: Any,
+    method: Method,
     lanes: Array,
     points: Array,
     queue: NDArray[np.intp],

@@ -12,18 +12,17 @@ from typing import Any, NamedTuple
 import numpy as np
 from numba import njit
 
-from gapsweep.integrate.jit import chosen_by_type, counted, entry, inlined, internal
-from gapsweep.integrate.runge_kutta.runge_kutta_step import runge_kutta_step
-from gapsweep.integrate.taylor.taylor_step import taylor_step
+from gapsweep.integrate.jit import counted, entry, internal
+from gapsweep.integrate.lanes import outcome
+from gapsweep.integrate.lanes.method import method_step
+from gapsweep.integrate.lanes.outcome import MAX_HALVINGS, SHORT_STEP
+from gapsweep.integrate.lanes.start_rows import follow
 from gapsweep.integrate.vectors import lowest_bit
 from gapsweep.status import Status
 
-from . import outcome
-from .outcome import MAX_HALVINGS, SHORT_STEP, StepOutcome
 from .passings import count_passings, record_passings
 from .record import has_room, load_series, record_steps
 from .roots import Work, first_exit, polynomial
-from .start_rows import follow
 
 # outcomes, as plain numbers for compiled code
 RUNNING, OK, DIVERGED = -1, int(Status.OK), int(Status.DIVERGED)
@@ -302,12 +301,6 @@ def _finish(at, run, k, status, limits):
     _load_next(at, run, k)
 
 
-class Taylor(NamedTuple):
-    """The Taylor series method; its degree is the `order` of the `RowLayout`."""
-
-    is_users: bool = False
-
-
 class LoopState(NamedTuple):
     """State of the loop, which can stop at any step and go on when called again.
 
@@ -315,7 +308,7 @@ class LoopState(NamedTuple):
     ----------
     at : record
         `RowLayout.numbers`.
-    method : Taylor or RungeKutta
+    method : Method
     lanes : array, shape (n_rows, width)
         State of the points under way.
     lane_point : int array, shape (width,)
@@ -361,33 +354,6 @@ class LoopState(NamedTuple):
     work: Work
     turns: bool
     contacts: bool
-
-
-def method_step(layout, method, lanes, coefficients, limits):
-    """Advance every lane by one step of a method; return its `StepOutcome`."""
-    raise NotImplementedError("compiled code only")
-
-
-@chosen_by_type(method_step)
-def _method_step(layout, method, lanes, coefficients, limits):
-    one = _taylor if method.instance_class is Taylor else runge_kutta_step
-    return lambda layout, method, lanes, coefficients, limits: one(
-        layout, method, lanes, coefficients, limits
-    )
-
-
-@inlined
-def _taylor(layout, method, lanes, coefficients, limits):
-    rtol, x_bound, max_short = limits
-    packed = taylor_step(layout, lanes, coefficients, rtol, x_bound, max_short)
-    every, width = layout.all_lanes, layout.width
-    return StepOutcome(
-        packed & every,
-        (packed >> width) & every,
-        (packed >> 2 * width) & every,
-        (packed >> 3 * width) & every,
-        0,
-    )
 
 
 def _advance(layout, run, limits, budget):

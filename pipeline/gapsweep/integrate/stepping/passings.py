@@ -1,7 +1,7 @@
 """Wall crossings within the steps of laws whose contacts are not located."""
 
 from gapsweep.integrate.jit import chosen_by_type, internal
-from gapsweep.integrate.runge_kutta.parameters import CENTRE, N_PARAMETERS, RANGE
+from gapsweep.integrate.lanes.parameters import CENTRE, N_PARAMETERS, RANGE
 from gapsweep.integrate.vectors import lowest_bit
 
 from .record import CONTACTS, TIME, load_series, write_row

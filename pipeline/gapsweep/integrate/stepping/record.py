@@ -17,15 +17,15 @@ from numba import types
 from numba.extending import intrinsic
 
 from gapsweep.integrate.jit import entry, internal
+from gapsweep.integrate.lanes.outcome import CLOCK_SLACK
+from gapsweep.integrate.lanes.rows import LaneRows, pointers
 from gapsweep.integrate.vectors import (
     I64,
     absolute,
     lowest_bit,
 )
 
-from .outcome import CLOCK_SLACK
 from .roots import DOUBLE, SIMPLE, isolate, polynomial
-from .rows import LaneRows, pointers
 from .turns import TOUCH, find_coordinate_turns, find_gap_turns
 
 MINIMUM, MAXIMUM, INFLECTION = 0, 1, 2

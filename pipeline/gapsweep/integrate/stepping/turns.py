@@ -9,9 +9,8 @@ from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic
 
+from gapsweep.integrate.lanes.rows import LaneRows, dot, pointers, value_and_slope
 from gapsweep.integrate.vectors import I64, absolute, copysign, is_nonzero, where
-
-from .rows import LaneRows, dot, pointers, value_and_slope
 
 TOUCH = 1e-12  # of the velocity: a closer approach to zero is a touch, by the same measure
 _NEWTON_STEPS = 3

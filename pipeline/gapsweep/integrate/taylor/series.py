@@ -18,7 +18,7 @@ References
 import math
 from functools import reduce
 
-from gapsweep.integrate.stepping.rows import dot
+from gapsweep.integrate.lanes.rows import dot
 from gapsweep.integrate.vectors import (
     floor,
     fma,

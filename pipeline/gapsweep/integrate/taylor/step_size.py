@@ -3,7 +3,7 @@
 import math
 from functools import reduce
 
-from gapsweep.integrate.stepping.rows import dot
+from gapsweep.integrate.lanes.rows import dot
 from gapsweep.integrate.vectors import (
     absolute,
     fma,

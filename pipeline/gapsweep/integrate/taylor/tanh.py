@@ -27,15 +27,14 @@ import math
 from dataclasses import dataclass
 from typing import Any
 
-from gapsweep.integrate.stepping.rows import value_and_slope
+from gapsweep.integrate.elementary import exp
+from gapsweep.integrate.lanes.rows import value_and_slope
 from gapsweep.integrate.vectors import (
     absolute,
     branch,
     copysign,
-    exp,
     fma,
     is_nonzero,
-    maximum,
     minimum,
     nearest,
     sqrt,
@@ -51,7 +50,6 @@ _MOMENT, _FURTHER, _HALFWAY = 7 * math.pi**4 / 1920, 0.17632061159, 0.2253856693
 _HIGHER_ORDERS = 4.0, 30.0  # of the neglected part of a delay: factors of kappa and of beta^2
 _SHARE = 0.1  # of a step's tolerance, for the neglected higher orders
 _MOST_BENT = 0.1  # largest beta
-_LARGEST = 700.0  # of an exponent: exp(-700) is a normal number
 
 
 def _bend_and_jerk(series, t):
@@ -143,7 +141,7 @@ class TanhMotion(StepSeries):
         for name, side, way in zip(("upper", "lower"), sides, (1.0, -1.0), strict=True):
             wall, force = lanes[name], lanes[f"{name}_stiffness"] * side
             depth, rate = x - wall, -(side * way) * lanes["sharpness"]
-            e = exp(maximum(minimum(rate * depth, zero + _LARGEST), zero - _LARGEST))
+            e = exp(rate * depth)
             p = where(self.is_near, e / (e + 1.0), 0.0)
             shares.append(_Share([p], [], force, force * wall, depth, rate))
         return shares

@@ -20,9 +20,9 @@ from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic
 
+from gapsweep.integrate.lanes.outcome import CLOCK_SLACK, MAX_HALVINGS, SHORT_STEP
+from gapsweep.integrate.lanes.rows import LaneRows, dot, pointers, value_and_slope
 from gapsweep.integrate.motions import VANISHED
-from gapsweep.integrate.stepping.outcome import CLOCK_SLACK, MAX_HALVINGS, SHORT_STEP
-from gapsweep.integrate.stepping.rows import LaneRows, dot, pointers, value_and_slope
 from gapsweep.integrate.vectors import (
     I64,
     Vec,

@@ -48,7 +48,6 @@ class Arctan(Switched):
     """
 
     family: ClassVar[str] = "arctan"
-    colour: ClassVar[str] = "#009E73"
     examples: ClassVar[tuple[str, ...]] = ("arctan-1e4",)
     words: ClassVar[str] = (
         "½ K_c [r (1 − s₁) (x + j₁) + (1 + s₂) (x − j₂)], s₁ = (2/π) arctan ε(x + j₁), "

@@ -168,7 +168,6 @@ class Polynomial(Fitted):
     """
 
     family: ClassVar[str] = "poly"
-    colour: ClassVar[str] = "#E69F00"
     symbol: ClassVar[str] = "degree"
     examples: ClassVar[tuple[str, ...]] = ("poly-13",)
     words: ClassVar[str] = "polynomial of the degree in its name, a least-squares fit"
@@ -216,7 +215,6 @@ class RationalPolynomial(Fitted):
     """
 
     family: ClassVar[str] = "ratpoly"
-    colour: ClassVar[str] = "#CC79A7"
     examples: ClassVar[tuple[str, ...]] = ("ratpoly-5/3",)
     words: ClassVar[str] = "quotient of polynomials of the degrees in its name, a least-squares fit"
     formulas: ClassVar[Formulas] = Formulas(_rational_force, _rational_slope, _rational_denominator)

@@ -59,7 +59,6 @@ class LogArctan(Sharpened):
     """
 
     family: ClassVar[str] = "logarctan"
-    colour: ClassVar[str] = "#D55E00"
     symbol: ClassVar[str] = "gamma"
     examples: ClassVar[tuple[str, ...]] = ("logarctan-1e4",)
     words: ClassVar[str] = (

@@ -92,7 +92,6 @@ class Tanh(Switched):
     """
 
     family: ClassVar[str] = "tanh"
-    colour: ClassVar[str] = "#0072B2"
     examples: ClassVar[tuple[str, ...]] = ("tanh-1e4",)
     words: ClassVar[str] = (
         "½ K_c [r (1 − s₁) (x + j₁) + (1 + s₂) (x − j₂)], s₁ = tanh ε(x + j₁), "

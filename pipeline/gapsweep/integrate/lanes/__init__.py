@@ -1,0 +1,1 @@
+"""Rows of lanes: the ground that the steppers and the stepping loop share."""

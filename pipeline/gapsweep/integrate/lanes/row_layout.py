@@ -1,0 +1,320 @@
+"""Layout of the arrays that the stepping code shares: one row per quantity, one column per lane.
+
+A row of ``lanes`` is one vector load. The number of rows depends on the system; a `RowLayout` names
+them. It is a compile-time value: its numbers are part of its numba type, so that a step is compiled
+once for every size of system, and the number of a row is a constant in its code. Code for single
+lanes reads the same numbers from a record (`RowLayout.numbers`) and is compiled once for all sizes.
+
+Clocks count forcing periods: a time is the pair (whole periods since the beginning of the
+point's first period, fraction of a period in [0, 1)). The fraction *is* the forcing phase, hence
+time and phase cannot drift apart however long the run.
+"""
+
+import math
+from dataclasses import dataclass, fields, replace
+from functools import cache, cached_property
+from itertools import accumulate
+from typing import Any, ClassVar
+
+import numpy as np
+from numba import types
+from numba.core.typing.templates import AttributeTemplate, infer_getattr
+from numba.extending import (
+    NativeValue,
+    lower_getattr_generic,
+    models,
+    register_model,
+    typeof_impl,
+    unbox,
+)
+from numpy.typing import NDArray
+
+from gapsweep.integrate.simd import WIDTH
+
+from .parameters import N_PARAMETERS
+
+# Lanes of a table with at most so many rows: one point takes half the time of one in a wide vector.
+NARROW = 4
+
+# Names of the blocks of rows and, by the counts of a `RowLayout`, how many rows each has.
+_ONE = (
+    # the clock, with the digits that its sum has lost; of the last step the length and beginning
+    *("tau", "tau_low", "cycle", "step", "tau_0", "cycle_0"),
+    # phase and time [s] of the point's own start, and its end
+    *("tau_start", "t_start", "end_cycle", "end_tau"),
+    *("omega", "omega_rad", "period"),
+    # from these (whole periods + fraction) on section points are recorded, and all events
+    *("record_clock", "event_clock"),
+    "atol",  # [m]: of an error, of displacements and speeds alike
+    "floor",  # absolute part of the step's tolerance [m/s]
+    "rate",  # fastest angular frequency of the linear parts [rad/s]
+    "min_step",  # [s]: a shorter step, unless it ends on a wall or at the end, is an underflow
+    *("n_steps", "n_contacts", "n_short"),
+    "is_fresh",  # why the derivative is missing, or 0 (of Runge-Kutta methods)
+    # results of recording the last step: its initial time [s], zero of a velocity
+    *("start_time", "turn_time", "turn_x", "turn_v"),
+)
+
+
+@dataclass(frozen=True)
+class RowLayout:
+    """Sizes of a system, and the first row of every quantity that is stored for a point.
+
+    Attributes
+    ----------
+    n : int
+        Coordinates q.
+    m : int
+        First-order states z.
+    contacts, cubics, harmonics, modulations : int
+        Contacts, cubic springs, harmonics of the forcing (a constant load is one), and of the
+        contacts' stiffness.
+    is_plain : bool
+        Whether the system is an oscillator: one coordinate with one contact and one cubic spring.
+    in_step : bool
+        Whether the only harmonic has the frequency and the phase of the clock.
+    is_tanh : bool
+        Whether the contact of an oscillator is smoothed by tanh.
+    is_free : bool
+        Whether the system is unforced: its section is then at the maxima of the first coordinate.
+    is_located : bool
+        Whether steps end where a contact passes a wall.
+    is_taylor : bool
+        Whether steps are those of a Taylor series; a Runge-Kutta method needs more rows.
+    order : int
+        Degree of the polynomials of a step.
+    tangent : int
+        1 if the variational equation is integrated too, else 0.
+    width : int
+        Lanes.
+    """
+
+    n: int = 1
+    m: int = 0
+    contacts: int = 1
+    cubics: int = 1
+    harmonics: int = 1
+    modulations: int = 0
+    is_plain: bool = True
+    in_step: bool = True
+    is_tanh: bool = False
+    is_free: bool = False
+    is_located: bool = True
+    is_taylor: bool = True
+    order: int = 12
+    tangent: int = 0
+    width: int = WIDTH
+
+    derived: ClassVar[tuple[str, ...]] = (
+        *("n_states", "all_lanes", "n_terms", "n_series", "first_gap", "n_turning", "n_rows"),
+        "n_rates",
+    )
+
+    @property
+    def n_states(self) -> int:
+        """Length of a state (q, v, z)."""
+        return 2 * self.n + self.m
+
+    @cached_property
+    def of_motion(self) -> "RowLayout":
+        """The layout without the tangent, whose rows no other code reads."""
+        return known(replace(self, tangent=0))
+
+    @cached_property
+    def of_tangent(self) -> "RowLayout":
+        """The layout with the tangent."""
+        return known(replace(self, tangent=1))
+
+    @property
+    def all_lanes(self) -> int:
+        """All lanes as a mask."""
+        return (1 << self.width) - 1
+
+    @property
+    def n_terms(self) -> int:
+        """Number of coefficients of a series."""
+        return self.order + 1
+
+    @property
+    def n_series(self) -> int:
+        """Number of series of a step: those of q and z, then those of the contacts' gaps."""
+        return 1 if self.is_plain else self.n + self.m + self.contacts
+
+    @property
+    def n_rates(self) -> int:
+        """Number of derivatives of a stage: accelerations, then rates of first-order states."""
+        return self.n + self.m
+
+    @property
+    def first_gap(self) -> int:
+        """Number of the first contact's series; of a plain oscillator, that of the coordinate."""
+        return 0 if self.is_plain else self.n + self.m
+
+    @property
+    def n_turning(self) -> int:
+        """Number of quantities whose extrema are recorded: coordinates, then gaps of contacts."""
+        return 1 if self.is_plain else self.n + self.contacts
+
+    @cached_property
+    def blocks(self) -> dict[str, int]:
+        """Number of rows of every block."""
+        n, m, k, c = self.n, self.m, self.contacts, self.cubics
+        h, s = self.harmonics, self.modulations
+        several = not self.is_plain
+        return dict.fromkeys(_ONE, 1) | {
+            # state, and the largest |q| at the ends of steps
+            **{"q": n, "v": n, "z": m, "reach": n},
+            # solutions of the variational equation, one after the other, from unit states
+            "tangent_state": self.n_states**2,
+            # contacts: mode (+1 upper wall, -1 lower, 0 none) now and before the last step, wall
+            # that step ended on (+1, -1, 0 none), present position in the gap several, walls
+            # -j_1 and j_2 [m], their stiffnesses, b'M^-1 b, and the sum of times [s] at which
+            # contact was left less those at which it was made
+            **{"mode": k, "mode_0": k, "side": k, "gap": k * several},
+            **{"lower": k, "upper": k, "lower_stiffness": k, "upper_stiffness": k},
+            # smoothing: 2 epsilon [1/m], half-width of the layers [m], whether one is near, longest
+            # step [s], and what to add to the time of the contact that ended the last step [s]
+            **dict.fromkeys(("sharpness", "layer", "is_near", "longest", "lag"), 1 * self.is_tanh),
+            **{"compliance": k * several, "contact_time": k},
+            # q'' = push cos(..) - damping v - stiffness q - lag_force z - cubic's and contacts'
+            # pull, all per unit mass (multiplied by M^-1); z' = of_speed v + of_place q + of_lag z
+            **{"stiffness": n * n, "damping": n * n, "lag_force": n * m},
+            **{"of_speed": m * n, "of_place": m * n, "of_lag": m * m},
+            # cubic springs: alpha M^-1 a, a, and for n > 1 alpha, a'M^-1 a, 1 / (a'K^-1 a)
+            **{"cubic": n * c, "along": c * n * several},
+            **{"alpha": c * several, "softness": c * several, "holding": c * several},
+            **{"pull": n * k * several, "direction": k * n * several},
+            # forcing: amplitudes, multiples of the frequency, phases in periods
+            **{"push": h * n, "multiple": h * (not self.in_step), "phase": h * (not self.in_step)},
+            **{"depth": k * s, "depth_multiple": s, "depth_phase": s},
+            # scales of step errors: roots of the matrices of masses and springs, square of the
+            # fastest rate [1/s^2] and rate of decay [1/s] of the linear parts, speed of a metre
+            # [1/s], sizes of lags relative to a metre
+            **{"mass_root": n * n * several, "spring_root": n * n * several},
+            **{"fastest": 1 * several, "decay": 1 * several, "slow": 1 * several, "lag_floor": m},
+            **self._runge_kutta_blocks(),
+        }
+
+    def _runge_kutta_blocks(self) -> dict[str, int]:
+        """Number of rows of every block that only Runge-Kutta methods need."""
+        n, m, k, s = self.n, self.m, self.contacts, self.n_states
+        several = not self.is_plain
+        sizes = {
+            # derivatives at the beginning of the next step: of speeds, and of first-order states
+            **{"a": n, "w": m},
+            # the next step and the longest one [s], the step before a smoothing layer, why the last
+            # one is repeated if it is, whether the motion has left the range of a fit
+            **dict.fromkeys(("h", "h_max", "h_saved", "failed", "out_of_range"), 1),
+            # `n_extra`: right-hand sides at initial states and on walls
+            **{"n_rejected": 1, "n_extra": 1},
+            # parameters of the contacts' laws
+            "law": k * N_PARAMETERS,
+            # end of the attempted step, committed or not; of its tangent
+            **{"q_1": n, "v_1": n, "z_1": m, "a_1": n, "w_1": m, "tangent_1": s * s},
+            # gaps of several contacts, their speeds and accelerations, at both ends of it
+            **{"gap_0": 3 * k * several, "gap_1": 3 * k * several},
+            # of a stage of a system: state, cosines of loads; of every contact its gap, its force
+            # (or slope, or denominator) and the factor of its stiffness; of every cubic spring the
+            # cube, and three squares
+            **{"stage": s * several, "cosine": self.harmonics * several},
+            **{"stage_gap": k, "force": k, "modulation": k * several},
+            **{"cube": self.cubics * several, "bend": self.cubics * several},
+        }
+        return {name: size * (not self.is_taylor) for name, size in sizes.items()}
+
+    @cached_property
+    def first(self) -> dict[str, int]:
+        """First row of every block."""
+        return dict(zip(self.blocks, accumulate(self.blocks.values(), initial=0), strict=False))
+
+    @cached_property
+    def n_rows(self) -> int:
+        return sum(self.blocks.values())
+
+    @cached_property
+    def numbers(self) -> np.record:
+        """All sizes and first rows, by name, as a record for code compiled once for all layouts."""
+        names = [*(field.name for field in fields(self)), *self.derived, *self.blocks]
+        values = tuple(int(getattr(self, name)) for name in names)
+        found: np.record = np.rec.array([values], dtype=[(name, np.int64) for name in names])[0]
+        return found
+
+    def __getattr__(self, name: str) -> int:
+        """Return the first row of a block, and store it as an attribute."""
+        if name.startswith("_") or name not in self.blocks:
+            raise AttributeError(name)
+        self.__dict__[name] = self.first[name]
+        return self.first[name]
+
+
+_KNOWN: dict[RowLayout, RowLayout] = {}
+
+
+def known(layout: RowLayout) -> RowLayout:
+    """Return the first layout that equals this one, so that rows are computed only once."""
+    return _KNOWN.setdefault(layout, layout)
+
+
+# Layouts whose machine code this process has loaded.
+LOADED: set[RowLayout] = set()
+
+
+def of_width(n: int, layout: RowLayout) -> RowLayout:
+    """Return a layout for n models: narrow for few, unless only the wide one's code is loaded.
+
+    Loading or compiling machine code takes longer than stepping a thousand idle lanes, and results
+    do not depend on the number of lanes.
+    """
+    wide, narrow = (known(replace(layout, width=width)) for width in (WIDTH, NARROW))
+    return narrow if n <= NARROW and (narrow in LOADED or wide not in LOADED) else wide
+
+
+def aligned(*shape: int) -> NDArray[np.float64]:
+    """Return an array of zeros whose rows of one vector start on cache lines."""
+    size = math.prod(shape)
+    raw = np.zeros(size + 8)
+    skip = (-raw.__array_interface__["data"][0] // 8) % 8
+    return raw[skip : skip + size].reshape(shape)
+
+
+class LayoutType(types.Opaque):
+    """numba's type of one layout: its numbers are constants of the code."""
+
+    def __init__(self, layout: RowLayout) -> None:
+        self.layout = layout
+        super().__init__(repr(layout))
+
+
+register_model(LayoutType)(models.OpaqueModel)
+
+
+_typed = cache(LayoutType)  # needed in every call from Python
+
+
+@typeof_impl.register(RowLayout)
+def _typeof(layout: RowLayout, context: Any) -> LayoutType:
+    return _typed(layout)
+
+
+@unbox(LayoutType)
+def _unbox(typ: LayoutType, value: Any, c: Any) -> NativeValue:
+    return NativeValue(c.context.get_dummy_value())
+
+
+@infer_getattr
+class _Numbers(AttributeTemplate):
+    key = LayoutType
+
+    def generic_resolve(self, typ: LayoutType, name: str) -> Any:
+        found = getattr(typ.layout, name)
+        if isinstance(found, RowLayout):
+            return _typed(found)
+        return types.int64 if isinstance(found, int) else None
+
+
+@lower_getattr_generic(LayoutType)
+def _number(context: Any, builder: Any, typ: LayoutType, value: Any, name: str) -> Any:
+    found = getattr(typ.layout, name)
+    if isinstance(found, RowLayout):
+        return context.get_dummy_value()
+    return context.get_constant(types.int64, int(found))

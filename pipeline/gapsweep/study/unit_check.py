@@ -1,0 +1,135 @@
+"""Warnings of probable unit errors, of laws that all motions leave, and of untouched walls."""
+
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
+from itertools import product
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gapsweep.errors import ModelError
+from gapsweep.model.contact import ContactLaw
+from gapsweep.model.doubts import doubts
+from gapsweep.model.labels import EXACT, Representation
+from gapsweep.model.oscillator import Gap
+from gapsweep.model.table import ForceTable
+from gapsweep.status import Status
+from gapsweep.study.grid import START, starts_of
+from gapsweep.study.study import Study
+
+_IN_CASE = ("representation", "omega", START)  # dimensions within a parameter set
+_SAMPLED = 16  # every 16th point shows for most parameter sets that a wall may be reached
+
+
+def never_reached(values: Callable[[str], Any], dims: Sequence[str], labels: Sequence[str]) -> str:
+    """Sentence on the cases in which the exact law touches no wall; empty if there are none.
+
+    Parameters
+    ----------
+    values : callable
+        From the name of a variable of ``responses.nc`` to its values.
+    dims, labels : sequence of str
+        Dimensions of a sweep point, and representations: all count if the exact law is not swept.
+    """
+    rows = [labels.index(EXACT)] if EXACT in labels else list(range(len(labels)))
+    contacts, x_max, x_min = (np.asarray(values(n)) for n in ("n_contacts", "x_max", "x_min"))
+    if not contacts.size:  # the file cannot be read
+        return ""
+    within = tuple(i for i, dim in enumerate(dims) if dim in _IN_CASE)
+    reach = np.maximum(x_max[rows], -x_min[rows])
+    known = np.isfinite(reach)
+    n_cases = np.count_nonzero(known.any(within))
+    never = known.any(within) & ~contacts[rows].any(within)
+    if not never.any():
+        return ""
+    largest = 1e3 * reach.max(within, initial=0.0, where=known)[never].max()
+    where, gap = f" in {never.sum()} of {n_cases} cases", ""
+    if never.sum() == n_cases:
+        nearest = 1e3 * min(np.min(values(name)) for name in ("j_1", "j_2"))
+        where, gap = "", f", gap {nearest:.3g} mm"
+    return (
+        f"the wall is never reached{where}: |x| at most {largest:.3g} mm{gap}; gaps are in metres, "
+        "frequencies in hertz, and zeta = 0.02 is 2 %"
+    )
+
+
+def _out_of_range(status: NDArray[Any], labels: Sequence[Representation]) -> Iterator[str]:
+    """Yield a sentence for each representation of which all points left the range of its law."""
+    for label, some in zip(labels, status, strict=False):  # none if the file cannot be read
+        n = np.count_nonzero(some != Status.NOT_REQUESTED)
+        if 0 < n == np.count_nonzero(some == Status.OUT_OF_FIT_RANGE):
+            remedy = "increase range in [fit]" if label.is_fitted else "extend its table"
+            yield f"{label}: all {n} points leave its range (out_of_fit_range); {remedy}"
+
+
+def bounded(study: Study) -> str:
+    """Sentence of `never_reached` before a run, from the bounds of `advise`; empty for systems."""
+    grid = study.grid
+    if not study.model.is_oscillator:
+        return ""
+    asked = grid.requested.any(axis=0)
+    within = tuple(i for i, dim in enumerate(grid.dims[1:]) if dim in _IN_CASE)
+    bound = np.full(asked.shape, np.nan)
+    for step in (_SAMPLED, 1):
+        may_reach = np.isinf(bound).any(within, keepdims=True)
+        cells = np.flatnonzero(asked & ~may_reach)[::step]
+        bound.flat[cells] = [one.bound for one in study.advice(cells)]
+    found = {"n_contacts": np.isinf(bound), "x_max": bound, "x_min": -bound}
+    values = grid.coordinates() | {name: some[None] for name, some in found.items()}
+    return never_reached(values.__getitem__, grid.dims, [EXACT])
+
+
+def doubts_of(study: Study, far: str = "", own: bool = True) -> Iterator[str]:
+    """Warnings of numbers of a study that are probably in another unit, by the rules of calls.
+
+    A sentence `far` on walls that are not reached comes last. User functions of contact laws, which
+    may never return, are not called; without `own` functions of systems are not called either, and
+    such systems have no warnings.
+    """
+    grid, model = study.grid, study.model
+    axes = {name: grid.axes[name] for name in study.spec.model if name in grid.axes}
+    if not (model.is_oscillator or own):
+        return
+    ends = product(*({min(axis), max(axis)} for axis in axes.values()))
+    points = [dict(zip(axes, end, strict=True)) for end in ends]  # bound the rules of oscillators
+    if not model.is_oscillator:
+        points = [*model.swept(grid.axes, grid.requested)] or [{}]
+    ratio, K_c = max(grid.axes.get("K_ratio", (1.0,))), grid.axes.get("K_c", (0.0,))
+    gaps = grid.gaps if {"gap", "j_1"} & grid.axes.keys() else (Gap(0.0, 0.0),)
+    laws = []
+    for label, gap, stiffness in product(grid.representations, gaps, {min(K_c), max(K_c)}):
+        with suppress(ModelError):  # an invalid law is reported at its use
+            laws.append(tuple(_laws(study, label, stiffness, gap, ratio, own)))
+    omega, starts = grid.axes.get("omega", 0.0), starts_of(grid.axes).states
+    yield from doubts([model.at(some) for some in points], laws, omega, starts) if laws else ()
+    yield from [far] * bool(far)
+
+
+def doubts_of_run(study: Study, values: Callable[[str], Any]) -> Iterator[str]:
+    """Warnings of `doubts_of`, and of results: walls not reached, laws that all motions leave.
+
+    `values` is as for `never_reached`.
+    """
+    grid = study.grid
+    far = ""
+    if study.model.is_oscillator:
+        far = never_reached(values, grid.dims, grid.representations)
+    yield from doubts_of(study, far)
+    yield from _out_of_range(values("status"), grid.representations)
+
+
+def _laws(
+    study: Study, swept: Representation, K_c: float, gap: Gap, ratio: float, own: bool
+) -> Iterator[ContactLaw]:
+    """The laws of all contacts; the exact law in place of fits and of user functions."""
+    for name, one in zip(study.model.contacts, study.model.laws(swept.law), strict=True):
+        given: dict[str, Any] = {"K_c": K_c, "gap": (gap.j_1, gap.j_2), "K_ratio": ratio}
+        if name in study.spec.contact:
+            given |= study.spec.contact[name].model_dump(exclude_none=True)
+        law = study.own_law(one)  # its module has been imported in another process before
+        source = law and (law.load() if own else law.source)
+        is_code = law is not None and not isinstance(source, ForceTable)
+        is_exact = one.is_auto or one.is_fitted or is_code
+        walls = Gap(*given["gap"])
+        yield study.law(EXACT if is_exact else one, given["K_c"], walls, given["K_ratio"])

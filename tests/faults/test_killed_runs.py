@@ -1,0 +1,172 @@
+"""Runs whose own process is killed again and again, and two runs on one cache."""
+
+import json
+import os
+import random
+import signal
+import subprocess
+import sys
+import time
+from contextlib import suppress
+from pathlib import Path
+
+import psutil
+import pytest
+import xarray as xr
+from tests.builders.cache import n_stored
+
+import gapsweep as gs
+from gapsweep.store.cache import Cache
+from gapsweep.store.maintenance import verify
+
+RUN = "import sys; from gapsweep.cli import main; sys.argv[0] = 'gapsweep'; main()"
+BATCH = 4
+# Two workers, three tasks in flight for each.
+IN_FLIGHT = 2 * 3 * BATCH
+
+
+def study_text(n_points, settle_tol="1e-3"):
+    return f"""
+oscillator = {{ mass = 3.0, omega_n = 5.0, zeta = 0.03, forcing = 4.0, alpha = 7e8 }}
+[study]
+name = "storm"
+[[sweep]]
+representation = ["piecewise", "tests.misbehaving.forces:counted"]
+K_c = [1.4e4]
+gap = [[0.4e-3, 0.4e-3]]
+omega = {{ start = 6.0, stop = 30.0, num = {n_points // 2} }}
+[solver]
+engine = "scipy"
+rtol = 1e-4
+atol = 1e-7
+[steady]
+settle_tol = {settle_tol}
+n_periods = 16
+max_period_multiple = 8
+"""
+
+
+def start(folder, cache, out, *options, run=RUN):
+    environment = os.environ | {
+        "COUNTED_LAW_LOG": str(folder / f"{out}.log"),
+        "PYTHONPATH": str(Path(__file__).parents[2]),
+    }
+    command = [sys.executable, "-c", run, "run", "storm.toml", "--cache", cache, "--out", out]
+    return subprocess.Popen(
+        [*command, *options], cwd=folder, env=environment, stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE, text=True, start_new_session=True,
+    )  # fmt: skip
+
+
+def finish(process):
+    out, errors = process.communicate(timeout=1800)
+    assert process.returncode == 0, errors
+    return out
+
+
+def same(a, b):
+    with gs.open(a) as first, gs.open(b) as second:
+        drop = [name for name in ("cpu_time",) if name in first]
+        xr.testing.assert_identical(
+            first.drop_vars(drop).drop_attrs(deep=False),
+            second.drop_vars(drop).drop_attrs(deep=False),
+        )
+
+
+@pytest.mark.parametrize(
+    ("n_points", "n_kills"), [(40, 3), pytest.param(2000, 50, marks=pytest.mark.slow)]
+)
+def test_storm_of_kills_loses_nothing(tmp_path, n_points, n_kills):
+    (tmp_path / "storm.toml").write_text(study_text(n_points))
+    finish(start(tmp_path, "calm-cache", "calm"))
+    generator = random.Random(1)
+    cache = tmp_path / "storm-cache"
+    done = n_killed = 0
+    for _ in range(n_kills):
+        process = start(tmp_path, "storm-cache", "storm", "--batch", str(BATCH))
+        # Kill at a random moment of the work, not of the start-up.
+        wanted = done + generator.randrange(1, max(2, 2 * (n_points - done) // n_kills))
+        while n_stored(cache) < wanted and process.poll() is None:
+            time.sleep(0.02)
+        time.sleep(generator.uniform(0.0, 0.5))
+        with suppress(ProcessLookupError):  # it may have finished just before
+            os.killpg(process.pid, signal.SIGKILL)  # the driver and its workers
+        process.communicate()
+        n_killed += process.returncode == -signal.SIGKILL
+        before, done = done, n_stored(cache)
+        assert done >= before, "stored points are kept"
+    assert n_killed > n_kills // 2, "most kills met a run at work"
+    last = finish(start(tmp_path, "storm-cache", "storm"))
+    assert f"{n_points} points: {done} from the cache, {n_points - done} computed" in last
+    for name in ("responses.nc", "attractors.nc"):
+        same(tmp_path / "calm" / name, tmp_path / "storm" / name)
+    with Cache(cache) as store:
+        assert verify(store).is_sound
+    # Half of the points count themselves; a point counts itself as often in every run.
+    once = (tmp_path / "calm.log").stat().st_size / (n_points // 2)
+    again = (tmp_path / "storm.log").stat().st_size / once - n_points // 2
+    print(f"{n_kills} kills: {again:g} of the counted half of {n_points} points computed again")
+    assert again <= n_kills * (IN_FLIGHT + BATCH), "what was in flight, and one commit"
+
+
+def test_a_worker_killed_while_the_cluster_starts_costs_one_line_at_most(tmp_path):
+    (tmp_path / "storm.toml").write_text(study_text(4))
+    process = start(tmp_path, "cache", "out")
+    is_killed = False
+    while process.poll() is None and not is_killed:
+        for child in psutil.Process(process.pid).children(recursive=True):
+            with suppress(psutil.NoSuchProcess):
+                if "forkserver" in " ".join(child.cmdline()):
+                    child.kill()
+                    is_killed = True
+        time.sleep(0.01)
+    _, errors = process.communicate(timeout=60)
+    assert is_killed
+    if process.returncode:  # else it was started again
+        assert process.returncode == 1, errors
+        assert "error: no local cluster of 2 workers" in errors.splitlines()[-1]
+    assert "Traceback" not in errors
+
+
+def test_a_killed_run_leaves_no_process_and_its_status_says_so(tmp_path):
+    (tmp_path / "storm.toml").write_text(study_text(400, settle_tol="1e-6"))
+    process = start(tmp_path, "cache", "out", "--batch", "2")
+    while n_stored(tmp_path / "cache") < 4:
+        assert process.poll() is None
+        time.sleep(0.05)
+    assert status(tmp_path)["state"] == "running"
+    workers = psutil.Process(process.pid).children(recursive=True)
+    process.kill()
+    process.communicate()
+    assert len(workers) > 2
+    assert not psutil.wait_procs(workers, timeout=10.0)[1], "no process outlives the run"
+    state = status(tmp_path)
+    assert state["state"] == "died"
+    assert state["points"] == 400
+    assert "run again to resume" in state["message"]
+
+
+def status(folder):
+    command = [sys.executable, "-c", RUN, "status", "out", "--json"]
+    return json.loads(subprocess.run(command, cwd=folder, capture_output=True, check=True).stdout)
+
+
+@pytest.mark.parametrize(("locks", "second"), [("locks", "one"), ("no locks", "two")])
+@pytest.mark.parametrize("n_points", [120, pytest.param(800, marks=pytest.mark.slow)])
+def test_two_runs_on_one_cache_share_the_work(tmp_path, n_points, locks, second):
+    """Into one folder or into two; without locks, as on two hosts, they may compute a point twice.
+
+    Of the two folders every number is the same, though each run has computed others of them.
+    """
+    (tmp_path / "storm.toml").write_text(study_text(n_points))
+    run = (
+        RUN if locks == "locks" else f"import gapsweep.store.work_locks as w; w.fcntl = None; {RUN}"
+    )
+    both = [start(tmp_path, "cache", out, "--workers", "1", run=run) for out in ("one", second)]
+    texts = [finish(process) for process in both]
+    counts = [int(text.split(" from the cache, ")[1].split(" computed")[0]) for text in texts]
+    assert n_points <= sum(counts) <= (1.05 if locks == "locks" else 2.0) * n_points, texts
+    assert min(counts) > 0, "both took part"
+    with gs.open(tmp_path / "one" / "responses.nc") as ds:
+        assert (ds["status"] == gs.Status.OK).all()
+    same(tmp_path / "one" / "responses.nc", tmp_path / second / "responses.nc")

@@ -1,0 +1,85 @@
+"""Python files that happen to lie about, and rows that name code: nothing of it is run."""
+
+import os
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from tests.builders.cache import made, point
+
+import gapsweep as gs
+from gapsweep.store.cache import Cache
+
+COMMAND = Path(sys.executable).with_name("gapsweep")
+MARK = "import os\nopen(os.path.join(os.path.dirname(__file__), 'ran'), 'a').write(__name__)\n"
+# Libraries, parts of Python, and what some of them look for in vain.
+SHADOWS = ("xarray", "scipy", "numba", "queue", "socket", "random", "secrets", "cftime")
+STUDY = """
+oscillator = { mass = 3.0, omega_n = 5.0, zeta = 0.03, forcing = 4.0, alpha = 7e8 }
+[study]
+name = "tiny"
+[[sweep]]
+representation = ["piecewise"]
+K_c = [1.4e4]
+gap = [[0.4e-3, 0.4e-3]]
+omega = [12.0]
+initial_condition = { sobol = 2, seed = 1, x = [-1e-3, 1e-3], v = [-0.1, 0.1] }
+[steady]
+settle_tol = 1e-2
+n_periods = 16
+max_period_multiple = 8
+"""
+
+
+def gapsweep(folder, *arguments):
+    environment = os.environ | {"GAPSWEEP_CACHE": "c-cache"}
+    environment["PYTHONPATH"] = str(Path(gs.__file__).parents[1])
+    return subprocess.run(
+        [COMMAND, *arguments], cwd=folder, env=environment, capture_output=True, text=True,
+        timeout=100,
+    )  # fmt: skip
+
+
+@pytest.fixture
+def shadowed(tmp_path):
+    """A folder that holds files named as libraries are."""
+    (tmp_path / "tiny.toml").write_text(STUDY)
+    for name in SHADOWS:
+        (tmp_path / f"{name}.py").write_text(MARK)
+    return tmp_path
+
+
+def test_files_of_the_current_folder_never_stand_in_for_libraries(shadowed):
+    for arguments in (
+        ("plan", "tiny.toml"),
+        ("run", "tiny.toml", "--out", "out"),
+        ("query", "tiny.toml"),
+    ):
+        done = gapsweep(shadowed, *arguments)
+        assert done.returncode == 0, done.stderr
+        ran = shadowed / "ran"
+        assert not ran.exists(), f"{arguments[0]} ran {ran.read_text()}"
+
+
+def test_code_that_a_study_names_is_found_in_the_current_folder_after_libraries(shadowed):
+    (shadowed / "springs.py").write_text("import random, queue\ndef soft(x):\n    return 1e3 * x\n")
+    (shadowed / "tiny.toml").write_text(STUDY.replace('"piecewise"', '"springs:soft"'))
+    done = gapsweep(shadowed, "run", "tiny.toml", "--engine", "scipy", "--out", "out")
+    assert done.returncode == 0, done.stderr
+    assert "2 computed" in done.stdout
+    # cftime is no library here: where code is looked up, what is asked for is found.
+    ran = shadowed / "ran"
+    assert not ran.exists() or set(ran.read_text().split("cftime")) == {""}
+
+
+def test_code_that_only_a_row_names_is_not_run(shadowed):
+    (shadowed / "evil.py").write_text(MARK + "def law(x):\n    return 0.0\n")
+    study = gs.Study.load(shadowed / "tiny.toml")
+    evil = replace(point(study, 0, 0, 0, 0, 0).kind, representation="evil:law")
+    with Cache(shadowed / "c-cache") as cache:
+        cache.commit(made([1], [gs.Response(status=gs.Status.OK)], kind=evil))
+    done = gapsweep(shadowed, "cache", "verify")
+    assert done.returncode == 0, done.stderr
+    assert not (shadowed / "ran").exists()
