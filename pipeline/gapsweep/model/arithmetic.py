@@ -48,6 +48,11 @@ def maximum(a: float, b: float) -> float:
     return max(a, b)
 
 
+def sqrt(a: float) -> float:
+    """Return the square root of `a`, which is not negative."""
+    return math.sqrt(a)
+
+
 def exp(a: float) -> float:
     """Return the exponential of `a`, of magnitude 700 at most."""
     return math.exp(a)

@@ -31,7 +31,7 @@ def _is_any(condition):
 # Forms for vectors of the functions that formulas call.
 _SAME = (
     *("fma", "select", "splat", "absolute", "copysign", "minimum", "maximum"),
-    *("exp", "log", "arctan"),
+    *("sqrt", "exp", "log", "arctan"),
 )
 _VECTORS = {getattr(arithmetic, name): getattr(simd, name) for name in _SAME}
 _VECTORS[arithmetic.is_any] = _is_any
