@@ -163,9 +163,7 @@ CASES = {
     "taylor hard tanh": oscillator(gs.Tanh(1.4e6, SYMMETRIC, 2e5), **POLES),
     "taylor closed tanh": oscillator(gs.Tanh(1e5, gs.Gap(0.0, 0.0), 3e4, K_ratio=2.0), **POLES),
     **{  # arctan, logarctan and all others that only a Runge-Kutta method integrates
-        f"native {law.family}": oscillator(
-            gs.contact_law(law.examples[0], 1.4e4, GAP, K_ratio=0.5)
-        )
+        f"native {law.family}": oscillator(gs.contact_law(law.examples[0], 1.4e4, GAP, K_ratio=0.5))
         for law in LAWS
         if law.is_sharpened and law is not gs.Tanh
     },

@@ -119,7 +119,8 @@ def user(
 # that numba refuses is not cached: the user may correct it.
 @lru_cache(maxsize=64)
 def _user_kind(function: Any, n: int) -> laws.User:
-    called = with_callees(function, {}, njit)
+    # As in NumPy, x / 0.0 is infinite: no exception.
+    called = with_callees(function, {}, njit(error_model="numpy"))
 
     @njit
     def force(x: float, a: float, b: float, c: float, d: float) -> Any:
