@@ -5,9 +5,11 @@ functions have theirs here. Numbers that differ between points are in the parame
 contact; numbers that a batch shares are in `law`.
 """
 
+import builtins
+import math
 from collections.abc import Callable
 from inspect import signature
-from types import CellType, FunctionType
+from types import BuiltinFunctionType, CellType, FunctionType
 from typing import Any
 
 from numba import njit
@@ -29,12 +31,12 @@ def _is_any(condition):
 
 
 # Forms for vectors of the functions that formulas call.
-_SAME = (
-    *("fma", "select", "splat", "absolute", "copysign", "minimum", "maximum"),
-    *("sqrt", "exp", "log", "arctan"),
-)
-_VECTORS = {getattr(arithmetic, name): getattr(simd, name) for name in _SAME}
-_VECTORS[arithmetic.is_any] = _is_any
+_VECTORS = {
+    **{abs: simd.absolute, min: simd.minimum, max: simd.maximum, math.copysign: simd.copysign},
+    **{math.sqrt: simd.sqrt, math.exp: simd.exp, math.log: simd.log, math.atan: simd.arctan},
+    **{arithmetic.fma: simd.fma, arithmetic.select: simd.select, arithmetic.splat: simd.splat},
+    arithmetic.is_any: _is_any,
+}
 # Rows of the arguments that are numbers of every law.
 _ROWS = {
     "stiffness": STIFFNESS,
@@ -79,16 +81,18 @@ def with_callees(function: Any, known: dict[Any, Any], compiled: Callable[..., A
     Parameters
     ----------
     function : callable
-        Returned as it is if it is no plain function.
+        Returned as it is if it is neither known nor a plain function.
     known : dict
-        Compiled functions by plain function, which take their place; new ones are added.
+        Compiled functions by function, which take their place; new ones are added.
     compiled : callable
         Compiles one function, as ``numba.njit``.
     """
+    if isinstance(function, BuiltinFunctionType):
+        return known.get(function, function)
     if not isinstance(function, FunctionType):
         return function
     if function not in known:
-        names, code = dict(function.__globals__), function.__code__
+        names, code = {**vars(builtins), **function.__globals__}, function.__code__
         cells = [CellType(cell.cell_contents) for cell in function.__closure__ or ()]
         defaults = function.__defaults__
         copy = FunctionType(code, names, function.__name__, defaults, tuple(cells))

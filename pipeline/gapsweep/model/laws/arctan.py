@@ -2,12 +2,13 @@
 
 import math
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from math import atan
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from gapsweep.model.arithmetic import arctan, fma
+from gapsweep.model.arithmetic import fma
 from gapsweep.model.contact import Formulas
 from gapsweep.model.laws.sharpened import ARCTAN_LAYER, INVERSE_PI, Switched
 from gapsweep.model.oscillator import called_as
@@ -15,17 +16,17 @@ from gapsweep.model.oscillator import called_as
 Array = NDArray[np.float64]
 
 
-def _force(x: Any, stiffness: Any, low: Any, high: Any, ratio: Any, sharpness: Any) -> Any:
+def _force(x, stiffness, low, high, ratio, sharpness):
     below, above = x - low, x - high
-    t_below, t_above = arctan(sharpness * below), arctan(sharpness * above)
+    t_below, t_above = atan(sharpness * below), atan(sharpness * above)
     below = ratio * below
     return stiffness * fma(0.5, below + above, INVERSE_PI * (above * t_above - below * t_below))
 
 
-def _slope(x: Any, stiffness: Any, low: Any, high: Any, ratio: Any, sharpness: Any) -> Any:
+def _slope(x, stiffness, low, high, ratio, sharpness):
     z1, z2 = sharpness * (x - low), sharpness * (x - high)
-    d1 = arctan(z1) + z1 / fma(z1, z1, 1.0)
-    d2 = arctan(z2) + z2 / fma(z2, z2, 1.0)
+    d1 = atan(z1) + z1 / fma(z1, z1, 1.0)
+    d2 = atan(z2) + z2 / fma(z2, z2, 1.0)
     return stiffness * fma(INVERSE_PI, d2 - ratio * d1, 0.5 + 0.5 * ratio)
 
 

@@ -18,7 +18,7 @@ from gapsweep.model.oscillator import called_as, checked
 Array = NDArray[np.float64]
 
 
-def _series(c: Any, u: Any) -> Any:
+def _series(c, u):
     """Chebyshev series `c` at `u`, by Clenshaw's recurrence."""
     b1, b2 = splat(0.0), splat(0.0)
     two_u = 2.0 * u
@@ -27,7 +27,7 @@ def _series(c: Any, u: Any) -> Any:
     return fma(u, b1, c[0] - b2)
 
 
-def _series_and_slope(c: Any, u: Any) -> tuple[Any, Any]:
+def _series_and_slope(c, u):
     """Chebyshev series `c` at `u`, and its derivative with respect to `u`.
 
     The derivative is by Clenshaw's recurrence, differentiated.
@@ -43,34 +43,26 @@ def _series_and_slope(c: Any, u: Any) -> tuple[Any, Any]:
 # Polynomials have a denominator, too, which they do not use: all fits have the same arguments.
 
 
-def _polynomial_force(
-    x: Any, numerator: Any, denominator: Any, stiffness: Any, fit_range: Any
-) -> Any:
+def _polynomial_force(x, numerator, denominator, stiffness, fit_range):
     return stiffness * _series(numerator, x / fit_range)
 
 
-def _polynomial_slope(
-    x: Any, numerator: Any, denominator: Any, stiffness: Any, fit_range: Any
-) -> Any:
+def _polynomial_slope(x, numerator, denominator, stiffness, fit_range):
     return stiffness * _series_and_slope(numerator, x / fit_range)[1] / fit_range
 
 
-def _rational_force(
-    x: Any, numerator: Any, denominator: Any, stiffness: Any, fit_range: Any
-) -> Any:
+def _rational_force(x, numerator, denominator, stiffness, fit_range):
     u = x / fit_range
     return stiffness * (_series(numerator, u) / _series(denominator, u))
 
 
-def _rational_slope(
-    x: Any, numerator: Any, denominator: Any, stiffness: Any, fit_range: Any
-) -> Any:
+def _rational_slope(x, numerator, denominator, stiffness, fit_range):
     n, dn = _series_and_slope(numerator, x / fit_range)
     d, dd = _series_and_slope(denominator, x / fit_range)
     return stiffness * (dn * d - n * dd) / (d * d) / fit_range
 
 
-def _rational_denominator(x: Any, numerator: Any, denominator: Any, fit_range: Any) -> Any:
+def _rational_denominator(x, numerator, denominator, fit_range):
     return _series(denominator, x / fit_range)
 
 

@@ -2,12 +2,13 @@
 
 import math
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from math import atan, log
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from gapsweep.model.arithmetic import absolute, arctan, fma, is_any, log
+from gapsweep.model.arithmetic import fma, is_any
 from gapsweep.model.contact import Formulas, penetrations
 from gapsweep.model.laws.sharpened import ARCTAN_LAYER, INVERSE_PI, Sharpened
 from gapsweep.model.oscillator import called_as
@@ -15,23 +16,21 @@ from gapsweep.model.oscillator import called_as
 Array = NDArray[np.float64]
 
 
-def _force(
-    x: Any, stiffness: Any, low: Any, high: Any, ratio: Any, sharpness: Any, offset: Any
-) -> Any:
+def _force(x, stiffness, low, high, ratio, sharpness, offset):
     below, above = x - low, x - high
     z1, z2 = sharpness * below, sharpness * above
     logarithm = log(fma(z1, z1, 1.0) / fma(z2, z2, 1.0)) / (2.0 * sharpness)
     more = ratio - 1.0
-    if is_any(absolute(more) > 0.0):  # one more logarithm only for walls that differ
+    if is_any(abs(more) > 0.0):  # one more logarithm only for walls that differ
         logarithm = fma(more, log(fma(z1, z1, 1.0)) / (2.0 * sharpness), logarithm)
-    arctans = above * arctan(z2) - ratio * below * arctan(z1)
+    arctans = above * atan(z2) - ratio * below * atan(z1)
     linear = (0.5 + 0.5 * ratio) * x
     return stiffness * fma(INVERSE_PI, arctans + logarithm + offset, linear)
 
 
-def _slope(x: Any, stiffness: Any, low: Any, high: Any, ratio: Any, sharpness: Any) -> Any:
-    t1 = arctan(sharpness * (x - low))
-    t2 = arctan(sharpness * (x - high))
+def _slope(x, stiffness, low, high, ratio, sharpness):
+    t1 = atan(sharpness * (x - low))
+    t2 = atan(sharpness * (x - high))
     return stiffness * fma(INVERSE_PI, t2 - ratio * t1, 0.5 + 0.5 * ratio)
 
 

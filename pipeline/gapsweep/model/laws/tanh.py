@@ -3,12 +3,13 @@
 import math
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, ClassVar
+from math import copysign, exp
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from gapsweep.model.arithmetic import absolute, copysign, exp, fma, maximum, minimum, select
+from gapsweep.model.arithmetic import fma, select
 from gapsweep.model.contact import Formulas
 from gapsweep.model.laws.sharpened import Switched
 from gapsweep.model.oscillator import called_as
@@ -20,9 +21,7 @@ _HALVINGS = 60  # to the last digits of a double
 _THIN = 30.0  # gap over the width of a layer
 
 
-def _parts(
-    x: Any, ratio: Any, sharpness: Any, centre: Any, half_gap: Any, decay: Any
-) -> tuple[Any, ...]:
+def _parts(x, ratio, sharpness, centre, half_gap, decay):
     """Side of the gap's centre, distances to both walls, their weights, and the two exponentials.
 
     With s = |x - centre|, F/K = sign * ((s - g) / (1 + E) + (s + g) E2 / (1 + E2)) where
@@ -32,24 +31,15 @@ def _parts(
     The weights are the stiffnesses of the near and of the far wall over that of the upper one.
     """
     y = x - centre
-    s = absolute(y)
+    s = abs(y)
     near, far = s - half_gap, s + half_gap
-    e = exp(minimum(maximum(-2.0 * sharpness * near, -40.0), 40.0))
+    e = exp(min(max(-2.0 * sharpness * near, -40.0), 40.0))
     is_below = copysign(1.0, y) < 0.0  # by the sign that the force gets, also of a zero
     weights = select(is_below, ratio, 1.0), select(is_below, 1.0, ratio)
     return y, near, far, weights, e, e * decay
 
 
-def _force(
-    x: Any,
-    stiffness: Any,
-    ratio: Any,
-    sharpness: Any,
-    centre: Any,
-    half_gap: Any,
-    decay: Any,
-    saturation: Any,
-) -> Any:
+def _force(x, stiffness, ratio, sharpness, centre, half_gap, decay, saturation):
     y, near, far, (w, w2), e, e2 = _parts(x, ratio, sharpness, centre, half_gap, decay)
     p, p2 = 1.0 + e, 1.0 + e2
     f = fma(w * near, p2, w2 * far * e2 * p) / (p * p2)
@@ -62,9 +52,7 @@ def _force(
     return copysign(stiffness, y) * f
 
 
-def _slope(
-    x: Any, stiffness: Any, ratio: Any, sharpness: Any, centre: Any, half_gap: Any, decay: Any
-) -> Any:
+def _slope(x, stiffness, ratio, sharpness, centre, half_gap, decay):
     _, near, far, (w, w2), e, e2 = _parts(x, ratio, sharpness, centre, half_gap, decay)
     two_eps = 2.0 * sharpness
     s1, s2 = 1.0 / (1.0 + e), e2 / (1.0 + e2)
