@@ -17,7 +17,7 @@ import gapsweep as gs
 from gapsweep.cli.options import selected
 from gapsweep.explorer import question
 from gapsweep.model.oscillator import OSCILLATOR
-from gapsweep.report import model as report_model
+from gapsweep.report.sections import model as report_model
 from gapsweep.study import points
 from gapsweep.study.axes import OscillatorTable
 from gapsweep.study.points import canonical
