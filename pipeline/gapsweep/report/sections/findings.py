@@ -173,7 +173,7 @@ def _along(responses: xr.Dataset) -> Iterator[str]:
 
 
 def _ranges(is_so: NDArray[np.bool_], x: NDArray[np.float64]) -> str:
-    """Text with the 3 widest intervals of a grid on which a condition holds."""
+    """Return intervals of a grid on which a condition holds: the 3 widest, ascending, as text."""
     edges = np.flatnonzero(np.diff(is_so, prepend=False, append=False)).reshape(-1, 2) - (0, 1)
     widest = sorted(sorted(edges.tolist(), key=lambda edge: edge[0] - edge[1])[:_LISTED])
     words = [f"{x[a]:.4g}{f' to {x[b]:.4g}' if b > a else ''}" for a, b in widest]
