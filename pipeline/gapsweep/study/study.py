@@ -177,8 +177,8 @@ class Study:
         models = [self.model.at(some) for some in (ends if self.model.is_oscillator else [{}])]
         is_classic = all(isinstance(one, Oscillator) and one.is_classic for one in models)
         for label in self._axes["representation"]:
-            laws = self.model.labels(law_of(label))
-            n_located = sum(law in (EXACT, AUTO) for law in laws)
+            laws = self.model.laws(label.law)
+            n_located = sum(law == EXACT or law.is_auto for law in laws)
             try:
                 self.solver(label).check_located(n_located, len(laws), is_oscillator=is_classic)
             except ModelError as error:
