@@ -20,6 +20,8 @@ from gapsweep.model.own_law import OwnLaw
 from gapsweep.store.cache import Cache
 from gapsweep.study.points import Kind
 
+pytestmark = pytest.mark.extended
+
 LAWS = "tests.misbehaving.forces"
 OPTIONS = ("--out", "out", "--cache", "out-cache", "--workers", "1")
 

@@ -36,6 +36,7 @@ def rungs():
         )
 
 
+@pytest.mark.extended
 def test_in_gap_force_of_a_high_degree_at_hard_contact(rungs):
     rung = rungs["poly_in_gap_force"].sel(gap="0.4/0.4", constraint="none", degree=45)
     assert f"{HARD * float(rung):.0f}" == "39"
