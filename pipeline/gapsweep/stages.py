@@ -288,7 +288,7 @@ def write_page(folder: Path) -> Path:
         inputs = Inputs(
             **found,
             claims=read_json(folder / CLAIMS),
-            own_parts=(read_json(folder / SECTIONS) or {}).get("sections", ()),
+            sections=(read_json(folder / SECTIONS) or {}).get("sections"),
         )
         return write_report(page, inputs, as_text(PAGE.made_from(folder)))
 

@@ -40,7 +40,7 @@ def page(tmp_path_factory):
         agreement(responses, attractors),
         attractors,
         claims=decided(),
-        own_parts=rendered(sections(Run({"responses": everything()}))),
+        sections=rendered(sections(Run({"responses": everything()}))),
     )
     return write_report(folder / "index.html", inputs)
 
@@ -143,7 +143,7 @@ def test_the_answer_and_a_figure_are_on_the_first_screen(debugger, page):
             page,
             "document.querySelector('#answer tbody tr:last-child').getBoundingClientRect().bottom",
             "document.querySelector('#answer .scroll table').getBoundingClientRect().right",
-            "document.querySelector('#figure-hero a').getBoundingClientRect().top",
+            "document.querySelector('#figure-answer a').getBoundingClientRect().top",
             size=size,
         )
         assert row < hero < size[1] - 100
@@ -267,7 +267,7 @@ OFF = """
 
 @pytest.fixture(scope="module")
 def hero(page):
-    return page.parent / "figures" / "figure-hero.html"
+    return page.parent / "figures" / "figure-answer.html"
 
 
 def rows_of(hero):
@@ -315,12 +315,12 @@ def test_every_figure_draws_its_data(debugger, page):
 def test_a_picture_comes_to_life_in_its_place(debugger, page):
     opened = """
     (async () => {
-      document.querySelector("#figure-hero a.live").click();
-      const frame = document.querySelector("#figure-hero iframe");
+      document.querySelector("#figure-answer a.live").click();
+      const frame = document.querySelector("#figure-answer iframe");
       await new Promise((done) => addEventListener("message", done));
       const heights = [frame.getBoundingClientRect().height, parseFloat(frame.style.height)];
-      document.querySelector("#figure-hero .explore").click();
-      const picture = document.querySelector("#figure-hero img").getBoundingClientRect();
+      document.querySelector("#figure-answer .explore").click();
+      const picture = document.querySelector("#figure-answer img").getBoundingClientRect();
       return [...heights, picture.height];
     })()
     """
@@ -344,7 +344,7 @@ def far_out(page, tmp_path_factory):
     folder = tmp_path_factory.mktemp("far")
     study = tables(("piecewise",), (1.0, 2.0))
     responses, _ = datasets(folder, study, lambda *_: periodic([(1e-3, 0.0)], 1.0))
-    inputs = Inputs(responses, timing(responses), own_parts=rendered([part]))
+    inputs = Inputs(responses, timing(responses), sections=rendered([part]))
     write_report(folder / "index.html", inputs)
     (found,) = (folder / "figures").glob("figure-far*.html")
     return found

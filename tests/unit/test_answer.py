@@ -24,9 +24,11 @@ from workflows.paper.figures import sections
 
 from gapsweep.analysis.agreement.comparison import agreement
 from gapsweep.analysis.claims import Run
-from gapsweep.analysis.datasets.timing import repeatability, timing, widened
+from gapsweep.analysis.datasets.timing import repeatability, widened
 from gapsweep.model.labels import Representation
-from gapsweep.report.answer import (
+from gapsweep.report.scales import NamedValue
+from gapsweep.report.sections import findings
+from gapsweep.report.verdicts import (
     COLUMNS,
     Contact,
     Judged,
@@ -39,9 +41,6 @@ from gapsweep.report.answer import (
     verdict,
     worst,
 )
-from gapsweep.report.findings import findings
-from gapsweep.report.inputs import Inputs
-from gapsweep.report.scales import NamedValue
 from gapsweep.study.study import Study
 
 NOTHING = {name: np.full(1, np.nan) for name in ("median", "p95", "found")}
@@ -429,7 +428,8 @@ def responses(tmp_path_factory):
 
 
 def found_in(responses, *several):
-    return " ".join(findings(Inputs(responses, None), several))
+    texts = next(findings.sections(responses)).sentences
+    return " ".join([*texts, *findings.counted(several)])
 
 
 def test_pairs_are_counted_by_verdict(responses):
@@ -562,9 +562,9 @@ def test_a_second_run_on_a_busy_machine_changes_no_sentence(papers, papers_respo
 
     def texts(run):
         found = judged_of(run)
-        inputs = Inputs(run["responses"], timing(run["responses"]), run["agreement"])
         without_times = page(run).partition("**(b)")[0]
-        said = (finding(run), *answer(run), *in_words(found), *findings(inputs, found))
+        told = next(findings.sections(run["responses"], run["agreement"])).sentences
+        said = (finding(run), *answer(run), *in_words(found), *told)
         return *said, signs(found), without_times
 
     responses, attractors = papers_responses

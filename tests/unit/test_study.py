@@ -17,7 +17,7 @@ import gapsweep as gs
 from gapsweep.cli.options import selected
 from gapsweep.explorer import question
 from gapsweep.model.oscillator import OSCILLATOR
-from gapsweep.report.model import model
+from gapsweep.report.sections import model as report_model
 from gapsweep.study import points
 from gapsweep.study.axes import OscillatorTable
 from gapsweep.study.points import canonical
@@ -27,6 +27,10 @@ from gapsweep.user_code import package_digest
 
 def study_of(tables, **changes):
     return gs.Study.from_dict(tables | changes)
+
+
+# Settings that exclude each other.
+WRONG = {"engine": "scipy", "controller": "ode45"}
 
 
 def problems(tables):
@@ -354,6 +358,43 @@ def test_undefined_protocol_is_named(tables):
     assert "[protocol.paper] is missing" in problem
 
 
+@pytest.mark.parametrize(
+    ("table", "named"),
+    [({"protocol": {"paper": WRONG}}, "protocol.paper"), ({"solver": WRONG}, "")],
+)
+def test_wrong_settings_of_a_protocol_name_its_table(tables, table, named):
+    (problem,) = problems(tables | table)
+    assert f"study: {named or 'solver'}: controller = 'ode45': needs" in problem
+
+
+@pytest.mark.parametrize(
+    "settings",
+    [{"contact_force": "as_written"}, {"restart": True}, {"controller": "ode45"}],
+    ids=lambda settings: next(iter(settings)),
+)
+@pytest.mark.parametrize("swept", [{"mean_load": [0.0, 1.0]}, {"omega_n": [0.0, 5.0]}, {}])
+def test_settings_that_cannot_locate_contacts_are_refused_before_a_run(tables, settings, swept):
+    """By the check of a call; smooth laws and the reference engine have no such contacts."""
+    labels = ["piecewise@paper", "tanh-1e4@paper", "piecewise-noevents@paper"]
+    tables["sweep"][0] |= {"representation": labels, **swept}
+    tables["protocol"] = {"paper": {**settings}}
+    if not swept:
+        gs.Study.from_dict(tables)
+        return
+    (problem,) = problems(tables)
+    name = next(iter(settings))
+    assert f"piecewise@paper: {name} = " in problem
+    model = tables["oscillator"] | {name: max(axis) for name, axis in swept.items()}
+    model |= {"omega_n": 0.0} if "omega_n" in swept else {}
+    law = gs.Piecewise(1.4e4, gs.Gap(4e-4, 4e-4))
+    with pytest.raises(gs.ModelError) as refused:
+        gs.simulate(gs.Oscillator(**model), law, 9.0, t_end=1.0, dense_output=True, **settings)
+    assert str(refused.value) in problem
+    if name != "controller":
+        tables["protocol"]["paper"] |= {"engine": "scipy"}
+        gs.Study.from_dict(tables)
+
+
 def test_points_carry_canonical_values(tables):
     tables["sweep"][0]["omega"] = [0.1 + 0.2]
     assert gs.Study.from_dict(tables).grid.omega == (0.3,)
@@ -521,7 +562,8 @@ def test_every_number_of_the_oscillator_is_known_wherever_they_are_listed(tables
     tables["sweep"][0] |= {"representation": "piecewise", "omega": [7.0]}
     study = study_of(tables, oscillator=values)
     coords = {"representation": ["piecewise"], "K_c": [1.4e4], "omega": [7.0], "gap": ["0.4/0.4"]}
-    in_report = dict(model(xr.Dataset({"x_max": 0.1}, coords, study.attributes)))["Numbers"]
+    (part,) = report_model.sections(xr.Dataset({"x_max": 0.1}, coords, study.attributes))
+    in_report = dict(part.content["pairs"])["Numbers"]
     assert [value for value in values.values() if f" {value:g}" not in in_report] == []
 
 

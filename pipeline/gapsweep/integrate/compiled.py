@@ -82,26 +82,13 @@ def prepared(models: Models, solver: Solver) -> Integrate:
 
 def _by_taylor(models: Models, solver: Solver) -> bool:
     """Whether the Taylor method integrates the models; refuse models that no method integrates."""
-    laws = models.laws[0]
-    located = [law for law in laws if isinstance(law, Piecewise) and law.located]
-    is_written = solver.contact_force == "as_written"
-    if solver.controller != "native" or (located and (solver.restart or is_written)):
-        if located and not _is_oscillator(models):
-            what = "restart = true" if solver.restart else "controller = 'ode45'"
-            what = "contact_force = 'as_written'" if is_written else what
-            raise ModelError(
-                f"{what}: needs an Oscillator with omega_n > 0 and mean_load = 0; "
-                "otherwise use engine='scipy', or located=False (piecewise-noevents)"
-            )
+    laws, n_located = models.laws[0], models.n_located
+    solver.check_located(n_located, len(laws), is_oscillator=_is_oscillator(models))
+    if solver.controller != "native" or (n_located and solver.runge_kutta):
         return not laws
-    if located and len(located) < len(laws):
-        raise ModelError(
-            f"{located[0]}: contacts are located for all contacts or none; use located=False "
-            "(piecewise-noevents), or engine='scipy', which then locates none"
-        )
     if _is_oscillator(models) and isinstance(laws[0], Tanh):
         return laws[0].has_thin_layers or solver.rtol <= _THICK_LAYERS_UP_TO
-    return len(located) == len(laws)
+    return n_located == len(laws)
 
 
 def _is_oscillator(models: Models) -> bool:

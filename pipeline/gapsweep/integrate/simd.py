@@ -78,7 +78,7 @@ def _lowered(emit):
 
 
 def _define(op, result, emit, *cases):
-    """Teach numba an operator for some types of operands."""
+    """Register an operator with numba: result type, code generator and types of operands."""
 
     class Template(ConcreteTemplate):
         pass

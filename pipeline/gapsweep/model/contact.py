@@ -282,7 +282,9 @@ class Tanh(_Switched):
 
     @cached_property
     def turns(self) -> tuple[float, ...] | None:
-        """Extrema of the force [m] between walls of equal stiffness; None for unequal ones.
+        """Both extrema of the force [m] between walls of equal stiffness; None for unequal ones.
+
+        If the force has no extrema, both values are the middle of the gap.
 
         With walls ``w`` apart in ``u = ε (x - middle)`` the slope is ``h'(u - w/2) + h'(-u - w/2)``
         with ``h' = d/dz z (1 + tanh z)``. If the slope is negative in the middle, it changes sign

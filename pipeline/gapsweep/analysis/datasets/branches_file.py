@@ -142,7 +142,7 @@ def _with_points(part: _SceneBranches) -> _SceneBranches:
 
 
 def cases(study: Study, attractors: xr.Dataset) -> Iterator[_SceneBranches]:
-    """The computed cases of a study whose branches can be followed, with their attractors."""
+    """Yield the requested cases that can be continued, each with its periodic attractors."""
     table, grid = study.spec.branches, study.grid
     assert table is not None
     along, axes = table.along, grid.axes

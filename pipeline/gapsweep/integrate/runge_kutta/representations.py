@@ -180,7 +180,8 @@ def _compiled(function: Any, known: dict[Any, Any]) -> Any:
         cells = [CellType(cell.cell_contents) for cell in function.__closure__ or ()]
         defaults = function.__defaults__
         copy = FunctionType(code, names, function.__name__, defaults, tuple(cells))
-        known[function] = njit(copy)  # before its callees: it may call itself
+        # Before its callees: it may call itself. As in NumPy, x / 0.0 is infinite: no exception.
+        known[function] = njit(copy, error_model="numpy")
         for name in names.keys() & {*code.co_names}:
             names[name] = _compiled(names[name], known)
         for cell in cells:

@@ -1,4 +1,4 @@
-"""Verdicts on approximations by case, and their cost: the head of the report.
+"""Verdicts on approximations by case, and their cost.
 
 A case is a stiffness and a gap. Verdicts follow from ``agreement.nc``:
 
@@ -141,10 +141,15 @@ class Contact:
         return ", ".join(map(str, self.swept))
 
     @property
+    def stiffness(self) -> str:
+        """The stiffness [N/m] as text."""
+        return plain(self.K_c)
+
+    @property
     def place(self) -> str:
         """The parameters of the case, in words."""
         others = f", {self.others}" if self.others else ""
-        return f"{plain(self.K_c)} N/m, {self.gap} mm{others}"
+        return f"{self.stiffness} N/m, {self.gap} mm{others}"
 
     @property
     def anchor(self) -> str:
@@ -373,7 +378,7 @@ def _picked(found: Sequence[Contact]) -> str:
 def _pick(laws: tuple[str, ...], some: Sequence[Contact]) -> str:
     gaps: dict[tuple[str, str], list[str]] = {}
     for contact in some:
-        gaps.setdefault((plain(contact.K_c), contact.others), []).append(contact.gap)
+        gaps.setdefault((contact.stiffness, contact.others), []).append(contact.gap)
     places = " and ".join(
         f"{K_c} N/m with {', '.join(mm)} mm{f' at {others}' if others else ''}"
         for (K_c, others), mm in gaps.items()

@@ -10,6 +10,7 @@ import xarray as xr
 from gapsweep.analysis.dimensions import in_metres
 from gapsweep.model.labels import Representation
 from gapsweep.report.drawing import labels_of
+from gapsweep.report.parts import Part
 from gapsweep.report.scales import plain, shortened
 
 _EQUATION = (
@@ -50,16 +51,14 @@ _OF_LAGS = {"force": "D", "of_speed": "E", "of_place": "G", "of_lags": "H"}
 _MANY = 5  # values of a parameter; of more, the first and the last are shown
 
 
-def model(responses: xr.Dataset) -> list[tuple[str, str]]:
-    """The equation of a run, its parameters and its contact laws, as pairs of name and text.
+def sections(responses: xr.Dataset) -> Iterator[Part]:
+    """The equation of a run, its parameters and its contact laws, as pairs of name and text."""
+    of_model = _system if "system_json" in responses.attrs else _oscillator
+    yield Part("model", "Model", [], content={"pairs": of_model(responses)})
 
-    Parameters
-    ----------
-    responses : Dataset
-        As stored in ``responses.nc``.
-    """
-    if "system_json" in responses.attrs:
-        return _system(responses)
+
+def _oscillator(responses: xr.Dataset) -> list[tuple[str, str]]:
+    """Equation, numbers and contact laws of an oscillator."""
     study = json.loads(responses.attrs["study_json"])
     fixed = {"K_ratio": 1.0} | study["oscillator"]
     held = {n: responses[n].values if n in responses else fixed[n] for n in _NUMBERS}
