@@ -4,19 +4,13 @@ import json
 from copy import deepcopy
 from typing import Any
 
+from gapsweep.model.laws import LAWS
+
 PAPER = {"mass": 3.0, "omega_n": 5.0, "zeta": 0.03, "forcing": 4.0, "alpha": 7e8}
 TOML = "{ mass = 3.0, omega_n = 5.0, zeta = 0.03, forcing = 4.0, alpha = 7e8 }"
 
 # One law of every family, and both exact ones.
-LABELS = (
-    "piecewise",
-    "piecewise-noevents",
-    "poly-13",
-    "ratpoly-5/3",
-    "tanh-1e4",
-    "arctan-1e4",
-    "logarctan-1e4",
-)
+LABELS = tuple(example for law in LAWS for example in law.examples)
 
 # Two masses between walls, forced, and the wing section of `gapsweep.systems` at several speeds.
 TWO_MASSES = {

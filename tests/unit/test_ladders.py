@@ -203,5 +203,5 @@ def test_a_fit_that_cannot_be_made_is_left_out(monkeypatch):
     def no_fit(*args):
         raise gs.ModelError("pole at x = 1 mm")
 
-    monkeypatch.setattr("gapsweep.model.fitted.rational_fit", no_fit)
+    monkeypatch.setattr("gapsweep.model.laws.fitted.rational_fit", no_fit)
     assert np.isnan(ladders_of([SYMMETRIC], (3,), ("3/2",))["ratpoly_rmse"]).all()

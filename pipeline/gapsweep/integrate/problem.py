@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 
 from gapsweep.errors import ModelError
 from gapsweep.integrate.motions import Motions
-from gapsweep.model.contact import ContactLaw, Piecewise, Tanh, checked_law
+from gapsweep.model.contact import ContactLaw, Piecewise, checked_law
+from gapsweep.model.laws.tanh import Tanh
 from gapsweep.model.oscillator import Oscillator, checked
 from gapsweep.model.structure import general_form
 from gapsweep.model.system import System

@@ -176,13 +176,13 @@ class Study:
         ends = [{name: end(axis) for name, axis in swept.items()} for end in (min, max)]
         models = [self.model.at(some) for some in (ends if self.model.is_oscillator else [{}])]
         is_classic = all(isinstance(one, Oscillator) and one.is_classic for one in models)
-        for label in self._axes["representation"]:
-            laws = self.model.laws(label.law)
+        for one in self._axes["representation"]:
+            laws = self.model.laws(one.law)
             n_located = sum(law == EXACT or law.is_auto for law in laws)
             try:
-                self.solver(label).check_located(n_located, len(laws), is_oscillator=is_classic)
+                self.solver(one).check_located(n_located, len(laws), is_oscillator=is_classic)
             except ModelError as error:
-                yield f"{label}: {error}"
+                yield f"{one}: {error}"
 
     def _problems_of_range(self) -> Iterator[str]:
         """Values of the second parameter of [branches] that no model can have."""
