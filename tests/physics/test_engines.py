@@ -143,6 +143,7 @@ def one_after_the_other(models, integrate, start, n_runs):
     return chain, left
 
 
+@pytest.mark.extended
 @pytest.mark.parametrize(
     ("label", "engine"),
     [
