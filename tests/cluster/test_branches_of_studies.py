@@ -24,6 +24,8 @@ from gapsweep.integrate.problem import Models, Solver
 from gapsweep.model.labels import Representation
 from gapsweep.model.own_law import OwnLaw
 
+pytestmark = pytest.mark.extended
+
 # The oscillator of pyvib: m = 1, c = .05, k = 1, 3 more beyond ±.1745, force .03.
 ONE_RAD = 1.0 / (2.0 * math.pi)
 OSCILLATOR = {"mass": 1.0, "omega_n": ONE_RAD, "zeta": 0.025, "alpha": 0.0, "forcing": 0.03}
