@@ -44,6 +44,7 @@ from gapsweep.report.sections import answer, findings, force_errors, provenance
 from gapsweep.report.sections import model as model_section
 from gapsweep.report.sections.claim_list import claim_rows, outcome
 from gapsweep.report.style import MATPLOTLIB
+from gapsweep.report.style import colour as colour_of
 from gapsweep.report.tables import (
     VERDICTS,
     number,
@@ -497,6 +498,20 @@ def test_the_studys_own_answer_needs_no_exact_law(run):
     assert [one.title for one in part.tables] == ["T"]
     assert part.content["map"] is None
     assert [*answer.sections(run[0])] == []
+
+
+def test_rows_of_laws_have_the_colour_of_the_law_that_they_begin_with(run, tmp_path):
+    """Other texts of a study have none."""
+    rows = ["tanh-1e4", "tanh-1e4, K_ratio = 0.5", "exact law, other settings", "tanh-soft", "mean"]
+    table = Table("T", ["Representation"], [[row] for row in rows])
+    page = written(tmp_path, *run, rendered([Part("own-t", "T", [], [table])])).read_text()
+    found = dict.fromkeys(rows, "")
+    for colour, row in re.findall(
+        r'class="swatch" style="background:([^"]*)"></span>([^<]*)', page
+    ):
+        found[row] = colour
+    of_law = [*map(colour_of, ("tanh-1e4", "tanh-1e4", "piecewise"))]
+    assert list(found.values())[:5] == [*of_law, "none", "none"]
 
 
 def test_hostile_texts_stay_texts(page):
