@@ -7,8 +7,7 @@ from pathlib import Path
 
 import netCDF4
 import pytest
-from tests.builders.studies import PAPER
-from tests.unit.test_system_studies import SECTION, changed
+from tests.builders.studies import PAPER, SECTION, changed
 
 import gapsweep as gs
 

@@ -152,6 +152,17 @@ def test_mistakes_are_named(arguments, message):
         gs.respond(system, **({"law": law, "omega": 3.0} | arguments))
 
 
+@pytest.mark.parametrize("engine", ["compiled", "scipy"])
+@pytest.mark.parametrize(
+    "other", [gs.Tanh(1e4, GAP, 1e4), gs.Piecewise(1e4, GAP, located=False)], ids=["tanh", "none"]
+)
+def test_no_engine_locates_some_contacts_only(engine, other):
+    system, law = coupled()
+    law = law | {list(law)[-1]: other}
+    with pytest.raises(gs.ModelError, match="all contacts or none"):
+        gs.simulate(system, law, 3.0, t_end=0.1, engine=engine)
+
+
 def test_a_part_too_light_to_be_seen_is_not_judged():
     # Uncoupled parts, so that the heavy one cannot matter: the light one alone is chaotic.
     small, w = 1e-5, 0.9

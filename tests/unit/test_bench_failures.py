@@ -21,6 +21,7 @@ from gapsweep.analysis.bench.stability import stability
 from gapsweep.execution.isolated import CallError
 from gapsweep.integrate import compiled
 from gapsweep.integrate.problem import Solver
+from gapsweep.integrate.runge_kutta import representations
 from gapsweep.model.equilibria import equilibria, linear_stiffness
 from gapsweep.report.bench_figures import STATUS_LETTERS, atlas, worst
 from gapsweep.report.sections.benchmarks import conclusions
@@ -65,15 +66,12 @@ def outcomes(*tables, labels=("piecewise",)):
 
 def test_engine_with_a_wrong_smooth_force_is_silent_and_wrong(monkeypatch):
     # At every tolerance, so that its tight solution is as wrong: scipy's is the witness.
-    kernel_law = compiled._kernel_law
+    arctan = representations.arctan
 
-    def broken(models, contact):
-        def stiffer(laws):
-            return tuple(replace(law, K_c=1.01 * law.K_c) for law in laws)
+    def broken(K_c, **others):
+        return arctan(K_c=1.01 * K_c, **others)
 
-        return kernel_law(models.with_laws(stiffer), contact)
-
-    monkeypatch.setattr(compiled, "_kernel_law", broken)
+    monkeypatch.setattr(representations, "arctan", broken)
     found = outcomes(HARD, labels=["arctan-1e6"])[0, 0]
     assert found.tolist()[1:] == [Outcome.SILENT_WRONG] * 2
 

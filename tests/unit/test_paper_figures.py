@@ -359,7 +359,7 @@ def test_a_scan_finds_rest_without_period_3_and_the_released_mass_with_it_in_the
     assert_allclose(sorted(everywhere[:, 1]), sorted(100.0 * found["inside"].values.ravel()))
 
 
-@pytest.mark.packaging
+@pytest.mark.extended
 def test_figure_2c_has_both_stiffnesses_and_figure_5_its_ladders():
     study = gs.Study.from_dict(
         {"study": {"name": "forces"}, "oscillator": PAPER, "sweep": [SOFT_SWEEP]}

@@ -22,8 +22,7 @@ from tests.builders.datasets import (
     periodic,
     tables,
 )
-from tests.builders.studies import PAPER
-from tests.unit.test_system_studies import TWO_MASSES
+from tests.builders.studies import PAPER, TWO_MASSES, changed
 
 from gapsweep.analysis.agreement.comparison import agreement
 from gapsweep.analysis.datasets.timing import timing
@@ -618,11 +617,20 @@ def test_the_model_of_a_system_is_what_its_function_made():
     told = dict(model(one_sided))
     assert told["r"] == "0 (stiffness of the lower wall / K_c); 0: no lower wall"
     assert "ε [1/unit of x] in its name" in told["F of tanh"]
-    assert [
-        model_section._turning({"k": k, "phase": phase})
+
+
+def test_loads_and_matrices_of_a_system_are_written_out():
+    loads = [
+        {"amplitude": [2.0, -0.0], "k": k, "phase": phase}
         for k, phase in ((0, 0.0), (0, 0.5), (1, 0.0), (3, 0.5))
-    ] == ["", " cos(0.5)", " cos(2πωt)", " cos(6πωt + 0.5)"]
-    assert model_section._rows([[1.0, -0.0], [0.5, 2e-7]]) == "[[1, 0], [0.5, 2e-7]]"
+    ]
+    damping = [[0.5, -0.0], [-0.0, 2e-7]]
+    study = Study.from_dict(changed(TWO_MASSES, system__forcing=loads, system__damping=damping))
+    coords = {"representation": ["piecewise"], "K_c": [10.0], "gap": ["0.1/0.2"]}
+    told = model(xr.Dataset({"x_max": 0.1}, coords, study.attributes))
+    cosines = ["", " cos(0.5)", " cos(2πωt)", " cos(6πωt + 0.5)"]
+    assert [text for name, text in told if name == "Load"] == [f"[2, 0]{each}" for each in cosines]
+    assert dict(told)["C"] == "[[0.5, 0], [0, 2e-7]]"
 
 
 def test_a_contact_of_its_own_numbers_is_told():

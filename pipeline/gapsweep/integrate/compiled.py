@@ -78,8 +78,7 @@ def prepared(models: Models, solver: Solver) -> Integrate:
 
 def _by_taylor(models: Models, solver: Solver) -> bool:
     """Whether the Taylor method integrates the models; refuse models that no method integrates."""
-    laws = models.laws[0]
-    n_located = sum(isinstance(law, Piecewise) and law.located for law in laws)
+    laws, n_located = models.laws[0], models.n_located
     solver.check_located(n_located, len(laws), is_oscillator=_is_oscillator(models))
     if solver.controller != "native" or (n_located and solver.runge_kutta):
         return not laws

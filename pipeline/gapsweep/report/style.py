@@ -101,7 +101,7 @@ def looks(labels: Iterable[str]) -> dict[str, Look]:
     used: Counter[str] = Counter()
     found = {}
     for label in labels:
-        law = Representation(label).law
+        law = _law_of(label)
         (shade, n), more = _law(law), used[law]
         used[law] += 1
         dashes, marker = _LINES[(n + more) % len(_LINES)], _MARKERS[(n - more) % len(_MARKERS)]
@@ -111,7 +111,12 @@ def looks(labels: Iterable[str]) -> dict[str, Look]:
 
 def colour(label: str) -> str:
     """Colour of the law of a representation, or of a family."""
-    return _law(Representation(label).law)[0]
+    return _law(_law_of(label))[0]
+
+
+def _law_of(label: str) -> Representation:
+    """Law of a representation, which a figure may name with swept values after a comma."""
+    return Representation(label.partition(", ")[0]).law
 
 
 def _law(law: Representation) -> tuple[str, int]:

@@ -108,7 +108,7 @@ def branches(
     is_curves : bool
         Whether the curves are returned; missing branches are recomputed.
     """
-    parts = [part for part in _parts(study, attractors) if part.scene.attractors]
+    parts = [part for part in cases(study, attractors) if part.scene.attractors]
     for file in ("branches.nc", "curves.nc")[: 1 + is_curves]:
         if file == "curves.nc":
             parts = [part for part in map(_with_points, parts) if part.scene.points]
@@ -141,7 +141,7 @@ def _with_points(part: _SceneBranches) -> _SceneBranches:
     return replace(part, scene=replace(part.scene, points=points), found=Followed(Status.OK))
 
 
-def _parts(study: Study, attractors: xr.Dataset) -> Iterator[_SceneBranches]:
+def cases(study: Study, attractors: xr.Dataset) -> Iterator[_SceneBranches]:
     """Yield the requested cases that can be continued, each with its periodic attractors."""
     table, grid = study.spec.branches, study.grid
     assert table is not None
