@@ -62,7 +62,7 @@ def _process(folder, arguments, command, variables):
     return [*command, *arguments], {"cwd": folder, "env": environment, "text": True}
 
 
-def in_a_process(folder, *arguments, command=None, timeout=120, variables=None, **options):
+def in_a_process(folder, *arguments, command=None, timeout=300, variables=None, **options):
     """``gapsweep`` with these arguments in a process, ended, with the text that it has written."""
     command, settings = _process(folder, arguments, command, variables)
     return subprocess.run(

@@ -24,6 +24,8 @@ from gapsweep.integrate.problem import Models, Solver
 from gapsweep.model.labels import Representation
 from gapsweep.model.own_law import OwnLaw
 
+pytestmark = pytest.mark.extended
+
 # The oscillator of pyvib: m = 1, c = .05, k = 1, 3 more beyond ±.1745, force .03.
 ONE_RAD = 1.0 / (2.0 * math.pi)
 OSCILLATOR = {"mass": 1.0, "omega_n": ONE_RAD, "zeta": 0.025, "alpha": 0.0, "forcing": 0.03}
@@ -339,6 +341,26 @@ def test_failed_scenes_are_in_the_file_and_are_tried_again_if_asked(client, tmp_
     found = gs.open(tmp_path / "out" / "branches.nc")
     assert (found["attractor_status"] == 0).all()
     assert (found["attractor_on_branch"] >= 0).all()
+
+
+def test_curves_do_not_repeat_failed_branches(client, tmp_path, monkeypatch):
+    block = tables()["sweep"][0] | {"representation": ["piecewise", "tanh-1e3"]}
+    given = {"second": "forcing", "range": [0.02, 0.04]}
+    seen = []
+
+    def fails(scenes, *how):
+        seen.append([scene.points is not None for scene in scenes])
+        if seen == [[False, False]]:
+            yield from branch_tasks.followed(scenes[:1], *how)
+            yield 1, branch_tasks.Followed(gs.Status.ERROR, "lost")
+        else:
+            yield from branch_tasks.followed(scenes, *how)
+
+    monkeypatch.setattr(branches_of_study, "followed", fails)
+    run(gs.Study.from_dict(tables(sweep=[block], branches=given)), client, tmp_path).close()
+    assert seen == [[False, False], [True]]
+    with gs.open(tmp_path / "out" / "curves.nc") as curves:
+        assert {*curves["attractor_representation"].values} == {"piecewise"}
 
 
 def of_attractors(found, label):

@@ -11,6 +11,8 @@ from tests.builders.studies import PAPER, SECTION, changed
 
 import gapsweep as gs
 
+pytestmark = pytest.mark.extended
+
 OSCILLATOR = {
     "study": {"name": "checked", "creator": "A. Nother", "license": "CC-BY-4.0"},
     "oscillator": PAPER,

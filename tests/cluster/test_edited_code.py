@@ -16,6 +16,8 @@ from tests.cluster.test_external_clusters import SOURCES, scheduler, stored, wor
 
 import gapsweep as gs
 
+pytestmark = pytest.mark.extended
+
 # The code of a law by file. An edit has the size of what it replaces.
 LAWS = {
     "laws.py": """

@@ -27,6 +27,8 @@ from tests.builders.studies import study_text
 
 import gapsweep as gs
 
+pytestmark = pytest.mark.extended
+
 SOURCES = Path(gs.__file__).parent
 ROOT = Path(__file__).parents[2]
 

@@ -12,6 +12,8 @@ import gapsweep as gs
 from gapsweep.store.cache import Cache
 from gapsweep.store.maintenance import verify
 
+pytestmark = pytest.mark.extended
+
 TOML = study_text(["piecewise", "tanh-1e4"], "[7.0, 12.0]", name="small")
 
 

@@ -29,6 +29,8 @@ from gapsweep.store.cache import Cache
 from gapsweep.study.schema import POINT_DIMS, VARIABLES, coordinates
 from gapsweep.study.software import versions
 
+pytestmark = pytest.mark.extended
+
 
 @pytest.fixture
 def responses(tables, client, tmp_path):

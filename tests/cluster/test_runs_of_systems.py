@@ -17,6 +17,8 @@ from gapsweep.response.result import ResponseClass
 from gapsweep.store.cache import Cache
 from gapsweep.store.maintenance import verify
 
+pytestmark = pytest.mark.extended
+
 STEADY = {"settle_tol": 1e-3, "n_periods": 16, "max_period_multiple": 8}
 FORCED = changed(
     TWO_MASSES,

@@ -13,6 +13,8 @@ from gapsweep import pipeline
 from gapsweep.cli.main import FAULT, FINISHED, exit_code
 from gapsweep.run_folder import AGREEMENT, CLAIMS, REPORT, SECTIONS
 
+pytestmark = pytest.mark.extended
+
 LABELS = ["piecewise", "tanh-1e4", "poly-13"]
 MODULES = '[claims]\nmodule = "claims.py"\n[report]\nmodule = "figures.py"'
 STUDY = study_text(LABELS, "[7.0, 12.0, 20.0]", name="small", more=MODULES)

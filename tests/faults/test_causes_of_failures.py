@@ -20,6 +20,8 @@ from gapsweep.model.own_law import OwnLaw
 from gapsweep.store.cache import Cache
 from gapsweep.study.points import Kind
 
+pytestmark = pytest.mark.extended
+
 LAWS = "tests.misbehaving.forces"
 OPTIONS = ("--out", "out", "--cache", "out-cache", "--workers", "1")
 
@@ -129,7 +131,9 @@ def test_a_late_failure_does_not_replace_what_another_run_has_found(tmp_path):
     (tmp_path / "s.toml").write_text(STUDY)
     study = gs.Study.load(tmp_path / "s.toml")
     answer = gs.Response(status=gs.Status.OK, x_max=1e-3)
-    gives_up = started(tmp_path, "run", "s.toml", *OPTIONS, "--timeout", "2", stdout=None)
+    gives_up = started(
+        tmp_path, "run", "s.toml", *OPTIONS, "--timeout", "2", stdout=None, stderr=None
+    )
     while not (tmp_path / "out" / "run.json").exists():
         assert gives_up.poll() is None
         time.sleep(0.05)

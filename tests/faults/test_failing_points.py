@@ -15,6 +15,8 @@ import gapsweep as gs
 from gapsweep.execution.cluster import cluster
 from gapsweep.store.cache import Cache
 
+pytestmark = pytest.mark.extended
+
 LAWS = "tests.misbehaving.forces"
 
 

@@ -16,6 +16,8 @@ from gapsweep.status import Status
 from gapsweep.store.cache import Cache
 from gapsweep.store.maintenance import contents_of
 
+pytestmark = pytest.mark.extended
+
 SOLVER = '[solver]\nengine = "scipy"\nrtol = 1e-4\natol = 1e-7'
 SWEEP = study_text("{laws}", "[12.0]", name="own", more=SOLVER).replace('"{laws}"', "{laws}")
 

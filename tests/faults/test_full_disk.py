@@ -22,6 +22,8 @@ from gapsweep.store.cache import Cache
 from gapsweep.store.maintenance import verify
 from gapsweep.store.state import RunState
 
+pytestmark = pytest.mark.extended
+
 OMEGA = "{ start = 10.0, stop = 20.0, num = 1201 }"
 STUDY = study_text(["piecewise"], OMEGA, name="full")
 SMALL = {

@@ -92,6 +92,7 @@ def test_storm_of_kills_loses_nothing(tmp_path, n_points, n_kills):
     assert again <= n_kills * (IN_FLIGHT + BATCH), "what was in flight, and one commit"
 
 
+@pytest.mark.extended
 def test_a_worker_killed_while_the_cluster_starts_costs_one_line_at_most(tmp_path):
     (tmp_path / "storm.toml").write_text(storm(4))
     process = start(tmp_path, "cache", "out")
@@ -111,6 +112,7 @@ def test_a_worker_killed_while_the_cluster_starts_costs_one_line_at_most(tmp_pat
     assert "Traceback" not in errors
 
 
+@pytest.mark.extended
 def test_a_killed_run_leaves_no_process_and_its_status_says_so(tmp_path):
     (tmp_path / "storm.toml").write_text(storm(400, settle_tol="1e-6"))
     process = start(tmp_path, "cache", "out", "--batch", "2")
@@ -133,6 +135,7 @@ def status(folder):
     return json.loads(in_a_process(folder, "status", "out", "--json").stdout)
 
 
+@pytest.mark.extended
 @pytest.mark.parametrize(("locks", "second"), [("locks", "one"), ("no locks", "two")])
 @pytest.mark.parametrize("n_points", [120, pytest.param(800, marks=pytest.mark.slow)])
 def test_two_runs_on_one_cache_share_the_work(tmp_path, n_points, locks, second):

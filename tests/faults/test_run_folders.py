@@ -27,6 +27,8 @@ from gapsweep.store import netcdf
 from gapsweep.store.artefact import alone_in, checked, recording, sha256
 from gapsweep.store.state import RunState
 
+pytestmark = pytest.mark.extended
+
 STUDY = study_text(
     ["piecewise", "piecewise@same"], "{ start = 10.0, stop = 15.0, num = 20 }",
     sweep='initial_condition = "sweep_up"', more="[protocol.same]",

@@ -10,6 +10,8 @@ from tests.builders.studies import study_text
 import gapsweep as gs
 from gapsweep.store.cache import Cache
 
+pytestmark = pytest.mark.extended
+
 MARK = "import os\nopen(os.path.join(os.path.dirname(__file__), 'ran'), 'a').write(__name__)\n"
 # Libraries, parts of Python, and what some of them look for in vain.
 SHADOWS = ("xarray", "scipy", "numba", "queue", "socket", "random", "secrets", "cftime")

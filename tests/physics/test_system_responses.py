@@ -11,6 +11,8 @@ from numpy.testing import assert_allclose
 import gapsweep as gs
 from gapsweep.integrate.stepping import batch
 
+pytestmark = pytest.mark.extended
+
 GAP = gs.Gap(4e-4, 6e-4)
 # Damped so that each scene has one attractor: which one a start ends on is another question.
 OSCILLATORS = (

@@ -104,6 +104,7 @@ def test_energy_that_leaks_is_silent_and_wrong(monkeypatch):
     assert outcomes(table)[0, 0, 1:].tolist() == [Outcome.SILENT_WRONG] * 2
 
 
+@pytest.mark.extended
 def test_model_error_is_the_models():
     found = outcomes(HARD, labels=["piecewise", "tanh-1e4", "tanh-1e9"])[0, :, 2]
     assert found.tolist() == [Outcome.RIGHT, Outcome.MODEL_ERROR, Outcome.RIGHT]
@@ -265,6 +266,7 @@ def mixed():
     return stability(study_of(HARD, strong, left_out, labels=LABELS))
 
 
+@pytest.mark.extended
 def test_processes_compute_the_same_cells_as_this_one(mixed):
     here = stability(study_of(HARD, labels=LABELS))
     for name in here.data_vars:

@@ -30,8 +30,9 @@ from gapsweep.errors import StoreError
 from gapsweep.model.labels import Representation, contact_law
 from gapsweep.model.laws import LAWS
 from gapsweep.model.oscillator import Gap
+from gapsweep.report import marks
 from gapsweep.report.contents import SECTIONS
-from gapsweep.report.figure_marks import as_csv
+from gapsweep.report.figure_data import as_csv
 from gapsweep.report.heat import cell, heads, heat, swept_columns
 from gapsweep.report.html import write_report
 from gapsweep.report.inputs import Inputs
@@ -523,7 +524,7 @@ def test_hostile_texts_stay_texts(page):
 
 def test_data_of_a_figure_cannot_end_their_element(run, tmp_path):
     figure = Figure()
-    figure.subplots().plot([1.0], [1.0], label=HOSTILE)
+    marks.put(figure.subplots(), [marks.points(x=[1.0], y=[1.0], series=HOSTILE)])
     figure.axes[0].set_title("</script>", loc="left")
     own = rendered([Part("part", "Part", [], figures=[Figured(figure, HOSTILE, HOSTILE)])])
     page = written(tmp_path, *run, own)
