@@ -343,6 +343,26 @@ def test_failed_scenes_are_in_the_file_and_are_tried_again_if_asked(client, tmp_
     assert (found["attractor_on_branch"] >= 0).all()
 
 
+def test_curves_do_not_repeat_failed_branches(client, tmp_path, monkeypatch):
+    block = tables()["sweep"][0] | {"representation": ["piecewise", "tanh-1e3"]}
+    given = {"second": "forcing", "range": [0.02, 0.04]}
+    seen = []
+
+    def fails(scenes, *how):
+        seen.append([scene.points is not None for scene in scenes])
+        if seen == [[False, False]]:
+            yield from branch_tasks.followed(scenes[:1], *how)
+            yield 1, branch_tasks.Followed(gs.Status.ERROR, "lost")
+        else:
+            yield from branch_tasks.followed(scenes, *how)
+
+    monkeypatch.setattr(branches_of_study, "followed", fails)
+    run(gs.Study.from_dict(tables(sweep=[block], branches=given)), client, tmp_path).close()
+    assert seen == [[False, False], [True]]
+    with gs.open(tmp_path / "out" / "curves.nc") as curves:
+        assert {*curves["attractor_representation"].values} == {"piecewise"}
+
+
 def of_attractors(found, label):
     return found["attractor_on_branch"].values[found["attractor_representation"].values == label]
 

@@ -53,7 +53,7 @@ def test_run_writes_datasets_and_report(finished):
     run = finished / "data" / "runs" / "tiny"
     names = sorted(str(p.relative_to(run)) for p in run.rglob("*") if p.is_file())
     stored = ["agreement.nc", "attractors.nc", "responses.nc", "static.nc", "timing.nc"]
-    figures = ["hero", "scene-0-0", "scene-0-0-2"]
+    figures = ["answer", "scene-0-0", "scene-0-0-2"]
     files = [
         "SHA256SUMS",
         *(f"figure-{name}.{kind}" for name in figures for kind in ("csv", "html", "svg")),

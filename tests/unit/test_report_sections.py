@@ -30,8 +30,9 @@ from gapsweep.errors import StoreError
 from gapsweep.model.labels import Representation, contact_law
 from gapsweep.model.laws import LAWS
 from gapsweep.model.oscillator import Gap
+from gapsweep.report import marks
 from gapsweep.report.contents import SECTIONS
-from gapsweep.report.figure_marks import as_csv
+from gapsweep.report.figure_data import as_csv
 from gapsweep.report.heat import cell, heads, heat, swept_columns
 from gapsweep.report.html import write_report
 from gapsweep.report.inputs import Inputs
@@ -43,6 +44,7 @@ from gapsweep.report.sections import answer, findings, force_errors, provenance
 from gapsweep.report.sections import model as model_section
 from gapsweep.report.sections.claim_list import claim_rows, outcome
 from gapsweep.report.style import MATPLOTLIB
+from gapsweep.report.style import colour as colour_of
 from gapsweep.report.tables import (
     VERDICTS,
     number,
@@ -498,6 +500,20 @@ def test_the_studys_own_answer_needs_no_exact_law(run):
     assert [*answer.sections(run[0])] == []
 
 
+def test_rows_of_laws_have_the_colour_of_the_law_that_they_begin_with(run, tmp_path):
+    """Other texts of a study have none."""
+    rows = ["tanh-1e4", "tanh-1e4, K_ratio = 0.5", "exact law, other settings", "tanh-soft", "mean"]
+    table = Table("T", ["Representation"], [[row] for row in rows])
+    page = written(tmp_path, *run, rendered([Part("own-t", "T", [], [table])])).read_text()
+    found = dict.fromkeys(rows, "")
+    for colour, row in re.findall(
+        r'class="swatch" style="background:([^"]*)"></span>([^<]*)', page
+    ):
+        found[row] = colour
+    of_law = [*map(colour_of, ("tanh-1e4", "tanh-1e4", "piecewise"))]
+    assert list(found.values())[:5] == [*of_law, "none", "none"]
+
+
 def test_hostile_texts_stay_texts(page):
     text = page.read_text()
     assert "<img src=x" not in text
@@ -508,7 +524,7 @@ def test_hostile_texts_stay_texts(page):
 
 def test_data_of_a_figure_cannot_end_their_element(run, tmp_path):
     figure = Figure()
-    figure.subplots().plot([1.0], [1.0], label=HOSTILE)
+    marks.put(figure.subplots(), [marks.points(x=[1.0], y=[1.0], series=HOSTILE)])
     figure.axes[0].set_title("</script>", loc="left")
     own = rendered([Part("part", "Part", [], figures=[Figured(figure, HOSTILE, HOSTILE)])])
     page = written(tmp_path, *run, own)

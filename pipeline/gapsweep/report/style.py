@@ -31,7 +31,8 @@ CLASS_COLOURS = {
 }
 # Backgrounds by class: light enough for every point colour, distinguished by lightness.
 BANDS = {"chaotic": "#fbd9d3", "quasiperiodic": "#e6d6ee", "unresolved": "#c8d8e6"}
-WALL: dict[str, Any] = {"color": GREY, "linewidth": 0.8, "linestyle": "--", "zorder": 1.6}
+# Marks of walls.
+WALL: dict[str, Any] = {"colour": GREY, "size": 0.8, "dashes": "--", "zorder": 1.6}
 # Attractors and branches, which have numbers: hues without an order.
 NUMBERED = (
     *("#0072b2", "#d55e00", "#00976d", "#8a3ffc"),
