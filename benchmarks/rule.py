@@ -344,7 +344,7 @@ def draw(cases: Sequence[Case], path: Path) -> None:
             here = [i for i, c in enumerate(cases) if c["law"].startswith(f"{name}-")]
             x = [max(cases[i]["RMS"], smallest) for i in here]
             y = [cases[i]["found"] + jitter[i] for i in here]
-            axes.plot(x, y, ".", color=colour(f"{name}-1"), ms=5, alpha=0.55, mew=0, label=name)
+            axes.plot(x, y, ".", color=colour(name), ms=5, alpha=0.55, mew=0, label=name)
         axes.axhline(SHARE, color="#888888", lw=1)
         for at, text, side in (
             (ADEQUATE, "use ", "right"),

@@ -21,7 +21,7 @@ from workflows.paper.refined import starts
 
 import gapsweep as gs
 from gapsweep.report.bench_figures import atlas
-from gapsweep.report.style import MATPLOTLIB
+from gapsweep.report.style import MATPLOTLIB, colour
 
 IMAGES = Path(__file__).parent / "images"
 METHODS = [
@@ -70,23 +70,21 @@ def hero() -> None:
     joint = gs.Oscillator(mass=3.0, omega_n=5.0, zeta=0.03, alpha=7e8, forcing=4.0)
     gap = gs.Gap(0.4e-3, 0.4e-3)
     laws = {
-        "exact contact": gs.Piecewise(1.4e4, gap),
-        "tanh, ε = 5000 /m": gs.Tanh(1.4e4, gap, 5e3),
+        "exact contact": ("piecewise", gs.Piecewise(1.4e4, gap)),
+        "tanh, ε = 5000 /m": ("tanh-5e3", gs.Tanh(1.4e4, gap, 5e3)),
     }
     frequency = np.linspace(3.0, 16.0, 261)
     x, v = np.meshgrid(np.linspace(-3e-3, 3e-3, 4), np.linspace(-0.2, 0.2, 3))
     figure = Figure(figsize=(10.0, 3.6), layout="constrained")
     left, right = figure.subplots(1, 2, width_ratios=(2, 1))
-    for (name, law), colour, size in zip(
-        laws.items(), ("k", "tab:orange"), (5.0, 2.0), strict=True
-    ):
+    for (name, (label, law)), size in zip(laws.items(), (5.0, 2.0), strict=True):
         steady = gs.respond(joint, law, frequency[:, None], x.ravel(), v.ravel())
-        left.plot(frequency, 1e3 * steady.x_max, ".", color=colour, markersize=size)
-        left.plot([], [], ".", color=colour, markersize=8, label=name)
+        left.plot(frequency, 1e3 * steady.x_max, ".", color=colour(label), markersize=size)
+        left.plot([], [], ".", color=colour(label), markersize=8, label=name)
     left.set(xlabel="forcing frequency [Hz]", ylabel="peak displacement [mm]")
     left.legend(loc="upper left", frameon=False)
     edges = np.linspace(-4e-3, 4e-3, 120), np.linspace(-0.3, 0.3, 120)
-    basins = gs.basins(joint, laws["exact contact"], 12.0, x=edges[0], v=edges[1])
+    basins = gs.basins(joint, laws["exact contact"][1], 12.0, x=edges[0], v=edges[1])
     basins.gapsweep.map("attractor", x="x_0", y="v_0", ax=right)
     left.set_title("steady states from 12 initial conditions", loc="left", fontsize=10)
     right.set_title("basins of the exact law at 12 Hz", loc="left", fontsize=10)
@@ -121,7 +119,7 @@ def two_masses(folder: Path) -> None:
     with gs.open(folder / "responses.nc") as ds:
         for axes, name in zip(figure.subplots(2, sharex=True).flat, ("x_1", "x_2"), strict=True):
             ds.gapsweep.bifurcation(
-                representation="piecewise", coordinate=name, initial_condition=0, ax=axes
+                representation="piecewise", coordinate=name, initial_condition="sweep_up", ax=axes
             )
             axes.set_title("", loc="left")
             axes.set_ylabel(name)

@@ -25,9 +25,9 @@ from gapsweep.analysis.agreement.comparison import agreement
 from gapsweep.continuation.special import Special
 from gapsweep.model.systems import paper_oscillator
 from gapsweep.report.branch_lines import caption, of_scene
-from gapsweep.report.figure_marks import as_csv
+from gapsweep.report.figure_data import as_csv
 from gapsweep.report.figures import frequency_response
-from gapsweep.report.style import MATPLOTLIB, NOT_PERIODIC, colour
+from gapsweep.report.style import GREY, MATPLOTLIB, NOT_PERIODIC, colour
 
 mpl.use("Agg")
 LABELS = ["piecewise", "tanh-1e4", "poly-13"]
@@ -152,7 +152,7 @@ def test_frequency_response_draws_every_amplitude(responses, ax):
             expected(responses["amplitude"].sel(representation=label)),
         )
     assert (ax.get_xlabel(), ax.get_ylabel()) == ("forcing frequency [Hz]", "amplitude [mm]")
-    assert ax.get_legend_handles_labels()[1] == LABELS
+    assert ax.get_legend_handles_labels()[1] == [*LABELS, "sweep_up"]
     assert ax.get_title(loc="left") == "K_c = 14000 N/m, gap 0.4/0.4 mm"
 
 
@@ -177,15 +177,19 @@ def test_compare_draws_the_second_before_the_first(responses, ax):
     for label in ("piecewise", "tanh-1e4"):
         peaks = responses["x_max"].sel(representation=label, omega=slice(6, 8))
         assert_allclose(drawn(ax, colour(label).lower()), expected(peaks))
-    sizes = {to_hex(ln.get_color()): ln.get_markersize() for ln in ax.lines}
+    of_laws = [ln for ln in ax.lines if "piecewise" in ln.get_label() or "tanh" in ln.get_label()]
+    sizes = {to_hex(ln.get_color()): ln.get_markersize() for ln in of_laws}
     assert sizes[colour("piecewise")] > sizes[colour("tanh-1e4").lower()]
-    assert [to_hex(ln.get_color()) for ln in ax.lines][-1] == colour("tanh-1e4").lower()
+    assert to_hex(of_laws[-1].get_color()) == colour("tanh-1e4")
 
 
-def test_a_start_is_selected_by_its_kind(responses, ax):
-    responses.gapsweep.frequency_response(ax=ax, representation="piecewise", start="sweep_up")
+@pytest.mark.parametrize("wanted", [{"start": "sweep_up"}, {"initial_condition": "sweep_up"}])
+def test_a_sweep_is_selected_by_its_name_and_has_its_marker(responses, ax, wanted):
+    responses.gapsweep.frequency_response(ax=ax, representation="piecewise", **wanted)
     up = responses["amplitude"].sel(representation="piecewise", initial_condition=2)
     assert_allclose(drawn(ax), expected(up))
+    assert {line.get_marker() for line in ax.lines if len(line.get_xdata())} == {"^"}
+    assert "sweep_up" in ax.get_legend_handles_labels()[1]
 
 
 def test_attractors_over_frequency_are_as_large_as_their_basins(attractors, ax):
@@ -447,7 +451,7 @@ def test_branches_of_several_representations_have_their_colours(branched, ax):
     branched = branched.assign_coords(representation=("branch", ["piecewise", "tanh-1e4"]))
     branched.gapsweep.branches(ax=ax)
     shades = {to_hex(line.get_color()) for line in ax.lines if "stable" in str(line.get_label())}
-    assert shades <= {colour("piecewise").lower(), colour("tanh-1e4").lower(), "#666666"}
+    assert shades <= {colour("piecewise").lower(), colour("tanh-1e4").lower(), GREY}
     assert len(shades) == 3
     one = branched.gapsweep.branches(representation="tanh-1e4", ax=Figure().subplots())
     assert list(marks(one)) == ["PD period doubling"]
@@ -470,7 +474,7 @@ def test_branches_lie_behind_the_attractors_of_their_scene(responses, branched, 
     responses.gapsweep.bifurcation(representation="piecewise", branches=branched, ax=ax, **SCENE)
     assert {k: v for k, v in marks(ax).items() if "LP" in k or "PD" in k} == {"LP fold": [2.0]}
     assert set(ends(ax, "--")) >= {(2.0, 5.0), (-2.0, -5.0)}
-    dots = [line for line in ax.lines if line.get_marker() == "." and len(line.get_xdata())]
+    dots = [line for line in ax.lines if ", periodic" in line.get_label()]
     behind = [line for line in ax.lines if "unstable" in str(line.get_label())]
     behind = [line.get_zorder() for line in behind if len(line.get_xdata())]
     assert 0 < max(behind) < min(line.get_zorder() for line in dots)

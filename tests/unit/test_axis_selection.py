@@ -9,7 +9,7 @@ import xarray as xr
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gapsweep.study.axis_selection import is_several, listed, positions
+from gapsweep.study.axis_selection import is_several, listed, numbers_of_sweeps, positions
 from gapsweep.study.points import canonical
 
 LABELS = ["piecewise", "tanh-1e4", "tanh-1e4@paper", "mine:spring"]
@@ -63,6 +63,20 @@ def test_slices_hold_both_ends(axis, data):
 )
 def test_spellings_and_kinds_of_axes(name, axis, wanted, found):
     assert positions(name, axis, wanted).tolist() == found
+
+
+@pytest.mark.parametrize(
+    ("wanted", "found"),
+    [
+        ("sweep_up", 2),
+        (["sweep_down", 0], [3, 0]),
+        (1, 1),
+        (slice(0, 1), slice(0, 1)),
+        ("fixed", "fixed"),  # not one initial condition
+    ],
+)
+def test_sweeps_have_names(wanted, found):
+    assert numbers_of_sweeps(wanted, ["fixed", "fixed", "sweep_up", "sweep_down"]) == found
 
 
 @pytest.mark.parametrize(

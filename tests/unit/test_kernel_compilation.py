@@ -101,12 +101,12 @@ def allocating(n):
 
 
 def test_numba_compiles_parts_only_within_their_callers():
-    """The library of a part is `_InlinedCode`, which holds no machine code."""
+    """The library of a part is `InlinedCode`, which holds no machine code."""
     part = jit.internal(chaos)
     njit(lambda x, out: part(x, out))(0.3, np.empty(3))
     (found,) = part.overloads.values()
     replaced = sentence("code of a part is compiled separately", "sets state.library for parts")
-    assert isinstance(found.library, jit._InlinedCode), replaced
+    assert isinstance(found.library, jit.InlinedCode), replaced
     assert found.library.get_pointer_to_function(found.fndesc.llvm_func_name) == 0, replaced
 
 
@@ -148,7 +148,7 @@ def test_numba_keeps_and_loads_machine_code_by_the_cache_of_jit(folder):
 def test_numba_takes_its_folder_from_the_setting_that_jit_replaces(folder):
     """numba's own cache would refuse a function without a folder to write to."""
     usual = numba.config.CACHE_DIR
-    made = jit._MachineCodeCache(chaos)
+    made = jit.MachineCodeCache(chaos)
     ignored = sentence("config.CACHE_DIR is not the folder of a cache", "sets it to its folder")
     assert made.cache_path.startswith(str(jit.code_folder())), ignored
     assert usual == numba.config.CACHE_DIR

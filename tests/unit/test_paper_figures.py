@@ -28,7 +28,7 @@ from gapsweep.analysis.claims import Run
 from gapsweep.analysis.datasets import static as static_part
 from gapsweep.analysis.datasets.histories import histories
 from gapsweep.analysis.spectra import N_PERIODS, SAMPLES_PER_PERIOD
-from gapsweep.report.figure_marks import as_csv
+from gapsweep.report.figure_data import as_csv
 from gapsweep.report.figures import bifurcation
 from gapsweep.report.parts import rendered
 from gapsweep.report.pictures import is_picture
@@ -137,7 +137,7 @@ def extrema(scene, at=0):
 
 def overlay(limits, front, rear):
     hits = np.isin(OMEGA, OMEGA[[3, 7]])
-    return diagram(limits, {"both": [(rear, (0,)), (front, (0,))]}, 1, marks={"both": hits})
+    return diagram(limits, {"both": [(rear, (0,)), (front, (0,))]}, 1, ticks={"both": hits})
 
 
 def test_no_text_lies_on_another(scene, kept):
@@ -161,8 +161,8 @@ def test_every_representation_has_its_peaks_before_those_of_the_exact_law(scene)
 def test_peaks_far_above_the_exact_law_are_on_the_edge_of_a_linear_axis(scene):
     scene["x_max"][1, 3, 0] = 9e-3
     axes = peaks(scene).axes[1]
-    triangles = [line for line in axes.lines if line.get_marker() == "^"]
-    assert [line.get_xdata().tolist() for line in triangles] == [[OMEGA[3]]]
+    ticks = [line for line in axes.lines if line.get_marker() == "|"]
+    assert [line.get_xdata().tolist() for line in ticks] == [[OMEGA[3]]]
     assert axes.get_ylim()[1] < 2.0
     assert axes.get_yscale() == "linear"
 
@@ -359,7 +359,7 @@ def test_a_scan_finds_rest_without_period_3_and_the_released_mass_with_it_in_the
     assert_allclose(sorted(everywhere[:, 1]), sorted(100.0 * found["inside"].values.ravel()))
 
 
-@pytest.mark.packaging
+@pytest.mark.extended
 def test_figure_2c_has_both_stiffnesses_and_figure_5_its_ladders():
     study = gs.Study.from_dict(
         {"study": {"name": "forces"}, "oscillator": PAPER, "sweep": [SOFT_SWEEP]}

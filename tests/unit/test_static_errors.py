@@ -345,7 +345,7 @@ def test_a_fit_that_cannot_be_made_is_refused_alone(monkeypatch):
     def no_fit(*args):
         raise gs.ModelError("pole at x = 1 mm")
 
-    monkeypatch.setattr("gapsweep.model.fitted.rational_fit", no_fit)
+    monkeypatch.setattr("gapsweep.model.laws.fitted.rational_fit", no_fit)
     found = static(study(["piecewise", "ratpoly-3/2"], [SOFT], [SYMMETRIC])).squeeze()
     assert found["refusal"].values.tolist() == ["", "pole at x = 1 mm"]
 
@@ -357,6 +357,10 @@ def test_thresholds_of_tanh_part_one_well_from_several(dataset):
     wells = dataset["n_wells"].sel(K_c=HARD, gap="0.4/0.4", representation=["tanh-1e4", "tanh-1e6"])
     assert wells[0] > 1
     assert wells[1] == 1
+
+
+def test_thresholds_of_tanh_are_sought_only_where_it_is_swept():
+    assert "tanh_threshold" not in static(study(["piecewise", "poly-13"], [SOFT], [SYMMETRIC]))
 
 
 def test_what_is_swept_of_the_oscillator_is_what_statics_are_of():

@@ -9,8 +9,9 @@ from numpy.typing import NDArray
 
 from gapsweep.model.labels import contact_law
 from gapsweep.model.oscillator import Gap
+from gapsweep.report import marks
 from gapsweep.report.scales import axis_label, drawn, plain
-from gapsweep.report.style import colour, lines
+from gapsweep.report.style import GREY, NUMBERED, colour, looks
 
 from .ladders import polynomial
 from .scenes import EXACT, SOFT
@@ -18,7 +19,7 @@ from .scenes import EXACT, SOFT
 Forces = dict[str, NDArray[np.float64]]
 
 WIDTH = 9.5  # inches, the report's column
-CONSTRAINED, _DARK = ", constrained", "#7a4b00"  # a darker shade of polynomials
+CONSTRAINED, _OTHER = ", constrained", NUMBERED[1]  # colour of constrained polynomials
 _MARGIN = 0.75  # what is shown on either side of the gap, in widths of the gap
 _ROUNDING = 1e-15  # errors below this are those of the arithmetic
 # "Each model has RMSE < 0.5 and R² > 0.998" (Sect. 4.1).
@@ -49,27 +50,25 @@ def force_curves(static: xr.Dataset, forces: Forces, stiffnesses: Sequence[float
     panels = figure.subplots(n, 2, squeeze=False, sharex="col")
     x, (low, high) = drawn(static["x"]), (-drawn(static["j_1"]).item(), drawn(static["j_2"]).item())
     near = np.abs(x - 0.5 * (low + high)) <= (0.5 + _MARGIN) * (high - low)
-    styles = lines(list(dict.fromkeys(name.removesuffix(CONSTRAINED) for name in forces)))
+    styles = looks(dict.fromkeys(name.removesuffix(CONSTRAINED) for name in forces))
     for row, K_c in zip(panels, stiffnesses, strict=True):
-        shades = np.linspace(0.2 if len(forces) > 8 else 1.0, 1.0, len(forces))
-        for (label, force), shade in zip(forces.items(), shades, strict=True):
+        for label, force in forces.items():
             law = label.removesuffix(CONSTRAINED)
             look = {
-                "color": colour(law) if law == label else _DARK,
-                "linewidth": 2.2 if law == EXACT else 1.3,
-                "linestyle": styles[law],
-                "alpha": 1.0 if law == EXACT else shade,
-                "label": f"_{label}",
+                "colour": styles[law].colour if law == label else _OTHER,
+                "size": 2.2 if law == EXACT else 1.3,
+                "dashes": styles[law].dashes,
+                "series": label,
             }
-            row[0].plot(x[near], K_c * force[near], **look)
-            row[1].plot(x, K_c * (force - forces[EXACT]), **look)
+            marks.put(row[0], [marks.line(x=x[near], y=K_c * force[near], entry=label, **look)])
+            marks.put(row[1], [marks.line(x=x, y=K_c * (force - forces[EXACT]), **look)])
         for axes, title in zip(row, ("force near the gap", "error in the fit range"), strict=True):
-            axes.axvspan(low, high, color="#eeeeee", zorder=0, label="_gap")
+            marks.put(axes, [marks.band(x=[low], x_end=[high], colour="#eeeeee", series="gap")])
             axes.set_title(f"{plain(K_c)} N/m: {title} [N]", fontsize=9, loc="left")
             axes.margins(x=0.0)
     for axes in panels[-1]:
         axes.set_xlabel(axis_label(static["x"]))
-    figure.legend(panels[0, 0].lines, list(forces), loc="outside upper center", ncols=5)
+    figure.legend(*panels[0, 0].get_legend_handles_labels(), loc="outside upper center", ncols=5)
     return figure
 
 
@@ -78,20 +77,25 @@ def static_convergence(ladders: xr.Dataset) -> Figure:
     figure = Figure(figsize=(WIDTH, 5.2), layout="constrained")
     panels = figure.subplots(2, 3, sharex="col", sharey="row")
     curves = (
-        ("polynomials", "poly", "constraint", "degree", "o-"),
-        ("rational", "ratpoly", "", "ratio", "o"),  # no line leads from one ratio to the next
-        ("smooth", "smooth", "family", "parameter", "o-"),
+        ("polynomials", "poly", "constraint", "degree"),
+        ("rational", "ratpoly", "", "ratio"),  # no line leads from one ratio to the next
+        ("smooth", "smooth", "family", "parameter"),
     )
     for row, (error, (says, bound)) in zip(panels, _QUALITY.items(), strict=True):
-        for axes, (title, kind, by, along, mark) in zip(row, curves, strict=True):
+        for axes, (title, kind, by, along) in zip(row, curves, strict=True):
             rungs = ladders[f"{kind}_{error}"]
             loss = 1.0 - rungs if error == "r_squared" else SOFT * rungs
             for n, one in enumerate(loss.transpose(by, ...) if by else [loss]):
                 name = str(one[by].values).replace("none", "free") if by else ""
                 shade = colour(name if kind == "smooth" else kind)
-                look = {"color": _DARK if kind == "poly" and n else shade, "markersize": 3.5}
-                axes.plot(one[along].values, one.where(one > _ROUNDING), mark, label=name, **look)
-            axes.axhline(bound, color="#777777", linewidth=0.8, linestyle=":")
+                look = {"colour": _OTHER if kind == "poly" and n else shade, "entry": name}
+                look |= {"x": one[along].values, "y": one.where(one > _ROUNDING).values}
+                look |= {"series": name}
+                if by:
+                    marks.put(axes, [marks.line(size=1.5, dots=3.5, **look)])
+                else:
+                    marks.put(axes, [marks.points(size=3.5, **look)])
+            marks.put(axes, [marks.level(y=bound, colour=GREY, size=0.8, dashes=":")])
             axes.set_yscale("log")
             if row is panels[0]:
                 axes.set_title(title, fontsize=9, loc="left")

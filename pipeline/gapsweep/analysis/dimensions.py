@@ -12,7 +12,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from gapsweep.errors import DatasetError
-from gapsweep.study.axis_selection import is_several, positions
+from gapsweep.study.axis_selection import is_several, numbers_of_sweeps, positions
 from gapsweep.study.grid import COORDINATE, START
 from gapsweep.study.schema import POINT_DIMS
 
@@ -127,7 +127,8 @@ def selected(dataset: xr.Dataset, wanted: Mapping[str, Any]) -> xr.Dataset:
     """Select a part of a dataset by coordinates that have one dimension.
 
     A value of a dimension's own coordinate reduces it to a scalar; lists, slices (both ends
-    included) and other coordinates (``start="sweep_up"``) keep the dimension.
+    included) and other coordinates (``start="fixed"``) keep the dimension. A sweep is selected by
+    its name, ``initial_condition="sweep_up"``.
     `gapsweep.study.axis_selection` defines which values are equal.
 
     Raises
@@ -140,6 +141,8 @@ def selected(dataset: xr.Dataset, wanted: Mapping[str, Any]) -> xr.Dataset:
             known = ", ".join(str(coordinate) for coordinate in dataset.coords)
             raise DatasetError(f"{name}: not a coordinate of this dataset; choose from {known}")
         coordinate = dataset[name]
+        if name == START and "start" in dataset.coords:
+            value = numbers_of_sweeps(value, np.atleast_1d(dataset["start"]).tolist())
         try:
             where = positions(name, coordinate.values, value)
         except ValueError as error:

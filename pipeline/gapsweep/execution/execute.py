@@ -230,7 +230,7 @@ class _Execution:
         return drawn, rest
 
     def _room(self, point: np.intp) -> int:
-        """Number of points in a task: few enough that it is short and all threads end together."""
+        """Return the points of a task: `batch`, or so few that all threads end together."""
         if self.batch:
             return self.batch
         share = max(int(_PART_OF_SHARE * self.n_new / self.n_threads), _MIN_BATCH)

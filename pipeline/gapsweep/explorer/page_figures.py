@@ -22,7 +22,7 @@ from gapsweep.explorer.page_results import (
 from gapsweep.explorer.planes import Planes, blank, guide
 from gapsweep.explorer.question import MAX_APPROXIMATIONS, Question
 from gapsweep.model.labels import EXACT
-from gapsweep.report.style import NOT_PERIODIC, NOT_SETTLED, colour, lines
+from gapsweep.report.style import NOT_PERIODIC, NOT_SETTLED, colour, looks
 
 _MM = 1e3
 _N_SHOWN = 8  # forcing periods in the time history
@@ -32,9 +32,8 @@ _MARKERS = {REST: "circle", UP: "triangle", DOWN: "inverted_triangle"}
 _EXACT_SIZE, _SIZE = 6, 3.5  # pixels: of dots; the exact law behind is larger
 _EXACT_WIDTH, _WIDTH = 3.0, 1.3  # pixels: width of lines
 _DASHES = {"-": "solid", "--": "dashed", ":": "dotted", "-.": "dotdash"}
-_PALE = 0.35  # opacity of an approximation's dots for responses that are not periodic
 
-_RESPONSE = ("omega", "x_max", "colour", "alpha", "law", "protocol", "kind")
+_RESPONSE = ("omega", "x_max", "colour", "fill", "law", "protocol", "kind")
 _LINES = ("x", "y")
 _BRANCH = (*_LINES, "colour", "dash")
 _TIPS = [
@@ -117,7 +116,7 @@ class Figures:
         source = ColumnDataSource(_empty(_RESPONSE), name=name)
         self.response.scatter(
             "omega", "x_max", source=source, marker=marker, size=size, color="colour",
-            fill_alpha="alpha" if marker == "circle" else 0.0, line_alpha="alpha",
+            fill_alpha="fill",
         )  # fmt: skip
         return source
 
@@ -146,7 +145,7 @@ class Figures:
         elif isinstance(answer, Curve):
             self._curves[slot, answer.protocol].data = _response(answer, question)
         else:
-            self._show_motion(slot, _DASHES[lines(labels)[answer.label]], answer)
+            self._show_motion(slot, _DASHES[looks(labels)[answer.label].dashes], answer)
 
     def _show_motion(self, slot: int, dash: str, motion: Motion) -> None:
         x, v, (section_x, section_v) = motion.x, motion.v, motion.section.T
@@ -179,7 +178,7 @@ class Figures:
             for label, is_stable, line in branches
         ]
         self._branches.data = {n: [row[i] for row in columns] for i, n in enumerate(_BRANCH)}
-        tables = [_columns(each, [colour(each.label)], _PALE, ["click to open"]) for each in points]
+        tables = [_columns(each, [colour(each.label)], 0.0, ["click to open"]) for each in points]
         self._stored.data = {
             name: [value for table in tables for value in table[name]] for name in _RESPONSE
         }
@@ -196,9 +195,9 @@ def legend(question: Question, motions: Iterable[Motion]) -> str:
         for label in (EXACT, *question.approximations)
     )
     marks = (
-        "● from rest&ensp;△ exact law, sweep up&ensp;▽ sweep down&ensp;"
-        f'<b style="color:{NOT_PERIODIC}">●</b> not periodic (dots of approximations: pale)&ensp;'
-        f'<b style="color:{NOT_SETTLED}">●</b> not settled (settling time: {given:.2g} of the '
+        "● from rest&ensp;▲ exact law, sweep up&ensp;▼ sweep down&ensp;"
+        f'<b style="color:{NOT_PERIODIC}">○</b> not periodic (hollow; red: exact law)&ensp;'
+        f'<b style="color:{NOT_SETTLED}">○</b> not settled (settling time: {given:.2g} of the '
         f"{DECAY_TIMES:g} decay times that a transient needs)&ensp;┈ walls"
     )
     return f'{laws}<br><span style="color:#555">{marks}</span>'
@@ -212,23 +211,23 @@ def _kind(motion: Motion, given: float) -> str:
 
 
 def _response(curve: Curve, question: Question) -> dict[str, Any]:
-    """Columns of a computed curve; colour and opacity of dots show the class of responses."""
+    """Columns of a computed curve; colour and fill of marks show the class of responses."""
     own, is_exact = colour(curve.label), curve.label == EXACT
     strange, name = NOT_PERIODIC if is_exact else own, "not periodic"
     if decay_times(question.oscillator) < DECAY_TIMES:
         strange, name = NOT_SETTLED, "not settled"
     shades = np.where(curve.is_periodic, own, strange)
     kinds = [f"period {n}" if n else name for n in curve.period_multiple]
-    return _columns(curve, shades, np.where(curve.is_periodic | is_exact, 1.0, _PALE), kinds)
+    return _columns(curve, shades, curve.is_periodic.astype(float), kinds)
 
 
-def _columns(curve: Curve, colours: Any, alpha: Any, kinds: Sequence[str]) -> dict[str, Any]:
+def _columns(curve: Curve, colours: Any, fill: Any, kinds: Sequence[str]) -> dict[str, Any]:
     n = curve.omega.size
     return {
         "omega": curve.omega,
         "x_max": curve.x_max * _MM,
         "colour": np.broadcast_to(colours, n).tolist(),
-        "alpha": np.broadcast_to(alpha, n),
+        "fill": np.broadcast_to(fill, n),
         "law": [curve.label] * n,
         "protocol": [curve.protocol] * n,
         "kind": np.broadcast_to(kinds, n).tolist(),

@@ -20,13 +20,13 @@ from bokeh.plotting import figure
 from gapsweep.explorer.page_results import BASINS, DECAY_TIMES, MAP, Plane, decay_times
 from gapsweep.explorer.question import Dial, Question, numbers
 from gapsweep.model.labels import EXACT
-from gapsweep.report.style import NOT_PERIODIC, NOT_SETTLED, sequence
+from gapsweep.report.style import CLASS_COLOURS, GREY, NOT_PERIODIC, NOT_SETTLED, sequence
 
 _MM = 1e3
 _SLOTS = 2  # the exact law and the first approximation
 _SHADES = 64
 _ROWS = 8  # rows between two pictures: drawing takes longer than computing a row
-_FAILED = "#555555"
+_FAILED = CLASS_COLOURS["failed"]
 _IMAGE = ("image", "x", "y", "dw", "dh")
 _TOOLS = "pan,wheel_zoom,box_zoom,reset,save"
 
@@ -131,7 +131,11 @@ def _plane(
     name: str, slot: int, peaks: LinearColorMapper
 ) -> tuple[figure, tuple[ColumnDataSource, ...]]:
     """Figure of a plane, and the data sources of its images: peaks, and not periodic cells."""
-    words = ("displacement x [mm]", "velocity v [mm/s]") if name == BASINS else ("ω [Hz]", "")
+    words = (
+        ("displacement x [mm]", "velocity v [mm/s]")
+        if name == BASINS
+        else ("forcing frequency ω [Hz]", "")
+    )
     ranges = {"x_range": Range1d(0.0, 1.0), "y_range": Range1d(0.0, 1.0)}
     shown = blank(*words, 330, min_width=320, **ranges)
     strange = LinearColorMapper(
@@ -165,6 +169,6 @@ def blank(x: str, y: str, height: int, *, min_width: int = 250, **how: Any) -> f
 
 def guide(shown: figure, dimension: str, dash: str = "dotted") -> Span:
     """Add a grey line across the whole figure, and return it."""
-    span = Span(dimension=dimension, line_color="#888888", line_dash=dash)
+    span = Span(dimension=dimension, line_color=GREY, line_dash=dash)
     shown.add_layout(span)
     return span

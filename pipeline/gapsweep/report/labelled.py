@@ -30,6 +30,12 @@ def axes_of(ax: "Axes | None") -> "Axes":
     return plt.subplots(layout="constrained")[1]
 
 
+def loglog(axes: "Axes") -> None:
+    """Make both axes logarithmic, with a grid of decades."""
+    axes.set(xscale="log", yscale="log")
+    axes.grid(which="minor", visible=False)
+
+
 def axis_of(dataset: xr.Dataset, along: str | None, wanted: Mapping[str, Any]) -> str:
     """Name of the horizontal axis: `along`, or else omega or the only swept number."""
     if along is not None or "omega" in dataset.coords:
@@ -80,7 +86,7 @@ def titled(axes: "Axes", shown: xr.Dataset) -> "Axes":
     names = ["scene", "representation", *places(shown), "regime", COORDINATE, CONTACT, START]
     one = [named(shown[name]) for name in names if name in shown.coords and shown[name].size == 1]
     if START in shown.coords and "start" in shown.coords and shown["start"].size == 1:
-        one[-1] += f" ({shown['start'].item()})"
+        one[-1] = one[-1] if shown["start"] == "fixed" else f"{START} = {shown['start'].item()}"
     words = textwrap.wrap(
         ", ".join(each.replace(" ", "\u00a0") for each in one),
         _WIDTH,

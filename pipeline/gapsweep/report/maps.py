@@ -16,7 +16,7 @@ from gapsweep.errors import DatasetError
 from gapsweep.model.labels import EXACT
 from gapsweep.report.scales import axis_label, drawn, is_crowded_low, is_log
 from gapsweep.report.selection import missing_variable, scene
-from gapsweep.report.style import BLANK, CLASS_COLOURS, sequence
+from gapsweep.report.style import BLANK, CLASS_COLOURS, GREY, NUMBERED, sequence
 from gapsweep.response.result import ResponseClass
 from gapsweep.status import Status
 
@@ -27,8 +27,6 @@ _START = "initial_condition"
 MOST_KINDS = 8  # colours that can be distinguished; more whole numbers have a colour bar
 _TAIL = 0.005  # share of the numbers at either end that may lie beyond the colour bar
 _ALIKE = 0.05  # of the peak: largest difference of matching attractors of two laws
-# Colours of attractors, without an order of lightness (Okabe & Ito, 2008).
-_NAMED = ("#56B4E9", "#E69F00", "#009E73", "#CC79A7", "#0072B2", "#D55E00", "#F0E442", "#999999")
 _FAILED = "failed"
 _NO_PICTURE = ("unresolved", _FAILED)
 _HATCH = "////"
@@ -226,7 +224,7 @@ def _key(axes: "Axes", names: Sequence[str], colours: Sequence[str], title: str)
     if not names:
         return
     patches = [
-        Patch(facecolor=shade, edgecolor="#888888", linewidth=0.4, label=name)
+        Patch(facecolor=shade, edgecolor=GREY, linewidth=0.4, label=name)
         for name, shade in zip(names, colours, strict=True)
     ]
     if _FAILED in names:
@@ -310,11 +308,11 @@ def _mark_whole_numbers(made: MapImage, values: xr.DataArray) -> None:
         made.numbers = made.numbers.where(whole >= first)
         return
     # Numbers of attractors are names, with the same colour in the maps of all laws.
-    is_name = values.name == "attractor" and max(there, default=0) < len(_NAMED)
+    is_name = values.name == "attractor" and max(there, default=0) < len(NUMBERED)
     several = sorted(known) or there  # a flag has one colour, whichever others there are
     shades = dict(zip(several, sequence(len(several)), strict=True))
     for number in there:
-        shade = _NAMED[number] if is_name else shades[number]
+        shade = NUMBERED[number] if is_name else shades[number]
         name = known.get(number, str(number))
         made.mark(whole == number, name.replace("_", " "), CLASS_COLOURS.get(name, shade))
     made.numbers = made.numbers.where(False)

@@ -63,6 +63,22 @@ def positions(
     return np.unique(np.array(found, dtype=np.int64))
 
 
+def numbers_of_sweeps(wanted: Any, kinds: Sequence[str]) -> Any:
+    """Return selected initial conditions with numbers for the names of sweeps.
+
+    Parameters
+    ----------
+    wanted : object
+        Numbers, or ``"sweep_up"`` and ``"sweep_down"``, or a sequence of both.
+    kinds : sequence of str
+        ``fixed`` or the name of the sweep, for each initial condition.
+    """
+    if is_several(wanted) and not isinstance(wanted, slice):
+        return [numbers_of_sweeps(each, kinds) for each in wanted]
+    is_name = isinstance(wanted, str) and [*kinds].count(wanted) == 1
+    return [*kinds].index(wanted) if is_name else wanted
+
+
 def is_several(wanted: Any) -> bool:
     """Whether a selection is a slice or a sequence of values, not a single value."""
     if isinstance(wanted, str):

@@ -32,6 +32,7 @@ from gapsweep.errors import ModelError
 from gapsweep.model.contact import ContactLaw, Piecewise
 from gapsweep.model.equilibria import equilibria, linear_stiffness, restoring_slope
 from gapsweep.model.labels import EXACT, Representation
+from gapsweep.model.laws.tanh import Tanh
 from gapsweep.model.oscillator import Gap, Oscillator
 from gapsweep.study.schema import COORDINATES
 from gapsweep.study.study import Study
@@ -85,7 +86,9 @@ FORCED_VARIABLES = {
 _STABILITY = (("none", -1), ("unstable", 0), ("stable", 1))
 CONTACT_VARIABLES = {
     "tanh_threshold": Variable(
-        "f8", "m-1", "sharpness above which tanh has no false potential well, NaN if unknown"
+        "f8",
+        "m-1",
+        "sharpness above which tanh has no false well, NaN if unknown; where tanh is swept",
     ),
 }
 LIST_VARIABLES = {
@@ -155,13 +158,14 @@ def static(
         for name, variable in table.items():
             filled = _filled(variable, name, values, over)
             variables[name] = (tuple(over), filled, variable.attributes)
-    thresholds = [
-        tanh_threshold(oscillator, K_c, gap, x_max, K_ratio)
-        for oscillator, K_c, gap, K_ratio in models
-    ]
-    described = CONTACT_VARIABLES["tanh_threshold"].attributes
-    shape = [len(axis) for axis in axes.values()]
-    variables["tanh_threshold"] = (tuple(axes), np.reshape(thresholds, shape), described)
+    if any(one.family == Tanh.family for one in labels):  # a bisection for each contact
+        thresholds = [
+            tanh_threshold(oscillator, K_c, gap, x_max, K_ratio)
+            for oscillator, K_c, gap, K_ratio in models
+        ]
+        described = CONTACT_VARIABLES["tanh_threshold"].attributes
+        shape = [len(axis) for axis in axes.values()]
+        variables["tanh_threshold"] = (tuple(axes), np.reshape(thresholds, shape), described)
     coords = _coordinates(labels, axes)
     coords["x"] = ("x", x, {"units": "m", "long_name": "displacement"})
     attributes = {

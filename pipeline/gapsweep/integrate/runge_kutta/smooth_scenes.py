@@ -11,6 +11,7 @@ from gapsweep.integrate.lanes.outcome import AT_START
 from gapsweep.integrate.lanes.row_layout import known
 from gapsweep.integrate.lanes.scene_table import SceneTable
 from gapsweep.integrate.problem import Solver
+from gapsweep.model.laws.tanh import SATURATION
 
 from . import laws, tableaux
 from .laws import Formula, Law
@@ -59,7 +60,7 @@ def runge_kutta_scenes(
     for i, law in enumerate(kernel_laws):
         rows = law.rows(mass, len(points))
         # Where the tail of tanh, exp(-2 |z|), is far below the tolerance, its layer has no edge.
-        reach = (3.0 - 0.5 * np.log(exact.rtol)) / parameters.TANH_SATURATION
+        reach = (3.0 - 0.5 * np.log(exact.rtol)) / SATURATION
         rows[rows[:, parameters.SATURATION] > 0.0, parameters.LAYER] *= min(1.0, max(0.1, reach))
         has_layer |= bool((rows[:, parameters.LAYER] > 0.0).any())
         has_range |= bool((rows[:, parameters.RANGE] > 0.0).any())
