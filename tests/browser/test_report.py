@@ -17,6 +17,7 @@ from workflows.paper.figures import sections
 from gapsweep.analysis.agreement.comparison import agreement
 from gapsweep.analysis.claims import Run
 from gapsweep.analysis.datasets.timing import timing
+from gapsweep.report import marks
 from gapsweep.report.html import write_report
 from gapsweep.report.inputs import Inputs
 from gapsweep.report.parts import Figured, Part, rendered
@@ -335,7 +336,7 @@ def far_out(page, tmp_path_factory):
     """A figure whose axis is linear below .1 and logarithmic above, with ticks of its own."""
     figure = Figure()
     axes = figure.subplots()
-    axes.plot(OMEGA, PEAKS, "o", label="_piecewise")
+    marks.put(axes, [marks.points(x=OMEGA, y=PEAKS, size=6.0, series="piecewise")])
     axes.set_yscale("symlog", linthresh=0.1)
     axes.set_yticks([0.0, 0.1, 0.3, 1.0, 3.0])
     axes.yaxis.set_major_formatter("{x:g}")

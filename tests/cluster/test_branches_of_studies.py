@@ -3,8 +3,6 @@
 import math
 import os
 import signal
-import subprocess
-import sys
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -13,6 +11,7 @@ import numpy as np
 import pytest
 import xarray as xr
 from tests.builders.datasets import branches as made_branches
+from tests.builders.runs import started
 from tests.misbehaving.calls import Deadly
 
 import gapsweep as gs
@@ -24,6 +23,8 @@ from gapsweep.execution import branch_tasks
 from gapsweep.integrate.problem import Models, Solver
 from gapsweep.model.labels import Representation
 from gapsweep.model.own_law import OwnLaw
+
+pytestmark = pytest.mark.extended
 
 # The oscillator of pyvib: m = 1, c = .05, k = 1, 3 more beyond ±.1745, force .03.
 ONE_RAD = 1.0 / (2.0 * math.pi)
@@ -298,7 +299,7 @@ def scene(folder):
     """The scene of the exact law, of a run that is stored."""
     study = gs.Study.from_dict(tables())
     with gs.open(folder / "out" / "attractors.nc") as attractors:
-        return next(branches_of_study._parts(study, attractors)).scene
+        return next(branches_of_study.cases(study, attractors)).scene
 
 
 def test_what_becomes_of_a_scene_whose_process_ends_or_hangs_is_its_status(
@@ -368,17 +369,12 @@ def of_attractors(found, label):
 
 def test_a_killed_run_computes_only_the_scene_that_it_lacks(branches, run_command, tmp_path):
     (tmp_path / "folds.toml").write_text(STUDY)
-    code = "import sys; from gapsweep.cli import main; sys.argv[0] = 'gapsweep'; main()"
     command = ["run", "folds.toml", "--workers", "1", "--out", "out", "--cache", "c"]
 
     def stored():
         return {path: path.stat().st_mtime_ns for path in tmp_path.glob("c/branches/*/scene.nc")}
 
-    process = subprocess.Popen(
-        [sys.executable, "-c", code, *command], cwd=tmp_path, start_new_session=True,
-        env=os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)},
-        stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
-    )  # fmt: skip
+    process = started(tmp_path, *command, stdout=None, stderr=None)
     while not stored() and process.poll() is None:
         time.sleep(0.01)
     os.killpg(process.pid, signal.SIGKILL)

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 import xarray as xr
 from tests.builders.cache import commit, messages, point, stored, tile_rows
+from tests.builders.runs import run
 from tests.builders.studies import PAPER
 
 import gapsweep as gs
@@ -28,11 +29,7 @@ from gapsweep.store.cache import Cache
 from gapsweep.study.schema import POINT_DIMS, VARIABLES, coordinates
 from gapsweep.study.software import versions
 
-
-def run(tables, client, folder, name="out", **options):
-    study = gs.Study.from_dict(tables)
-    with gs.run(study, client, out=folder / name, cache=folder / f"{name}-cache", **options) as ds:
-        return ds.load()
+pytestmark = pytest.mark.extended
 
 
 @pytest.fixture

@@ -410,6 +410,7 @@ def test_bad_grids_of_starts_are_refused(arguments, message):
         gs.basins(gs.systems.paper_oscillator(), gs.Piecewise(SOFT, SYMMETRIC), **given)
 
 
+@pytest.mark.extended
 @pytest.mark.parametrize("omega", [9.0, 0.0])
 @pytest.mark.parametrize("label", ["piecewise", "piecewise-noevents", "tanh-1e4"])
 def test_shots_are_no_part_of_what_a_motion_costs(label, omega):

@@ -11,6 +11,8 @@ from numpy.testing import assert_allclose
 import gapsweep as gs
 from gapsweep.integrate.stepping import batch
 
+pytestmark = pytest.mark.extended
+
 GAP = gs.Gap(4e-4, 6e-4)
 # Damped so that each scene has one attractor: which one a start ends on is another question.
 OSCILLATORS = (
@@ -150,6 +152,17 @@ def test_mistakes_are_named(arguments, message):
     system, law = coupled()
     with pytest.raises(gs.ModelError, match=message):
         gs.respond(system, **({"law": law, "omega": 3.0} | arguments))
+
+
+@pytest.mark.parametrize("engine", ["compiled", "scipy"])
+@pytest.mark.parametrize(
+    "other", [gs.Tanh(1e4, GAP, 1e4), gs.Piecewise(1e4, GAP, located=False)], ids=["tanh", "none"]
+)
+def test_no_engine_locates_some_contacts_only(engine, other):
+    system, law = coupled()
+    law = law | {list(law)[-1]: other}
+    with pytest.raises(gs.ModelError, match="all contacts or none"):
+        gs.simulate(system, law, 3.0, t_end=0.1, engine=engine)
 
 
 def test_a_part_too_light_to_be_seen_is_not_judged():

@@ -206,6 +206,7 @@ AUTO = {
 }
 
 
+@pytest.mark.extended
 def test_auto_meets_its_error_and_says_what_it_chose(client, tmp_path):
     study = gs.Study.from_dict(AUTO)
     out, cache = tmp_path / "out", tmp_path / "cache"

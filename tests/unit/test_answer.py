@@ -32,11 +32,11 @@ from gapsweep.report.verdicts import (
     COLUMNS,
     Contact,
     Judged,
-    _judged,
-    _values,
     consequence,
     contacts,
     in_words,
+    judged_law,
+    shown_values,
     times,
     verdict,
     worst,
@@ -130,8 +130,8 @@ def numbers(p95, ci):
     ],
 )
 def test_a_floor_without_an_interval_makes_no_verdict_firm(several, possible):
-    floors = worst([_values(numbers(*each)) for each in several])
-    one = _judged("tanh-1e4", numbers(0.2, (0.15, 0.25)), floors, 0.1)
+    floors = worst([shown_values(numbers(*each)) for each in several])
+    one = judged_law("tanh-1e4", numbers(0.2, (0.15, 0.25)), floors, 0.1)
     assert (one.verdict, one.possible) == ("exact here", possible)
 
 

@@ -21,6 +21,7 @@ from gapsweep.analysis.bench.stability import stability
 from gapsweep.execution.isolated import CallError
 from gapsweep.integrate import compiled
 from gapsweep.integrate.problem import Solver
+from gapsweep.integrate.runge_kutta import representations
 from gapsweep.model.equilibria import equilibria, linear_stiffness
 from gapsweep.report.bench_figures import STATUS_LETTERS, atlas, worst
 from gapsweep.report.sections.benchmarks import conclusions
@@ -65,15 +66,12 @@ def outcomes(*tables, labels=("piecewise",)):
 
 def test_engine_with_a_wrong_smooth_force_is_silent_and_wrong(monkeypatch):
     # At every tolerance, so that its tight solution is as wrong: scipy's is the witness.
-    kernel_law = compiled._kernel_law
+    of_numbers = representations.of_numbers
 
-    def broken(models, contact):
-        def stiffer(laws):
-            return tuple(replace(law, K_c=1.01 * law.K_c) for law in laws)
+    def broken(law, K_c, **others):
+        return of_numbers(law, K_c=1.01 * K_c, **others)
 
-        return kernel_law(models.with_laws(stiffer), contact)
-
-    monkeypatch.setattr(compiled, "_kernel_law", broken)
+    monkeypatch.setattr(representations, "of_numbers", broken)
     found = outcomes(HARD, labels=["arctan-1e6"])[0, 0]
     assert found.tolist()[1:] == [Outcome.SILENT_WRONG] * 2
 
@@ -106,6 +104,7 @@ def test_energy_that_leaks_is_silent_and_wrong(monkeypatch):
     assert outcomes(table)[0, 0, 1:].tolist() == [Outcome.SILENT_WRONG] * 2
 
 
+@pytest.mark.extended
 def test_model_error_is_the_models():
     found = outcomes(HARD, labels=["piecewise", "tanh-1e4", "tanh-1e9"])[0, :, 2]
     assert found.tolist() == [Outcome.RIGHT, Outcome.MODEL_ERROR, Outcome.RIGHT]
@@ -267,6 +266,7 @@ def mixed():
     return stability(study_of(HARD, strong, left_out, labels=LABELS))
 
 
+@pytest.mark.extended
 def test_processes_compute_the_same_cells_as_this_one(mixed):
     here = stability(study_of(HARD, labels=LABELS))
     for name in here.data_vars:

@@ -22,16 +22,17 @@ from tests.builders.datasets import (
     periodic,
     tables,
 )
-from tests.builders.studies import PAPER
-from tests.unit.test_system_studies import TWO_MASSES
+from tests.builders.studies import PAPER, TWO_MASSES, changed
 
 from gapsweep.analysis.agreement.comparison import agreement
 from gapsweep.analysis.datasets.timing import timing
 from gapsweep.errors import StoreError
-from gapsweep.model.labels import FAMILIES, Representation, contact_law
+from gapsweep.model.labels import Representation, contact_law
+from gapsweep.model.laws import LAWS
 from gapsweep.model.oscillator import Gap
+from gapsweep.report import marks
 from gapsweep.report.contents import SECTIONS
-from gapsweep.report.figure_marks import as_csv
+from gapsweep.report.figure_data import as_csv
 from gapsweep.report.heat import cell, heads, heat, swept_columns
 from gapsweep.report.html import write_report
 from gapsweep.report.inputs import Inputs
@@ -43,6 +44,7 @@ from gapsweep.report.sections import answer, findings, force_errors, provenance
 from gapsweep.report.sections import model as model_section
 from gapsweep.report.sections.claim_list import claim_rows, outcome
 from gapsweep.report.style import MATPLOTLIB
+from gapsweep.report.style import colour as colour_of
 from gapsweep.report.tables import (
     VERDICTS,
     number,
@@ -498,6 +500,20 @@ def test_the_studys_own_answer_needs_no_exact_law(run):
     assert [*answer.sections(run[0])] == []
 
 
+def test_rows_of_laws_have_the_colour_of_the_law_that_they_begin_with(run, tmp_path):
+    """Other texts of a study have none."""
+    rows = ["tanh-1e4", "tanh-1e4, K_ratio = 0.5", "exact law, other settings", "tanh-soft", "mean"]
+    table = Table("T", ["Representation"], [[row] for row in rows])
+    page = written(tmp_path, *run, rendered([Part("own-t", "T", [], [table])])).read_text()
+    found = dict.fromkeys(rows, "")
+    for colour, row in re.findall(
+        r'class="swatch" style="background:([^"]*)"></span>([^<]*)', page
+    ):
+        found[row] = colour
+    of_law = [*map(colour_of, ("tanh-1e4", "tanh-1e4", "piecewise"))]
+    assert list(found.values())[:5] == [*of_law, "none", "none"]
+
+
 def test_hostile_texts_stay_texts(page):
     text = page.read_text()
     assert "<img src=x" not in text
@@ -508,7 +524,7 @@ def test_hostile_texts_stay_texts(page):
 
 def test_data_of_a_figure_cannot_end_their_element(run, tmp_path):
     figure = Figure()
-    figure.subplots().plot([1.0], [1.0], label=HOSTILE)
+    marks.put(figure.subplots(), [marks.points(x=[1.0], y=[1.0], series=HOSTILE)])
     figure.axes[0].set_title("</script>", loc="left")
     own = rendered([Part("part", "Part", [], figures=[Figured(figure, HOSTILE, HOSTILE)])])
     page = written(tmp_path, *run, own)
@@ -617,11 +633,20 @@ def test_the_model_of_a_system_is_what_its_function_made():
     told = dict(model(one_sided))
     assert told["r"] == "0 (stiffness of the lower wall / K_c); 0: no lower wall"
     assert "ε [1/unit of x] in its name" in told["F of tanh"]
-    assert [
-        model_section._turning({"k": k, "phase": phase})
+
+
+def test_loads_and_matrices_of_a_system_are_written_out():
+    loads = [
+        {"amplitude": [2.0, -0.0], "k": k, "phase": phase}
         for k, phase in ((0, 0.0), (0, 0.5), (1, 0.0), (3, 0.5))
-    ] == ["", " cos(0.5)", " cos(2πωt)", " cos(6πωt + 0.5)"]
-    assert model_section._rows([[1.0, -0.0], [0.5, 2e-7]]) == "[[1, 0], [0.5, 2e-7]]"
+    ]
+    damping = [[0.5, -0.0], [-0.0, 2e-7]]
+    study = Study.from_dict(changed(TWO_MASSES, system__forcing=loads, system__damping=damping))
+    coords = {"representation": ["piecewise"], "K_c": [10.0], "gap": ["0.1/0.2"]}
+    told = model(xr.Dataset({"x_max": 0.1}, coords, study.attributes))
+    cosines = ["", " cos(0.5)", " cos(2πωt)", " cos(6πωt + 0.5)"]
+    assert [text for name, text in told if name == "Load"] == [f"[2, 0]{each}" for each in cosines]
+    assert dict(told)["C"] == "[[0.5, 0], [0, 2e-7]]"
 
 
 def test_a_contact_of_its_own_numbers_is_told():
@@ -716,8 +741,8 @@ def test_forces_are_told_as_they_are():
     """What the report says of tanh, arctan and log-arctan, by another hand; walls differ."""
     K_c, r, gap, epsilon = 1.4e4, 0.5, Gap(0.3e-3, 0.5e-3), 2e3
     x = np.linspace(-2e-3, 2e-3, 401)
-    told = model_section._FORCES
-    assert told.keys() == FAMILIES.keys()
+    told = {law.family: law.words for law in LAWS}
+    assert all(told.values())
     for family, word, s in (
         ("tanh", "tanh", np.tanh),
         ("arctan", "(2/π) arctan", lambda z: 2.0 / np.pi * np.arctan(z)),

@@ -55,6 +55,7 @@ def test_autonomous_motions_that_are_not_begun_in_time_have_timed_out():
     assert {*found.status} == {Status.TIMED_OUT}
 
 
+@pytest.mark.extended
 def test_a_slow_law_of_a_user_ends_soon_after_its_time_limit():
     def slow(x):
         for _ in range(1000):
@@ -69,6 +70,7 @@ def test_a_slow_law_of_a_user_ends_soon_after_its_time_limit():
     assert time.thread_time() - begin < 10.0
 
 
+@pytest.mark.extended
 @pytest.mark.parametrize("engine", ["compiled", "scipy"])
 def test_where_a_force_is_no_number_the_model_is_invalid(engine):
     def undefined(x, far):

@@ -274,22 +274,22 @@ def test_an_upgrade_moves_the_keys_of_what_the_library_decides(
     tables, monkeypatch, library, engine, moved
 ):
     def keys():
-        points._identity.cache_clear()
+        points.identity_of.cache_clear()
         return all_keys(study_of(tables, solver={"engine": engine}))
 
     before, ours = keys(), points.versions()
     monkeypatch.setattr(points, "versions", lambda: {**ours, library: "99.9"})
     after = keys()
-    points._identity.cache_clear()
+    points.identity_of.cache_clear()
     assert {index[0] for index in before if before[index] != after[index]} == moved
 
 
 def test_result_schema_is_part_of_the_key(tables, monkeypatch):
     before = set(all_keys(study_of(tables)).values())
     monkeypatch.setattr(points, "RESULT_SCHEMA", points.RESULT_SCHEMA + 1)
-    points._identity.cache_clear()
+    points.identity_of.cache_clear()
     after = set(all_keys(study_of(tables)).values())
-    points._identity.cache_clear()
+    points.identity_of.cache_clear()
     assert not before & after
 
 
@@ -553,11 +553,18 @@ def test_a_gap_is_selected_as_a_study_file_gives_it(tables, wanted):
             study.select(gap=wrong)
 
 
-def test_every_number_of_the_oscillator_is_known_wherever_they_are_listed():
+def test_every_number_of_the_oscillator_is_known_wherever_they_are_listed(tables):
     numbers = set(OSCILLATOR)
     assert set(OscillatorTable.model_fields) == numbers
-    for known in (COORDINATES, report_model._NUMBERS, question._DIALS):
-        assert numbers <= set(known)
+    assert numbers <= set(COORDINATES)
+    assert numbers <= set(question.numbers(question.of_model()))
+    values = {name: 1.125 + i for i, name in enumerate(OSCILLATOR)}
+    tables["sweep"][0] |= {"representation": "piecewise", "omega": [7.0]}
+    study = study_of(tables, oscillator=values)
+    coords = {"representation": ["piecewise"], "K_c": [1.4e4], "omega": [7.0], "gap": ["0.4/0.4"]}
+    (part,) = report_model.sections(xr.Dataset({"x_max": 0.1}, coords, study.attributes))
+    in_report = dict(part.content["pairs"])["Numbers"]
+    assert [value for value in values.values() if f" {value:g}" not in in_report] == []
 
 
 def test_branches_have_defaults_and_stand_in_the_json(tables):

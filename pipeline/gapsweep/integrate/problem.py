@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 
 from gapsweep.errors import ModelError
 from gapsweep.integrate.motions import Motions
-from gapsweep.model.contact import ContactLaw, Piecewise, Tanh, checked_law
+from gapsweep.model.contact import ContactLaw, Piecewise, checked_law
+from gapsweep.model.laws.tanh import Tanh
 from gapsweep.model.oscillator import Oscillator, checked
 from gapsweep.model.structure import general_form
 from gapsweep.model.system import System
@@ -118,6 +119,11 @@ class Models:
         group = sizes[self.system] * len(kinds) + which[self.law]
         groups = [np.flatnonzero(group == one) for one in np.unique(group).tolist()]
         return [(rows, self.take(rows)) for rows in groups]
+
+    @property
+    def n_located(self) -> int:
+        """Number of contacts that are located, of the first row as of all."""
+        return sum(isinstance(law, Piecewise) and law.located for law in self.laws[0])
 
     def of_systems(self, value: Callable[[Any], Any]) -> NDArray[Any]:
         """Return a function's value for every row's system, shape (n, ...)."""
@@ -405,17 +411,15 @@ class Solver:
         is_oscillator : bool
             Whether the models are oscillators with ``is_classic``.
         """
-        if self.engine != "compiled" or not n_located:
-            return
-        if self.runge_kutta and not is_oscillator:
+        if self.engine == "compiled" and n_located and self.runge_kutta and not is_oscillator:
             raise ModelError(
                 f"{self.runge_kutta}: needs an Oscillator with omega_n > 0 and mean_load = 0; "
                 "otherwise use engine='scipy', or located=False (piecewise-noevents)"
             )
-        if n_located < n_contacts:
+        if 0 < n_located < n_contacts:
             raise ModelError(
                 f"{Piecewise.family}: contacts are located for all contacts or none; use "
-                "located=False (piecewise-noevents), or engine='scipy', which then locates none"
+                "located=False (piecewise-noevents)"
             )
 
     def with_rtol(self, rtol: float) -> "Solver":

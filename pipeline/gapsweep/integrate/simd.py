@@ -174,6 +174,22 @@ def load(typingctx, array, row):
     return vec(array, row), codegen
 
 
+def loads(rows):
+    """Return a function that returns some rows of such an array, as a tuple of vectors."""
+
+    @intrinsic
+    def function(typingctx, array):
+        def codegen(context, builder, sig, args):
+            at = (ir.Constant(I64, row) for row in rows)
+            pointers = (_row_pointer(context, builder, array, args[0], row) for row in at)
+            found = [builder.load(pointer, align=8) for pointer in pointers]
+            return context.make_tuple(builder, sig.return_type, found)
+
+        return types.UniTuple(vec, len(rows))(array), codegen
+
+    return function
+
+
 @intrinsic
 def store(typingctx, array, row, value):
     """Write a vector (or one scalar to every lane) to row `row`."""

@@ -28,10 +28,6 @@ from gapsweep.report.sections.overview import is_wide
 RESULTS = "Results"
 
 
-def _always(responses: xr.Dataset) -> bool:
-    return True
-
-
 @dataclass(frozen=True, slots=True)
 class Section:
     """A section of the report.
@@ -58,7 +54,7 @@ class Section:
     make: Callable[..., Iterable[Part]]
     needs: tuple[str, ...] = ("responses",)
     uses: tuple[str, ...] = ()
-    applies: Callable[[xr.Dataset], bool] = _always
+    applies: Callable[[xr.Dataset], bool] = lambda responses: True
     group: str = ""
     template: str = "_part.html"
     script: str = ""

@@ -11,7 +11,8 @@ from typing import Any
 import jinja2
 from markupsafe import Markup
 
-from gapsweep.errors import StoreError
+from gapsweep.errors import ModelError, StoreError
+from gapsweep.model.labels import EXACT, Representation
 from gapsweep.report.contents import SECTIONS
 from gapsweep.report.inputs import Inputs
 from gapsweep.report.links import Links, for_page
@@ -81,7 +82,7 @@ def _environment() -> jinja2.Environment:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    found.filters.update(colour=colour, digest=_digest)
+    found.filters.update(swatch=_swatch, digest=_digest)
     return found
 
 
@@ -132,6 +133,15 @@ def _remove_others(folder: Path, written: Collection[str]) -> None:
     files = [path for path in folder.iterdir() if path.is_file() and not path.is_symlink()]
     ours = {path.name for path in files if _OURS.fullmatch(path.name)}
     remove(folder, ours - set(written))
+
+
+def _swatch(text: str) -> str:
+    """Colour of the law that a text begins with, as ``tanh-1e4, K_ratio = 0.5``."""
+    law = text.partition(", ")[0]
+    try:
+        return colour(Representation.parsed(EXACT if law == "exact law" else law))
+    except ModelError:  # a table of a study may have any text
+        return "none"
 
 
 def _digest(script: str) -> str:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from gapsweep.study.axis_selection import is_numeric
 from gapsweep.study.grid import CONTACT, COORDINATE
-from gapsweep.study.schema import PARAMETER, parts_of, written
+from gapsweep.study.schema import PARAMETER, VARIABLES, parts_of, written
 
 _WIDE = 30.0  # smallest ratio of largest to smallest value for a logarithmic axis
 _APART = 1.05  # smallest ratio of neighbouring values in a geometric series
@@ -38,14 +38,22 @@ def long_name(variable: xr.DataArray) -> str:
 def axis_label(variable: xr.DataArray, words: str = "") -> str:
     """Label of an axis: `words` or else the variable's long name, and its drawn unit.
 
-    The name of a selected coordinate or contact of a system comes first.
+    The name of a selected coordinate or contact of a system comes first. Only the user knows
+    whether it is a length or an angle: its unit is "unit of" that name.
     """
-    words = words or long_name(variable)
+    words, unit = words or long_name(variable), shown_unit(variable)[1]
     for part in (COORDINATE, CONTACT):
         if part in variable.coords and parts_of(str(variable.name), [part]):
-            words = f"{variable[part].item()}: {words}"
-    unit = shown_unit(variable)[1]
+            name = str(variable[part].item())
+            words = f"{name}: {words}"
+            if "units" not in variable.attrs:
+                unit = _unit_of(name).get(VARIABLES[str(variable.name)].units, "unit of force")
     return f"{words} [{unit}]" if unit else words
+
+
+def _unit_of(part: str) -> dict[str, str]:
+    """Units of a displacement and a velocity of a system's coordinate or contact."""
+    return {"m": f"unit of {part}", "m s-1": f"unit of {part}/s"}
 
 
 @dataclass(frozen=True, slots=True)

@@ -240,8 +240,8 @@ def contacts(agreement: xr.Dataset, static: xr.Dataset | None = None) -> list[Co
         can_be = [] if unjudged else [law for law in here_too if _is_judged(law, where[law])]
         if not (here_too if unjudged else can_be):
             continue
-        floors = worst([_values(where[label]) for label in exact])
-        judged = [_judged(law, where[law], floors, noise) for law in can_be]
+        floors = worst([shown_values(where[label]) for label in exact])
+        judged = [judged_law(law, where[law], floors, noise) for law in can_be]
         here = pooled.coords.to_dataset().isel(at)
         gap, swept = gap_label(here), [NamedValue.of(here[name]) for name in other_parameters(here)]
         known = _threshold(static, here), swept, _floor_cost_ratio(where, exact), at, unjudged
@@ -268,7 +268,8 @@ def verdict(values: Values, floors: Values) -> list[str]:
     return best
 
 
-def _values(row: Row) -> Values:
+def shown_values(row: Row) -> Values:
+    """Median, 95th percentile and attractors found of a law: value and ends of the interval."""
     values = {}
     for name, long in SHOWN.items():
         low, high = row[f"{long}_ci"]
@@ -305,8 +306,9 @@ def _is_judged(law: Representation, row: Row) -> bool:
     return not is_broken and bool(np.isfinite(row[SHOWN["found"]]))
 
 
-def _judged(law: Representation, row: Row, floors: Values, noise: float) -> Judged:
-    values = _values(row)
+def judged_law(law: Representation, row: Row, floors: Values, noise: float) -> Judged:
+    """Verdict of a law in a case, every verdict possible within its intervals, and its cost."""
+    values = shown_values(row)
     # The best end of a law with the worst end of the exact law's limit, and the worst with the
     # best: their intervals are independent.
     ends = verdict(values, {name: floor[[0, 2, 1]] for name, floor in floors.items()})

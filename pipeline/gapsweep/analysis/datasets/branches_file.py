@@ -108,7 +108,7 @@ def branches(
         ``branches.nc`` of the study, to return the curves of its special points. Cases that failed
         in it have none; branches missing in the cache are recomputed.
     """
-    parts = [part for part in _parts(study, attractors) if part.scene.attractors]
+    parts = [part for part in cases(study, attractors) if part.scene.attractors]
     is_curves = followed_branches is not None
     if followed_branches is not None:
         first = np.cumsum([0, *(len(part.numbers) for part in parts)])[:-1]
@@ -146,7 +146,7 @@ def _with_points(part: _SceneBranches) -> _SceneBranches:
     return replace(part, scene=replace(part.scene, points=points), found=Followed(Status.OK))
 
 
-def _parts(study: Study, attractors: xr.Dataset) -> Iterator[_SceneBranches]:
+def cases(study: Study, attractors: xr.Dataset) -> Iterator[_SceneBranches]:
     """Yield the requested cases that can be continued, each with its periodic attractors."""
     table, grid = study.spec.branches, study.grid
     assert table is not None

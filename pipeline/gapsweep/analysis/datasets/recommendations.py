@@ -21,7 +21,8 @@ from gapsweep.analysis.datasets.contact_errors import (
 )
 from gapsweep.errors import ModelError, StudyError
 from gapsweep.model.contact import ContactLaw, Piecewise
-from gapsweep.model.labels import FAMILIES, Representation, canonical_label, contact_law
+from gapsweep.model.labels import Representation, canonical_label, contact_law
+from gapsweep.model.laws import LAWS
 from gapsweep.model.oscillator import OSCILLATOR, Gap, Oscillator
 from gapsweep.study.grid import START
 from gapsweep.study.least_model import Model
@@ -45,9 +46,8 @@ SCREENED = {
     ),
 }
 # Per family any law of it, to find the smallest parameter; the last only for studies with fits.
-_SEEDS = {name: f"{name}-1e4" for name, law in FAMILIES.items() if law.is_sharpened}
-_FITTED = {"poly": "poly-13"}
-_SYMBOLS = {"tanh": "epsilon", "arctan": "epsilon", "logarctan": "gamma", "poly": "degree"}
+_SEEDS = {law.family: law.examples[0] for law in LAWS if law.is_sharpened}
+_FITTED = {law.family: law.examples[0] for law in LAWS if law.symbol and not law.is_sharpened}
 _NOT_REACHED = "no wall is reached, so that no contact law has an effect"
 _MOST_STARTS = 3  # initial conditions that are named one by one
 _PART = 65_536  # points whose numbers are in memory at a time
@@ -277,13 +277,14 @@ def _assessed(here: xr.Dataset) -> dict[Representation, tuple[float, bool]]:
 def _approximations(here: xr.Dataset, rows: Mapping[Representation, tuple[float, bool]]) -> str:
     if not rows:
         return "smooth laws are judged by their force error over the forcing, which is 0"
-    least: dict[str, float] = {}
+    least: dict[type[ContactLaw], float] = {}
     for law, (_, is_adequate) in rows.items():
-        if is_adequate and law.family in _SYMBOLS:
-            least[law.family] = min(float(law.parameter), least.get(law.family, np.inf))
+        if is_adequate and law.law_type is not None and law.law_type.symbol:
+            known = least.get(law.law_type, np.inf)
+            least[law.law_type] = min(float(law.parameter), known)
     good = "; ".join(
-        f"{name}: {_SYMBOLS[name]} >= {value:g}{'' if name == 'poly' else ' /m'}"
-        for name, value in least.items()
+        f"{law.family}: {law.symbol} >= {value:g}{' /m' if law.is_sharpened else ''}"
+        for law, value in least.items()
     )
     limit = float(here.attrs["allowed_force_error"])
     text = (
