@@ -72,11 +72,10 @@ class ContactLaw:
     is_sharpened: ClassVar[bool] = False
     # Name of the field that the label holds, if the law errs less the larger it is.
     symbol: ClassVar[str] = ""
-    # Labels, the first one for a first trial of the family; and the force in words.
+    # For laws with a label: labels, the first one for a first trial; and the force in words.
     examples: ClassVar[tuple[str, ...]] = ()
     words: ClassVar[str] = ""
-    # None for laws without a label.
-    formulas: ClassVar[Formulas | None] = None
+    formulas: ClassVar[Formulas]
 
     K_c: float
     gap: Gap

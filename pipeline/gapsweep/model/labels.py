@@ -1,17 +1,10 @@
 """Labels: the text form of a contact law in studies, datasets and plots.
 
-========================= ==========================================================
-``piecewise``             exact force, every contact located
-``piecewise-noevents``    exact force, contacts not located
-``poly-13``               polynomial of degree 13
-``ratpoly-5/3``           rational polynomial, numerator and denominator degree
-``tanh-1e4``              tanh, epsilon = 1e4 /m; ``arctan-…`` likewise
-``logarctan-1e4``         log-arctan, gamma = 1e4 /m
-``my_module:spring``      the function ``spring(x)`` in ``my_module.py``, or a
-                          `gapsweep.ForceTable` of that name
-``stop.csv:mm``           measured forces [N] at displacements [mm] in ``stop.csv``
-``auto``                  in a study: the least model that each sweep point needs
-========================= ==========================================================
+A label is a family with its parameter, as ``tanh-1e4`` (all families are in `LAWS`), or
+
+- ``my_module:spring``, the function ``spring(x)`` in ``my_module.py``, or a table of that name;
+- ``stop.csv:mm``, measured forces [N] at displacements [mm] in ``stop.csv``;
+- ``auto``, in a study: the simplest adequate model of each point.
 """
 
 from __future__ import annotations

@@ -55,8 +55,8 @@ _SERIES = ("numerator", "denominator")
 
 def rows_of(law: type[ContactLaw]) -> dict[str, int]:
     """Return the rows of the arguments of a law's formulas: own numbers from row `OWN` on."""
-    formulas = filter(None, law.formulas or ())
-    names = dict.fromkeys(name for each in formulas for name in _arguments(each))
+    several = filter(None, law.formulas)
+    names = dict.fromkeys(name for each in several for name in _arguments(each))
     own = [name for name in names if name not in _ROWS and name not in _SERIES]
     return _ROWS | {name: OWN + i for i, name in enumerate(own)}
 

@@ -94,11 +94,12 @@ def denominator(law, q, x):
 # --- which function belongs to which law ----------------------------------------------------------
 
 
-def _by_number(functions: Sequence[tuple[int, Any]], otherwise: Any) -> Any:
+def _by_number(functions: Sequence[Any], number: int = 0) -> Any:
     """Return a compiled function that calls the one of these that belongs to the law's number."""
-    if not functions:
-        return otherwise
-    (number, function), others = functions[0], _by_number(functions[1:], otherwise)
+    function = functions[number]
+    if number == len(functions) - 1:
+        return function
+    others = _by_number(functions, number + 1)
 
     @inlined
     def chosen(law, q, x):
@@ -114,29 +115,14 @@ def _one(law, q, x):
     return simd.splat(1.0)
 
 
-_FORMULAS = [(number, law, law.formulas) for number, law in enumerate(LAWS) if law.formulas]
-_force_by_number = _by_number(
-    [
-        *((number, vectorised(each.force, law)) for number, law, each in _FORMULAS),
-        (LOCATED, formulas.located_force),
-    ],
-    formulas.table_force,
-)
-_slope_by_number = _by_number(
-    [
-        *((number, vectorised(each.slope, law)) for number, law, each in _FORMULAS),
-        (LOCATED, formulas.located_slope),
-    ],
-    formulas.table_slope,
-)
-_denominator_by_number = _by_number(
-    [
-        (number, vectorised(each.denominator, law))
-        for number, law, each in _FORMULAS
-        if each.denominator
-    ],
-    _one,
-)
+_forces = [vectorised(law.formulas.force, law) for law in LAWS]
+_slopes = [vectorised(law.formulas.slope, law) for law in LAWS]
+_denominators = [
+    vectorised(law.formulas.denominator, law) if law.formulas.denominator else _one for law in LAWS
+]
+_force_by_number = _by_number([*_forces, formulas.located_force, formulas.table_force])
+_slope_by_number = _by_number([*_slopes, formulas.located_slope, formulas.table_slope])
+_denominator_by_number = _by_number([*_denominators, _one])
 
 
 def _is_users(law):

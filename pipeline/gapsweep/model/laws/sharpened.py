@@ -30,7 +30,7 @@ class Sharpened(ContactLaw):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        value = checked(self.symbol, self.sharpness, low=0.0, strict=True)
+        value = checked(self.symbol, getattr(self, self.symbol), low=0.0, strict=True)
         object.__setattr__(self, self.symbol, value)
         # A smooth law has a force everywhere: arctan K_c / (pi epsilon) at any distance.
         if self.K_c and (farthest := max(map(abs, self.walls))) > DIVERGED_AT:
