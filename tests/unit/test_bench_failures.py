@@ -66,12 +66,12 @@ def outcomes(*tables, labels=("piecewise",)):
 
 def test_engine_with_a_wrong_smooth_force_is_silent_and_wrong(monkeypatch):
     # At every tolerance, so that its tight solution is as wrong: scipy's is the witness.
-    arctan = representations.arctan
+    of_numbers = representations.of_numbers
 
-    def broken(K_c, **others):
-        return arctan(K_c=1.01 * K_c, **others)
+    def broken(law, K_c, **others):
+        return of_numbers(law, K_c=1.01 * K_c, **others)
 
-    monkeypatch.setattr(representations, "arctan", broken)
+    monkeypatch.setattr(representations, "of_numbers", broken)
     found = outcomes(HARD, labels=["arctan-1e6"])[0, 0]
     assert found.tolist()[1:] == [Outcome.SILENT_WRONG] * 2
 

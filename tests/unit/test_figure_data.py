@@ -156,3 +156,13 @@ def test_marks_without_data_and_over_words_are_drawn_all_the_same():
     (panel,) = json.loads(as_json(figure))
     assert [(note["text"], note["x"]) for note in panel["texts"]] == [("here", 1.0)]
     assert [numbers(mark["x"]).tolist() for mark in panel["marks"]] == [[0.0, 1.0]]
+
+
+def test_marks_are_forgotten_with_their_artists():
+    figure = Figure()
+    axes = figure.subplots()
+    put(axes, [ONE, marks.line(x=[1.0, 2.0], y=[3.0, 4.0], series="removed")])
+    axes.lines[1].remove()
+    assert [mark["series"] for mark in json.loads(as_json(figure))[0]["marks"]] == [""]
+    axes.clear()
+    assert as_json(figure) == as_csv(figure) == ""

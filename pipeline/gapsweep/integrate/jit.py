@@ -77,6 +77,8 @@ _PART = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True, "pipeline_class":
 # refuses to compile a function that does allocate under this option.
 internal = njit(**_PART, _nrt=False)
 inlined = njit(forceinline=True, **_PART, _nrt=False)
+# not inlined even where its callers are: numba would inherit their setting
+separate = njit(forceinline=False, **_PART, _nrt=False)
 
 
 def chosen_by_type(function: Callable[..., Any]) -> Any:

@@ -75,7 +75,7 @@ def for_page(parts: Iterable[Mapping[str, Any]], most: int, folder: str) -> list
     made: list[dict[str, Any]] = []
     used = set[str]()
     for part in parts:
-        figures = [shown(each) for each in part["figures"] if _is_sound(each)]
+        figures = [_shown(each) for each in part["figures"] if _is_sound(each)]
         for figure in figures:
             name = (figure.get("name") or part["anchor"]).removeprefix("Fig. ")
             figure["id"] = _unused("figure", name, used)
@@ -101,7 +101,7 @@ def _unused(kind: str, name: str, used: set[str]) -> str:
     return found
 
 
-def shown(figure: Mapping[str, str]) -> dict[str, Any]:
+def _shown(figure: Mapping[str, str]) -> dict[str, Any]:
     """A stored figure with its size, its files, and the data of its page (may be empty)."""
     files = {"svg": figure["svg"].encode()}
     for kind in PACKED:

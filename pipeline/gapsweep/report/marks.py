@@ -14,13 +14,15 @@ from weakref import WeakKeyDictionary
 import numpy as np
 
 if TYPE_CHECKING:
+    from matplotlib.artist import Artist
     from matplotlib.axes import Axes
 
 POINT, LINE, TICK, BAND, LEVEL = "point", "line", "tick", "band", "level"
 TEXT, EDGE = "text", "edge"
 _ORDER = {BAND: 0.0, LEVEL: 1.6, TEXT: 3.0}
 _MANY = 60  # points; more are rasterized, to limit the size of the file
-_DRAWN: "WeakKeyDictionary[Axes, list[Marks]]" = WeakKeyDictionary()
+# What each artist of matplotlib was drawn from: as long as the artist is in its panel.
+_DRAWN: "WeakKeyDictionary[Artist, Marks]" = WeakKeyDictionary()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -107,58 +109,63 @@ def put(axes: "Axes", *several: Iterable[Marks]) -> None:
     """Draw marks into axes, with their legend entries."""
     for each in chain(*several):
         draw = _DRAW.get(each.kind, _data)
-        draw(axes, each, {"label": each.entry or f"_{each.series}", "zorder": each.order})
+        label = each.entry or f"_{each.series}"
+        artist = draw(axes, each, {"label": label, "zorder": each.order})
         if np.size(each.x):
-            _DRAWN.setdefault(axes, []).append(each)
+            _DRAWN[artist] = each
 
 
 def marks_of(axes: "Axes") -> list[Marks]:
     """The marks in a panel, from back to front."""
-    return sorted(_DRAWN.get(axes, []), key=lambda marks: marks.order)
+    drawn = [_DRAWN[artist] for artist in axes.get_children() if artist in _DRAWN]
+    return sorted(drawn, key=lambda marks: marks.order)
 
 
-def _data(axes: "Axes", marks: Marks, look: dict[str, Any]) -> None:
+def _data(axes: "Axes", marks: Marks, look: dict[str, Any]) -> "Artist":
     """Draw a line, or points."""
     from matplotlib.lines import Line2D
 
     is_line, n = marks.kind == LINE, np.size(marks.x)
     look |= {"alpha": marks.opacity, "clip_on": marks.is_clipped}
-    edge = 0.8 if marks.face or marks.marker in "|x+" else 0.0
+    edge = 0.6 if marks.face or marks.marker in "|x+" else 0.0
     if np.ndim(marks.size):
         area, face = np.square(marks.size), marks.face or marks.colour
         look |= {"facecolors": face, "edgecolors": marks.colour, "linewidths": 0.8}
-        axes.scatter(marks.x, marks.y, area, rasterized=n > _MANY / 4, **look)
-        return  # rasterized early, since each dot is a separate path
+        # Rasterized early, since each dot is a separate path.
+        return axes.scatter(marks.x, marks.y, area, rasterized=n > _MANY / 4, **look)
     look |= {"color": marks.colour, "markerfacecolor": marks.face or marks.colour}
     look |= {"linestyle": marks.dashes if is_line else "none", "markeredgewidth": edge}
     look |= {"marker": marks.marker if not is_line or marks.dots else "none"}
     look |= {"markersize": marks.dots} if is_line else {"markersize": marks.size}
     look |= {"linewidth": marks.size} if is_line else {"rasterized": n > _MANY}
     if marks.sets is None:
-        axes.plot(marks.x, marks.y, **look)
-        return
-    axes.add_artist(Line2D(marks.x, marks.y, **look))  # unlike plot, this changes no limits
+        return axes.plot(marks.x, marks.y, **look)[0]
+    artist = axes.add_artist(Line2D(marks.x, marks.y, **look))  # unlike plot, changes no limits
     places = np.column_stack([marks.x, marks.y])
     axes.update_datalim(places, updatey=False)
     axes.update_datalim(places[np.broadcast_to(marks.sets, n)])
     axes.autoscale_view()
+    return artist
 
 
-def _ticks(axes: "Axes", marks: Marks, look: dict[str, Any]) -> None:
+def _ticks(axes: "Axes", marks: Marks, look: dict[str, Any]) -> "Artist":
     look |= {"transform": axes.get_xaxis_transform(), "clip_on": False}
-    axes.vlines(marks.x, 1.0, 1.04, colors=marks.colour, **look)
+    return axes.vlines(marks.x, 1.0, 1.04, colors=marks.colour, **look)
 
 
-def _bands(axes: "Axes", marks: Marks, look: dict[str, Any]) -> None:
+def _bands(axes: "Axes", marks: Marks, look: dict[str, Any]) -> "Artist | None":
+    """Draw bands; returns the first one."""
     low, label = np.asarray(marks.x), look.pop("label")
     look |= {"color": marks.colour, "antialiased": False, "align": "edge"}
     widths = np.asarray(marks.x_end) - low
-    for bar in axes.bar(low, 1.0, widths, transform=axes.get_xaxis_transform(), **look):
+    bars = axes.bar(low, 1.0, widths, transform=axes.get_xaxis_transform(), **look).patches
+    for bar in bars:
         bar.set_label(label)
         bar.sticky_edges.y.clear()  # their heights are shares of the axis
+    return next(iter(bars), None)
 
 
-def _level(axes: "Axes", marks: Marks, look: dict[str, Any]) -> None:
+def _level(axes: "Axes", marks: Marks, look: dict[str, Any]) -> "Artist":
     from matplotlib.lines import Line2D
 
     look |= {"color": marks.colour, "linewidth": marks.size, "linestyle": marks.dashes}
@@ -166,26 +173,27 @@ def _level(axes: "Axes", marks: Marks, look: dict[str, Any]) -> None:
     low, high = marks.x_end
     if marks.sets is None:
         draw: Any = axes.axvline if is_high else axes.axhline
-        draw(marks.x if is_high else marks.y, low, high, **look)
-        return
+        artist: Artist = draw(marks.x if is_high else marks.y, low, high, **look)
+        return artist
     across = axes.get_xaxis_transform() if is_high else axes.get_yaxis_transform()
     at = ([marks.x] * 2, (low, high)) if is_high else ((low, high), [marks.y] * 2)
-    axes.add_artist(Line2D(*at, transform=across, **look))
+    return axes.add_artist(Line2D(*at, transform=across, **look))
 
 
-def _edge(axes: "Axes", marks: Marks, look: dict[str, Any]) -> None:
+def _edge(axes: "Axes", marks: Marks, look: dict[str, Any]) -> "Artist":
     look |= {"transform": axes.get_yaxis_transform(), "clip_on": False, "color": marks.colour}
     places = np.ones(np.size(marks.y))
     (line,) = axes.plot(places, marks.y, marks.marker, markersize=marks.size, **look)
     line.set_in_layout(False)
+    return line
 
 
-def _text(axes: "Axes", marks: Marks, look: dict[str, Any]) -> None:
+def _text(axes: "Axes", marks: Marks, look: dict[str, Any]) -> "Artist":
     del look["label"]
     where = axes.transData if marks.in_data else axes.transAxes
     look |= dict(zip(("ha", "va"), marks.align, strict=True)) | {"color": marks.colour}
     look |= {"fontsize": marks.size, "transform": where, "clip_on": marks.in_data}
-    axes.text(marks.x, marks.y, marks.series, **look)
+    return axes.text(marks.x, marks.y, marks.series, **look)
 
 
 _DRAW: dict[str, Any] = {TICK: _ticks, BAND: _bands, LEVEL: _level, TEXT: _text, EDGE: _edge}

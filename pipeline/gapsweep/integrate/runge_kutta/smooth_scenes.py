@@ -6,7 +6,6 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from gapsweep.integrate import simd
 from gapsweep.integrate.lanes import parameters
 from gapsweep.integrate.lanes.outcome import AT_START
 from gapsweep.integrate.lanes.row_layout import known
@@ -53,7 +52,6 @@ def runge_kutta_scenes(
             is_taylor=False,
             order=tableaux.DEGREE,
             tangent=0,
-            width=simd.WIDTH,
         )
     )
     table = np.zeros((len(exact.table), at.n_rows))

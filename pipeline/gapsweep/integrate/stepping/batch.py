@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from gapsweep.integrate.lanes.method import Method
 from gapsweep.integrate.lanes.outcome import CLOCK_SLACK
-from gapsweep.integrate.lanes.row_layout import LOADED, RowLayout, aligned
+from gapsweep.integrate.lanes.row_layout import RowLayout, aligned
 from gapsweep.integrate.lanes.scene_table import SceneTable, check, set_modes_on_walls
 from gapsweep.integrate.lanes.start_rows import BACKWARD, NOT_FINITE, ON_WALL, set_starts
 from gapsweep.integrate.problem import is_late
@@ -202,10 +202,8 @@ def run(
         points[:-1, first : first + at.contacts] for first in (at.mode, at.contact_time)
     )
     contact_time[:] = np.where(mode != 0.0, -t_0[:, None], 0.0)
-    # The code of a Runge-Kutta step is the same with the tangent and without.
-    layout = at if at.is_taylor else at.of_motion
     *events, steps = _drained(
-        layout, at, method, lanes, points, queue, follows, statuses, limits, kept, not section_only
+        at, method, lanes, points, queue, follows, statuses, limits, kept, not section_only
     )
     ended = points[:-1]
     if not at.is_taylor:
@@ -223,7 +221,6 @@ def run(
 
 
 def _drained(
-    layout: RowLayout,
     at: RowLayout,
     method: Method,
     lanes: Array,
@@ -268,12 +265,11 @@ def _drained(
         contacts=bool(kept[record.CONTACTS]),
     )
     pieces: list[list[Array]] = [[] for _ in kept]
-    LOADED.add(at.of_motion)
     users, ours = (advance_users, _USERS_BUDGET), (advance, _BUDGET)
     outcome, (step_on, budget) = BUDGET_SPENT, users if method.is_users else ours
     while outcome != FINISHED:
         began = time.monotonic()
-        outcome = step_on(layout, run, limits, budget)
+        outcome = step_on(at, run, limits, budget)
         if time.monotonic() - began < _SHORT_CALL:
             budget = min(2 * budget, _BUDGET)
         if outcome != FINISHED and is_late():

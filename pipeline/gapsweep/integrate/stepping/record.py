@@ -359,11 +359,15 @@ def record_steps(layout, among, run):
     all_events = (passed >> at.width) & at.all_lanes
     if all_events != 0 and (run.turns or at.is_free):
         for i in range(at.n if run.turns else 1):
-            events = find_coordinate_turns(layout, run.lanes, run.coefficients, i, i, all_events)
+            events = find_coordinate_turns(
+                layout, run.lanes, run.coefficients, i, i, all_events, at.order
+            )
             _write_turns(at, run, events, i, i)
         for i in range(at.n_turning - at.n if run.turns else 0):
             series = at.first_gap + i
-            events = find_gap_turns(layout, run.lanes, run.coefficients, i, series, all_events)
+            events = find_gap_turns(
+                layout, run.lanes, run.coefficients, i, series, all_events, at.order
+            )
             _write_turns(at, run, events, at.n + i, series)
     while contacts != 0:
         k = lowest_bit(contacts)

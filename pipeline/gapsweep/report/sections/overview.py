@@ -65,43 +65,30 @@ def sections(
 ) -> Iterator[Part]:
     """The section on all parameter sets, which replaces a section for each set."""
     asked = responses["status"].load() != Status.NOT_REQUESTED
-    n_points = asked.sum([dim for dim in asked.dims if dim != REPRESENTATION])
-    labels = [Representation(one) for one in asked[REPRESENTATION].values[n_points.values > 0]]
     n_scenes = int(asked.any((REPRESENTATION, *swept(asked))).sum())
+    of_law = asked.any(swept(asked)).sum(scene_dims(asked.dims))  # parameter sets of each law
+    labels = [Representation(one) for one in asked[REPRESENTATION].values[of_law.values > 0]]
     axes, few = _axes(responses)
-    cuts = [{axis: [i]} for axis in few for i in range(responses.sizes[axis])] or [{}]
-    names, one_by_one = ([long_name(responses[axis]) for axis in some] for some in (axes, few))
-    both = " and ".join(names)
-    each = f", for each of {len(cuts)} values of {one_by_one[0]}" if few else ""
-    others = {REPRESENTATION, _START, *axes, *few}
-    is_part = any(size > 1 for dim, size in asked.sizes.items() if dim not in others)
-    of_all = ", with all other parameters at one value" if is_part else ""
-    is_one_line = len(axes) == 1 and not few and not is_part
-    sentence = (
-        f"{n_scenes} parameter set{'s' * (n_scenes > 1)} with {int(n_points.sum())} sweep points"
-        f"{': figures over ' * bool(names)}{both}{each}{of_all}. "
-        "ds.gapsweep.map() and bifurcation() draw others."
-    )
-    n_of_each = asked.any(swept(asked)).sum(scene_dims(asked.dims)).sel({REPRESENTATION: labels})
-    is_alike = bool((n_of_each == n_scenes).all())
-    over = f", median over {'' if is_alike else 'the computed ones of '}{n_scenes} parameter sets"
-    over = over if n_scenes > 1 else ""
-    plain = [label for label in labels if not label.protocol] or labels
+    is_cut = _is_cut(asked, axes + few)
+    is_alike = bool((of_law.sel({REPRESENTATION: labels}) == n_scenes).all())
+    sets = f"{'' if is_alike else 'the computed ones of '}{n_scenes} parameter sets"
+    over = f", median over {sets}" * (n_scenes > 1)
+    lines = [] if few or is_cut or len(axes) != 1 else [branches, curves]
+    names = " and ".join(long_name(responses[axis]) for axis in axes)
     title = "All parameter sets" if n_scenes > 1 else "Results"
     yield Part(
         "overview",
-        f"{title} over {both}" if both else title,
-        [sentence],
+        f"{title} over {names}" if names else title,
+        [_words(responses, asked, n_scenes, names, few, is_cut=is_cut)],
         [
             *scene_tables(agreement, timing, labels, over, _apart(asked, n_scenes)),
-            *(special_points(branches, responses, axes[0]) if is_one_line else []),
-            *(special_points(curves, responses, axes[0]) if is_one_line else []),
+            *(table for found in lines for table in special_points(found, responses, axes[0])),
         ],
         (
             figure
-            for label in plain
+            for label in [label for label in labels if not label.protocol] or labels
             if axes
-            for cut in cuts
+            for cut in _cuts(responses, few)
             if asked.isel(cut).sel({REPRESENTATION: label}).any()
             for figure in _figures(
                 responses.isel(cut),
@@ -113,6 +100,35 @@ def sections(
                 axes,
             )
         ),
+    )
+
+
+def _is_cut(asked: xr.DataArray, drawn: list[str]) -> bool:
+    """Whether figures over some axes show part of the points, at one value of a parameter."""
+    others = {REPRESENTATION, _START, *drawn}
+    return any(size > 1 for dim, size in asked.sizes.items() if dim not in others)
+
+
+def _cuts(responses: xr.Dataset, few: list[str]) -> list[dict[str, list[int]]]:
+    """Positions of the figures along the axis with a figure for each value."""
+    return [{axis: [i]} for axis in few for i in range(responses.sizes[axis])] or [{}]
+
+
+def _words(
+    responses: xr.Dataset, asked: xr.DataArray, n_scenes: int, names: str, few: list[str],
+    *, is_cut: bool,
+) -> str:  # fmt: skip
+    """Sentence on the numbers of parameter sets and points, and on what the figures show."""
+    n_points = int(asked.sum())
+    each = "".join(
+        f", for each of {responses.sizes[axis]} values of {long_name(responses[axis])}"
+        for axis in few
+    )
+    rest = ", with all other parameters at one value" * is_cut
+    return (
+        f"{n_scenes} parameter set{'s' * (n_scenes > 1)} with {n_points} sweep points"
+        f"{': figures over ' * bool(names)}{names}{each}{rest}. "
+        "ds.gapsweep.map() and bifurcation() draw others."
     )
 
 
