@@ -41,19 +41,15 @@ def axis_label(variable: xr.DataArray, words: str = "") -> str:
     The name of a selected coordinate or contact of a system comes first. Only the user knows
     whether it is a length or an angle: its unit is "unit of" that name.
     """
-    words, unit = words or long_name(variable), shown_unit(variable)[1]
+    words, unit, own = words or long_name(variable), shown_unit(variable)[1], "displacement"
     for part in (COORDINATE, CONTACT):
         if part in variable.coords and parts_of(str(variable.name), [part]):
-            name = str(variable[part].item())
-            words = f"{name}: {words}"
-            if "units" not in variable.attrs:
-                unit = _unit_of(name).get(VARIABLES[str(variable.name)].units, "unit of force")
+            own = str(variable[part].item())
+            words = f"{own}: {words}"
+    if "units" not in variable.attrs and variable.name in VARIABLES:
+        known = {"m": f"unit of {own}", "m s-1": f"unit of {own}/s", "N": "unit of force"}
+        unit = known.get(VARIABLES[str(variable.name)].units, "")
     return f"{words} [{unit}]" if unit else words
-
-
-def _unit_of(part: str) -> dict[str, str]:
-    """Units of a displacement and a velocity of a system's coordinate or contact."""
-    return {"m": f"unit of {part}", "m s-1": f"unit of {part}/s"}
 
 
 @dataclass(frozen=True, slots=True)
