@@ -263,7 +263,7 @@ def test_a_run_that_waits_for_another_first_lets_go_of_what_it_has(
 ):
     # Two runs that each waited for points which the other had computed but not yet stored
     # once waited for ever.
-    monkeypatch.setattr(execute, "_COMMIT_SECONDS", 1e9)
+    monkeypatch.setattr(execute, "COMMIT_SECONDS", 1e9)
     study, cache = gs.Study.from_dict(tables), tmp_path / "cache"
     with Cache(cache):
         pass  # the other one looks into it

@@ -211,7 +211,7 @@ def test_benchmarks_too_try_laws_out_elsewhere(gapsweep, tmp_path):
 def test_a_law_that_hangs_at_zero_is_refused(tmp_path, monkeypatch):
     (tmp_path / "endless.py").write_text(AT_ZERO.format("while True: pass"))
     study(tmp_path, SWEEP, "endless:law")
-    monkeypatch.setattr(try_out, "_SHORTEST", 1.0)
+    monkeypatch.setattr(try_out, "SHORTEST_TRIAL", 1.0)
     told, loaded = [], gs.Study.load(tmp_path / "own.toml")
 
     def tell(progress):
@@ -225,7 +225,7 @@ def test_a_law_that_hangs_at_zero_is_refused(tmp_path, monkeypatch):
         "importing endless:law (timeout 2 s)",
         "calling endless:law (timeout 2 s)",
     ]
-    monkeypatch.setattr(try_out, "_LONGEST", 1.5)
+    monkeypatch.setattr(try_out, "LONGEST_TRIAL", 1.5)
     with pytest.raises(gs.StudyError, match=r"exceeded the time limit of 1\.5 s") as refused:
         pipeline.query(loaded, **asked)
     assert "--timeout" not in str(refused.value), "no longer time is to be had"
@@ -251,7 +251,7 @@ t_end = 2.0
 
 
 def test_histories_survive_any_law_and_say_what_failed(gapsweep, tmp_path, monkeypatch):
-    monkeypatch.setattr(isolated, "_IDLE", 0.3)  # of the time that has passed: seen sooner
+    monkeypatch.setattr(isolated, "IDLE_SHARE", 0.3)  # of the time that has passed: seen sooner
     text = SWEEP.replace("{laws}", '["piecewise"]') + HISTORY
     study(tmp_path, text, *labels(*POISONS))
     done = gapsweep(tmp_path, "run", "own.toml", "--out", "out", "--timeout", "3")

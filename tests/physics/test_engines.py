@@ -356,7 +356,7 @@ def test_a_section_alone_is_the_section_of_a_full_record(label, monkeypatch):
     is_late = whole.t_extrema >= problems.record_from[owner]
     assert_allclose(full.events().t_extrema, whole.t_extrema[is_late], rtol=1e-12)
     assert_allclose(full.events().extrema, whole.extrema[is_late], rtol=0.0, atol=1e-14)
-    monkeypatch.setattr(batch, "_MOST_PLACED", 0)  # section points are given no places beforehand
+    monkeypatch.setattr(batch, "MOST_PLACED", 0)  # section points are given no places beforehand
     assert_array_equal(integrate(problems).events().section, full.events().section)
     largest = np.abs(problems.start[:, 0])
     np.maximum.at(largest, owner, np.abs(whole.extrema))

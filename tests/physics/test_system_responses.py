@@ -209,7 +209,7 @@ def test_contact_that_chatter_ends_is_counted_once(monkeypatch):
     system = two_equal_machines()
     shares = []
     for most in (100.0, 99.0, 8.0, 7.0):
-        monkeypatch.setattr(batch, "_MOST_SHORT", most)
+        monkeypatch.setattr(batch, "MOST_SHORT", most)
         law = gs.Piecewise(0.5, gs.Gap(0.0, 0.1))
         found = gs.respond(system, law, 1.1, q_0=[0.013, 0.0, 0.013, 0.0])
         shares.append(found.contact_share)

@@ -195,7 +195,7 @@ def test_law_that_cannot_be_built_is_model_invalid():
 
 def test_chatter_is_a_failure_with_its_status(monkeypatch):
     scene = scene_of(gap=[1e-12, 1e-12], start=[0.0, 0.05])
-    monkeypatch.setattr(compiled.batch, "_MOST_SHORT", 0.0)
+    monkeypatch.setattr(compiled.batch, "MOST_SHORT", 0.0)
     run = observed(scene, scene.law("piecewise"), SOLVER)
     assert run.status is Status.CHATTER
     answer = judge(scene_of(), "tanh-1e4", judge(scene_of(), "piecewise", None))

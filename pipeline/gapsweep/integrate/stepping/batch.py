@@ -37,9 +37,9 @@ from .sample import sample_steps
 Array = NDArray[np.float64]
 
 # Crossings in a row, each within 1e-6 rad of the fastest oscillation, that end a point as chatter.
-_MOST_SHORT = 100.0
+MOST_SHORT = 100.0
 _LOG_VALUES = 1 << 16  # of a log: it stays in the cache until it is emptied
-_MOST_PLACED = 1 << 22  # section points for which rows are reserved before the motions begin
+MOST_PLACED = 1 << 22  # section points for which rows are reserved before the motions begin
 # Outcomes that become OUT_OF_FIT_RANGE if the motion has left the range of a fit.
 _OF_MOTIONS = (Status.OK, Status.DIVERGED, Status.STEP_UNDERFLOW)
 # Vector steps per call of the kernel, about 20 ms, between which time limits and Ctrl-C are
@@ -192,7 +192,7 @@ def run(
             np.inf
         )  # no layer is crossed in one step: the motion within it is recorded
     statuses = np.full(len(which), RUNNING)
-    limits = prepared.rtol, DIVERGED_AT, _MOST_SHORT
+    limits = prepared.rtol, DIVERGED_AT, MOST_SHORT
     queue = np.flatnonzero(~follows[:-1]) if queue is None else queue
     is_recording = bool(np.isfinite(record_from).any())
     # The section of an unforced motion is at extrema, which are then always searched for.
@@ -303,7 +303,7 @@ def _section_rows(at: RowLayout, points: Array) -> NDArray[np.int64]:
     """
     first = np.maximum(1.0, np.ceil(points[:, at.record_clock] - CLOCK_SLACK))  # `first_section`
     counts = np.maximum(points[:, at.end_cycle] - first + 1.0, 0.0)
-    if at.is_free or not counts.sum() <= _MOST_PLACED:
+    if at.is_free or not counts.sum() <= MOST_PLACED:
         return np.empty((0, 2), np.int64)
     end = np.cumsum(counts.astype(np.int64))
     return np.stack([end - counts.astype(np.int64), end], axis=1)
