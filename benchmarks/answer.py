@@ -16,9 +16,9 @@ import numpy as np
 
 import gapsweep as gs
 from gapsweep.analysis.claims import VERDICTS, NotInRunError, Run
-from gapsweep.report.answer import SIGNS, Contact, Judged, contacts, times, verdict
 from gapsweep.report.scales import plain
 from gapsweep.report.tables import percent
+from gapsweep.report.verdicts import SIGNS, Contact, Judged, contacts, times, verdict
 
 ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(ROOT))

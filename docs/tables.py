@@ -11,6 +11,7 @@ from gapsweep.analysis.datasets import histories, static
 from gapsweep.analysis.datasets.timing import COSTS
 from gapsweep.cli.main import commands
 from gapsweep.continuation import dataset as continued
+from gapsweep.model.laws import LAWS
 from gapsweep.response.result import CLASS_FLAGS, KIND_FLAGS
 from gapsweep.response.search import TRANSITIONS
 from gapsweep.status import Status
@@ -38,6 +39,7 @@ def pages() -> dict[str, str]:
         "histories": _table(("variable", "over", *_FACTS), _histories()),
         "branches": _table(("variable", "over", *_FACTS), _branches()),
         "flags": _table(("variable", "value", "meaning"), _flags()),
+        "laws": _table(("label, as", "in Python", "force F_c(x)"), _laws()),
         "commands": "\n".join(_commands(commands, "gapsweep")),
     }
 
@@ -62,6 +64,11 @@ def _table(head: Iterable[str], rows: Iterable[Iterable[str]]) -> str:
 
 def _row(name: str, over: Iterable[str], variable: Variable) -> tuple[str, ...]:
     return (f"`{name}`", ", ".join(over), variable.dtype, variable.units, variable.long_name)
+
+
+def _laws() -> Iterator[tuple[str, ...]]:
+    for law in LAWS:
+        yield ", ".join(f"`{label}`" for label in law.examples), f"`{law.__name__}`", law.words
 
 
 def _coordinates() -> Iterator[tuple[str, ...]]:

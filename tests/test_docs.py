@@ -74,7 +74,7 @@ def test_every_block_is_of_a_kind_that_is_tested(page):
         assert not skip or any(need in code for need in NEEDS), "no reason not to test this"
 
 
-@pytest.mark.packaging
+@pytest.mark.extended
 @pytest.mark.parametrize(
     "page", [p for p in PAGES if blocks(p, "python")], ids=lambda p: str(p.relative_to(DOCS))
 )
@@ -94,7 +94,7 @@ def test_python_blocks_run_in_order(page, folder, monkeypatch):
             quick.unlink()
 
 
-@pytest.mark.packaging
+@pytest.mark.extended
 @pytest.mark.parametrize(
     "page", [p for p in PAGES if blocks(p, "sh")], ids=lambda p: str(p.relative_to(DOCS))
 )
@@ -173,7 +173,7 @@ def test_every_page_and_notebook_is_in_the_contents():
     assert listed == (written | notebooks) - {"index"}
 
 
-@pytest.mark.packaging
+@pytest.mark.extended
 @pytest.mark.parametrize("name", ["responses", "attractors", "agreement", "timing", "static"])
 def test_every_variable_of_a_run_is_in_the_reference(name, folder, monkeypatch):
     monkeypatch.syspath_prepend(DOCS)

@@ -7,7 +7,7 @@ import pytest
 
 import gapsweep as gs
 
-pytestmark = pytest.mark.packaging
+pytestmark = pytest.mark.extended
 
 # What needs none: errors are raised by others.
 NAMES = [name for name in gs.__all__ if not name.endswith("Error") and name != "systems"]

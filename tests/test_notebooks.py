@@ -7,7 +7,7 @@ import pytest
 nbclient = pytest.importorskip("nbclient")
 nbformat = pytest.importorskip("nbformat")
 
-pytestmark = pytest.mark.packaging
+pytestmark = pytest.mark.extended
 
 FOLDER = Path(__file__).parents[1] / "docs" / "notebooks"
 # What must be read in the outputs, and how many figures must be drawn.

@@ -66,12 +66,12 @@ def elsewhere(dist, tmp_path_factory):
     return {"cwd": folder, "env": environment}
 
 
-@pytest.mark.packaging
+@pytest.mark.extended
 def test_sdist_and_wheel_are_in_order(dist):
     run([sys.executable, "-m", "twine", "check", "--strict", *map(str, dist)])
 
 
-@pytest.mark.packaging
+@pytest.mark.extended
 def test_all_studies_and_templates_are_in_the_wheel_once(dist):
     names = zipfile.ZipFile(dist[1]).namelist()
     for carried, study in STUDIES.values():
@@ -86,7 +86,7 @@ def test_all_studies_and_templates_are_in_the_wheel_once(dist):
     assert not [name for name in names if name.endswith(".pyc")]
 
 
-@pytest.mark.packaging
+@pytest.mark.extended
 def test_the_sdist_holds_what_its_tests_need(dist):
     with tarfile.open(dist[0]) as sdist:
         names = {name.partition("/")[2] for name in sdist.getnames()}
@@ -99,7 +99,7 @@ def test_the_sdist_holds_what_its_tests_need(dist):
     assert ours <= names
 
 
-@pytest.mark.packaging
+@pytest.mark.extended
 def test_the_wheel_runs_where_nothing_else_is(elsewhere):
     where = run(["python", "-c", "import gapsweep; print(gapsweep.__file__)"], **elsewhere)
     assert Path(where.strip()).is_relative_to(elsewhere["cwd"] / "env")
@@ -109,7 +109,7 @@ def test_the_wheel_runs_where_nothing_else_is(elsewhere):
     assert (elsewhere["cwd"] / "data" / "runs" / "quick" / "report" / "index.html").exists()
 
 
-@pytest.mark.packaging
+@pytest.mark.extended
 def test_the_wheel_carries_the_whole_paper(elsewhere):
     run(["gapsweep", "init", "paper"], **elsewhere)
     ours = {p.relative_to(ROOT / "workflows") for p in (ROOT / "workflows/paper").glob("*.*")}
@@ -153,7 +153,7 @@ def test_one_author_and_licence_everywhere():
     assert PROJECT["license"] == cited["license"] == recipe()["about"]["license"] == "MIT"
 
 
-@pytest.mark.packaging
+@pytest.mark.extended
 def test_the_builder_of_conda_packages_understands_the_recipe(tmp_path):
     """It refuses fields that it does not know, and fills in what is given by name."""
     builder = pytest.importorskip("rattler_build")  # not on every platform

@@ -19,7 +19,7 @@ PYTHON = [code for kind, code in BLOCKS if kind == "python"]
 # What must be read in the output, by number of the block.
 
 
-@pytest.mark.packaging
+@pytest.mark.extended
 @pytest.mark.parametrize("number", range(len(PYTHON)))
 def test_every_python_block_is_a_script(number, tmp_path):
     """Saved to a file and run with plain ``python``, in a folder with the studies of a clone."""

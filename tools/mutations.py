@@ -7,6 +7,7 @@ deletes a statement. Its tests are the files that name the mutated function, or 
 nearest and rarest names first; they run in a copy until one fails or the limit [s] is reached.
 Of several folders of tests, as those of an older commit and the present ones, each runs only if
 the one before it has caught the mutation. ``--only 3 7`` tries only these numbers of the draw.
+``--tiers`` runs the tests of the README's command first, and the extended ones only if all pass.
 """
 
 import argparse
@@ -29,6 +30,7 @@ FLIPPED = {ast.Lt: ast.GtE, ast.Gt: ast.LtE, ast.Eq: ast.NotEq, ast.Is: ast.IsNo
 FLIPPED |= {ast.In: ast.NotIn, ast.And: ast.Or}
 FLIPPED |= {other: one for one, other in FLIPPED.items()}
 WORDS = re.compile(r"\w{4,}")
+COMMON, REST = "not extended and not slow and not browser", "extended and not slow"
 
 
 def mutate(node):
@@ -83,19 +85,21 @@ def ranked(stem, names, functions, tests):
     return [file for file, value in score.most_common(10) if value > 0.0]
 
 
-def caught_by(folder, copy, mutation, functions, limit):
+def caught_by(folder, copy, mutation, functions, limit, tier=None):
     """The first failed test of a folder of tests, or the reason why none failed; seconds."""
     path, names = mutation
     shutil.rmtree(copy / "tests", ignore_errors=True)
     shutil.copytree(folder, copy / "tests")
     texts = {file: file.read_text() for file in sorted((copy / "tests").rglob("test_*.py"))}
+    if tier == COMMON:
+        texts = {file: text for file, text in texts.items() if "\npytestmark" not in text}
     tests = {file: {*WORDS.findall(text)} for file, text in texts.items()}
     python_path = os.pathsep.join([str(copy / "pipeline"), str(copy)])
     begin, files = time.monotonic(), ranked(path.stem, names, functions, tests)
     command = ["timeout", str(limit), sys.executable, "-B", "-m", "pytest", "-q", "-x", "-n", "0"]
     done = subprocess.run(
-        [*command, *files], cwd=copy, env=os.environ | {"PYTHONPATH": python_path},
-        capture_output=True, text=True, check=False,
+        [*command, *files, *(("-m", tier) if tier else ())], cwd=copy,
+        env=os.environ | {"PYTHONPATH": python_path}, capture_output=True, text=True, check=False,
     )  # fmt: skip
     failed = re.search(r"^(FAILED|ERROR) (\S+)", done.stdout, re.MULTILINE)
     survived = "-: limit" if done.returncode == 124 else "-"
@@ -108,6 +112,7 @@ def main():
         parser.add_argument(f"--{name}", type=int, default=default)
     parser.add_argument("--tests", type=Path, nargs="+", default=[ROOT / "tests"])
     parser.add_argument("--only", type=int, nargs="+")
+    parser.add_argument("--tiers", action="store_true")
     asked = parser.parse_args()
     copy = Path(tempfile.mkdtemp()) / "clone"
     shutil.copytree(ROOT, copy, ignore=shutil.ignore_patterns(".git", ".venv", "tests"))
@@ -133,8 +138,12 @@ def main():
         where = f"{path.relative_to(package)}:{line}"
         print(f"| {asked.seed}.{number} | {where} | {'.'.join(names)} | {kind} |", end="")
         for folder in asked.tests:
-            found, seconds = caught_by(folder, copy, (path, names), functions, asked.limit)
-            print(f" {found} | {seconds:.0f} |", end="", flush=True)
+            for tier in (COMMON, REST) if asked.tiers else (None,):
+                how = folder, copy, (path, names), functions, asked.limit, tier
+                found, seconds = caught_by(*how)
+                print(f" {found} | {seconds:.0f} |", end="", flush=True)
+                if not found.startswith("-"):
+                    break
             if found.startswith("-"):
                 break
         print(flush=True)

@@ -23,9 +23,12 @@ if TYPE_CHECKING:
     from gapsweep.integrate.simulate import simulate
     from gapsweep.integrate.trajectory import SystemTrajectory, Trajectory
     from gapsweep.model import systems
-    from gapsweep.model.contact import Arctan, ContactLaw, LogArctan, Piecewise, Tanh
-    from gapsweep.model.fitted import Polynomial, RationalPolynomial
+    from gapsweep.model.contact import ContactLaw, Piecewise
     from gapsweep.model.labels import canonical_label, contact_law, law
+    from gapsweep.model.laws.arctan import Arctan
+    from gapsweep.model.laws.fitted import Polynomial, RationalPolynomial
+    from gapsweep.model.laws.logarctan import LogArctan
+    from gapsweep.model.laws.tanh import Tanh
     from gapsweep.model.system import Cubic, Harmonic, Lags, Modulation, System
     from gapsweep.model.table import ForceTable
     from gapsweep.model.user_law import UserLaw
@@ -39,9 +42,10 @@ if TYPE_CHECKING:
 # numba, Dask, xarray and matplotlib take seconds to import; each is imported at first use.
 _ON_DEMAND = {
     **dict.fromkeys(("Response", "ResponseClass", "Steady"), "response.result"),
-    **dict.fromkeys(("Polynomial", "RationalPolynomial"), "model.fitted"),
     **dict.fromkeys(("canonical_label", "contact_law", "law"), "model.labels"),
-    **dict.fromkeys(("Arctan", "ContactLaw", "LogArctan", "Piecewise", "Tanh"), "model.contact"),
+    **dict.fromkeys(("Arctan", "LogArctan", "Piecewise", "Polynomial"), "model.laws"),
+    **dict.fromkeys(("RationalPolynomial", "Tanh"), "model.laws"),
+    "ContactLaw": "model.contact",
     **dict.fromkeys(("Cubic", "Harmonic", "Lags", "Modulation", "System"), "model.system"),
     **dict.fromkeys(("SystemTrajectory", "Trajectory"), "integrate.trajectory"),
     **dict.fromkeys(("plan", "query", "run"), "pipeline"),

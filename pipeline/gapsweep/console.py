@@ -25,7 +25,7 @@ from rich.table import Column, Table
 from gapsweep.errors import printable
 from gapsweep.execution.progress import OnProgress, Progress
 
-_SOON_SECONDS, _LINE_SECONDS = 3.0, 10.0
+SOON_SECONDS, LINE_SECONDS = 3.0, 10.0
 
 
 def print_table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> None:
@@ -72,7 +72,7 @@ def sentence(progress: Progress) -> str:
     if progress.n_hits == progress.n_done < progress.n_points:
         return "loading kernels (the first run compiles them, up to a minute)"
     left = ""
-    if (progress.seconds_left or 0.0) > _SOON_SECONDS:
+    if (progress.seconds_left or 0.0) > SOON_SECONDS:
         left = f", {timedelta(seconds=round(progress.seconds_left or 0.0))} left"
     stored = f"{progress.n_hits} from the cache, " if progress.n_hits else ""
     return f"{progress.n_done}/{progress.n_points} points, {stored}{progress.n_failed} failed{left}"
@@ -154,9 +154,9 @@ def _in_lines(show: Callable[[str], None]) -> Iterator[OnProgress]:
             begun = shown = now
             stage = progress.stage
             timer.cancel()
-            timer = Timer(_SOON_SECONDS, show, [sentence(progress)])
+            timer = Timer(SOON_SECONDS, show, [sentence(progress)])
             timer.start()
-        elif now - shown >= _LINE_SECONDS:
+        elif now - shown >= LINE_SECONDS:
             shown = now
             show(sentence(progress))
 

@@ -288,7 +288,7 @@ def write_page(folder: Path) -> Path:
         inputs = Inputs(
             **found,
             claims=read_json(folder / CLAIMS),
-            own_parts=(read_json(folder / SECTIONS) or {}).get("sections", ()),
+            sections=(read_json(folder / SECTIONS) or {}).get("sections"),
         )
         return write_report(page, inputs, as_text(PAGE.made_from(folder)))
 
@@ -369,13 +369,13 @@ def _advice(run: RunContext) -> "xr.Dataset":
     return advice(run.study)
 
 
-def _branches(run: RunContext, *, is_curves: bool = False) -> "xr.Dataset":
+def _branches(run: RunContext) -> "xr.Dataset":
     from gapsweep.analysis.datasets.branches_file import branches
 
     assert run.connect is not None
     how = run.cache, run.connect, run.timeout, run.say
     with run.datasets() as found:
-        return branches(run.study, found["attractors"], *how, is_curves=is_curves)
+        return branches(run.study, found["attractors"], *how, found.get("branches"))
 
 
 def _claims(run: RunContext) -> dict[str, Any]:
@@ -458,7 +458,7 @@ STAGES = (
         CURVES,
         (ATTRACTORS, BRANCHES),
         (SETTINGS,),
-        partial(_branches, is_curves=True),
+        _branches,
         lambda study: study.spec.branches is not None and study.spec.branches.second is not None,
         failures=("attractor_status", Status.DIVERGED),
     ),

@@ -17,6 +17,7 @@ from workflows.paper.figures import sections
 from gapsweep.analysis.agreement.comparison import agreement
 from gapsweep.analysis.claims import Run
 from gapsweep.analysis.datasets.timing import timing
+from gapsweep.report import marks
 from gapsweep.report.html import write_report
 from gapsweep.report.inputs import Inputs
 from gapsweep.report.parts import Figured, Part, rendered
@@ -40,7 +41,7 @@ def page(tmp_path_factory):
         agreement(responses, attractors),
         attractors,
         claims=decided(),
-        own_parts=rendered(sections(Run({"responses": everything()}))),
+        sections=rendered(sections(Run({"responses": everything()}))),
     )
     return write_report(folder / "index.html", inputs)
 
@@ -143,7 +144,7 @@ def test_the_answer_and_a_figure_are_on_the_first_screen(debugger, page):
             page,
             "document.querySelector('#answer tbody tr:last-child').getBoundingClientRect().bottom",
             "document.querySelector('#answer .scroll table').getBoundingClientRect().right",
-            "document.querySelector('#figure-hero a').getBoundingClientRect().top",
+            "document.querySelector('#figure-answer a').getBoundingClientRect().top",
             size=size,
         )
         assert row < hero < size[1] - 100
@@ -267,7 +268,7 @@ OFF = """
 
 @pytest.fixture(scope="module")
 def hero(page):
-    return page.parent / "figures" / "figure-hero.html"
+    return page.parent / "figures" / "figure-answer.html"
 
 
 def rows_of(hero):
@@ -315,12 +316,12 @@ def test_every_figure_draws_its_data(debugger, page):
 def test_a_picture_comes_to_life_in_its_place(debugger, page):
     opened = """
     (async () => {
-      document.querySelector("#figure-hero a.live").click();
-      const frame = document.querySelector("#figure-hero iframe");
+      document.querySelector("#figure-answer a.live").click();
+      const frame = document.querySelector("#figure-answer iframe");
       await new Promise((done) => addEventListener("message", done));
       const heights = [frame.getBoundingClientRect().height, parseFloat(frame.style.height)];
-      document.querySelector("#figure-hero .explore").click();
-      const picture = document.querySelector("#figure-hero img").getBoundingClientRect();
+      document.querySelector("#figure-answer .explore").click();
+      const picture = document.querySelector("#figure-answer img").getBoundingClientRect();
       return [...heights, picture.height];
     })()
     """
@@ -335,7 +336,7 @@ def far_out(page, tmp_path_factory):
     """A figure whose axis is linear below .1 and logarithmic above, with ticks of its own."""
     figure = Figure()
     axes = figure.subplots()
-    axes.plot(OMEGA, PEAKS, "o", label="_piecewise")
+    marks.put(axes, [marks.points(x=OMEGA, y=PEAKS, size=6.0, series="piecewise")])
     axes.set_yscale("symlog", linthresh=0.1)
     axes.set_yticks([0.0, 0.1, 0.3, 1.0, 3.0])
     axes.yaxis.set_major_formatter("{x:g}")
@@ -344,7 +345,7 @@ def far_out(page, tmp_path_factory):
     folder = tmp_path_factory.mktemp("far")
     study = tables(("piecewise",), (1.0, 2.0))
     responses, _ = datasets(folder, study, lambda *_: periodic([(1e-3, 0.0)], 1.0))
-    inputs = Inputs(responses, timing(responses), own_parts=rendered([part]))
+    inputs = Inputs(responses, timing(responses), sections=rendered([part]))
     write_report(folder / "index.html", inputs)
     (found,) = (folder / "figures").glob("figure-far*.html")
     return found

@@ -1,16 +1,38 @@
-"""The command line in this process, for what does not end it: without imports and a cluster."""
+"""Runs of studies: by a call, by the command line in this process, and in other processes."""
 
 import io
+import os
+import subprocess
+import sys
 from contextlib import chdir, nullcontext, redirect_stderr, redirect_stdout
+from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
 
+import gapsweep as gs
 from gapsweep.cli.main import exit_code
+
+ROOT = Path(__file__).parents[2]
+SOURCES = Path(gs.__file__).parent
+ENTRY = "import sys; from gapsweep.cli import main; sys.argv[0] = 'gapsweep'; main()"
+# The line of a shell, as users type it: unlike ``python -c``, it finds no module in its folder.
+COMMAND = Path(sys.executable).with_name("gapsweep")
+
+
+def run(tables, client, folder, out="out", **options):
+    """Responses, in memory, of a study that runs into a folder there, with a cache next to it."""
+    study = gs.Study.from_dict(tables)
+    options = {"cache": folder / f"{out}-cache"} | options
+    with gs.run(study, client, out=folder / out, **options) as ds:
+        return ds.load()
 
 
 def on_a_cluster(client):
-    """A function of a folder and arguments that runs ``gapsweep`` there on the client's workers."""
+    """A function of a folder and arguments that runs ``gapsweep`` there on the client's workers.
+
+    In this process, for runs that do not end it: without imports and a cluster.
+    """
 
     def gapsweep(folder, *arguments, cache=None):
         out, errors = io.StringIO(), io.StringIO()
@@ -18,8 +40,9 @@ def on_a_cluster(client):
             chdir(folder), redirect_stdout(out), redirect_stderr(errors),
             pytest.MonkeyPatch.context() as patch,
         ):  # fmt: skip
-            patch.setattr("gapsweep.execution.cluster._local", lambda *_: nullcontext(client))
-            patch.setattr("gapsweep.execution.cluster._CONNECT_SECONDS", 1)
+            local = "gapsweep.execution.cluster.local_cluster"
+            patch.setattr(local, lambda *_: nullcontext(client))
+            patch.setattr("gapsweep.execution.cluster.CONNECT_SECONDS", 1)
             if cache is None:
                 patch.delenv("GAPSWEEP_CACHE", raising=False)
             else:
@@ -28,3 +51,27 @@ def on_a_cluster(client):
         return SimpleNamespace(returncode=code, stdout=out.getvalue(), stderr=errors.getvalue())
 
     return gapsweep
+
+
+def _process(folder, arguments, command, variables):
+    """Arguments and options of a process in a folder; variables that are None are removed."""
+    command = [sys.executable, "-c", ENTRY] if command is None else command
+    path = os.pathsep.join(map(str, [SOURCES.parent, ROOT]))
+    variables = {**os.environ, "PYTHONPATH": path, "GAPSWEEP_CACHE": None, **(variables or {})}
+    environment = {name: value for name, value in variables.items() if value is not None}
+    return [*command, *arguments], {"cwd": folder, "env": environment, "text": True}
+
+
+def in_a_process(folder, *arguments, command=None, timeout=300, variables=None, **options):
+    """``gapsweep`` with these arguments in a process, ended, with the text that it has written."""
+    command, settings = _process(folder, arguments, command, variables)
+    return subprocess.run(
+        command, capture_output=True, timeout=timeout, check=False, **settings | options
+    )
+
+
+def started(folder, *arguments, command=None, variables=None, **options):
+    """``gapsweep`` with these arguments in a process that goes on, first of its process group."""
+    command, settings = _process(folder, arguments, command, variables)
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
+    return subprocess.Popen(command, start_new_session=True, **pipes | settings | options)

@@ -3,8 +3,6 @@
 import math
 import os
 import signal
-import subprocess
-import sys
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -13,6 +11,7 @@ import numpy as np
 import pytest
 import xarray as xr
 from tests.builders.datasets import branches as made_branches
+from tests.builders.runs import started
 from tests.misbehaving.calls import Deadly
 
 import gapsweep as gs
@@ -24,6 +23,8 @@ from gapsweep.execution import branch_tasks
 from gapsweep.integrate.problem import Models, Solver
 from gapsweep.model.labels import Representation
 from gapsweep.model.own_law import OwnLaw
+
+pytestmark = pytest.mark.extended
 
 # The oscillator of pyvib: m = 1, c = .05, k = 1, 3 more beyond ±.1745, force .03.
 ONE_RAD = 1.0 / (2.0 * math.pi)
@@ -298,7 +299,7 @@ def scene(folder):
     """The scene of the exact law, of a run that is stored."""
     study = gs.Study.from_dict(tables())
     with gs.open(folder / "out" / "attractors.nc") as attractors:
-        return next(branches_of_study._parts(study, attractors)).scene
+        return next(branches_of_study.cases(study, attractors)).scene
 
 
 def test_what_becomes_of_a_scene_whose_process_ends_or_hangs_is_its_status(
@@ -342,23 +343,38 @@ def test_failed_scenes_are_in_the_file_and_are_tried_again_if_asked(client, tmp_
     assert (found["attractor_on_branch"] >= 0).all()
 
 
+def test_curves_do_not_repeat_failed_branches(client, tmp_path, monkeypatch):
+    block = tables()["sweep"][0] | {"representation": ["piecewise", "tanh-1e3"]}
+    given = {"second": "forcing", "range": [0.02, 0.04]}
+    seen = []
+
+    def fails(scenes, *how):
+        seen.append([scene.points is not None for scene in scenes])
+        if seen == [[False, False]]:
+            yield from branch_tasks.followed(scenes[:1], *how)
+            yield 1, branch_tasks.Followed(gs.Status.ERROR, "lost")
+        else:
+            yield from branch_tasks.followed(scenes, *how)
+
+    monkeypatch.setattr(branches_of_study, "followed", fails)
+    run(gs.Study.from_dict(tables(sweep=[block], branches=given)), client, tmp_path).close()
+    assert seen == [[False, False], [True]]
+    with gs.open(tmp_path / "out" / "curves.nc") as curves:
+        assert {*curves["attractor_representation"].values} == {"piecewise"}
+
+
 def of_attractors(found, label):
     return found["attractor_on_branch"].values[found["attractor_representation"].values == label]
 
 
 def test_a_killed_run_computes_only_the_scene_that_it_lacks(branches, run_command, tmp_path):
     (tmp_path / "folds.toml").write_text(STUDY)
-    code = "import sys; from gapsweep.cli import main; sys.argv[0] = 'gapsweep'; main()"
     command = ["run", "folds.toml", "--workers", "1", "--out", "out", "--cache", "c"]
 
     def stored():
         return {path: path.stat().st_mtime_ns for path in tmp_path.glob("c/branches/*/scene.nc")}
 
-    process = subprocess.Popen(
-        [sys.executable, "-c", code, *command], cwd=tmp_path, start_new_session=True,
-        env=os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)},
-        stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
-    )  # fmt: skip
+    process = started(tmp_path, *command, stdout=None, stderr=None)
     while not stored() and process.poll() is None:
         time.sleep(0.01)
     os.killpg(process.pid, signal.SIGKILL)

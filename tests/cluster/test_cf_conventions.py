@@ -7,10 +7,11 @@ from pathlib import Path
 
 import netCDF4
 import pytest
-from tests.builders.studies import PAPER
-from tests.unit.test_system_studies import SECTION, changed
+from tests.builders.studies import PAPER, SECTION, changed
 
 import gapsweep as gs
+
+pytestmark = pytest.mark.extended
 
 OSCILLATOR = {
     "study": {"name": "checked", "creator": "A. Nother", "license": "CC-BY-4.0"},

@@ -14,31 +14,12 @@ import time
 import psutil
 import pytest
 from tests.builders.cache import damaged_row, n_stored
+from tests.builders.runs import ENTRY, in_a_process, started
+from tests.builders.studies import study_text
 
 # A stage and its time, told of what takes longer than a moment.
 PROGRESS = re.compile(r", \d+:\d\d:\d\d$")
-QUICK = """
-oscillator = { mass = 3.0, omega_n = 5.0, zeta = 0.03, forcing = 4.0, alpha = 7e8 }
-[study]
-name = "tiny"
-[[sweep]]
-representation = ["piecewise", "tanh-1e4"]
-K_c = [1.4e4]
-gap = [[0.4e-3, 0.4e-3]]
-omega = [12.0, 20.0]
-[steady]
-settle_tol = 1e-2
-n_periods = 16
-max_period_multiple = 8
-"""
-
-
-def in_a_process(folder, *arguments):
-    environment = {k: v for k, v in os.environ.items() if k != "GAPSWEEP_CACHE"}
-    command = [sys.executable, "-c", "from gapsweep.cli import main; main()", *arguments]
-    return subprocess.run(
-        command, cwd=folder, env=environment, capture_output=True, text=True, timeout=120
-    )
+QUICK = study_text(["piecewise", "tanh-1e4"], "[12.0, 20.0]")
 
 
 @pytest.fixture(scope="session")
@@ -72,7 +53,7 @@ def test_run_writes_datasets_and_report(finished):
     run = finished / "data" / "runs" / "tiny"
     names = sorted(str(p.relative_to(run)) for p in run.rglob("*") if p.is_file())
     stored = ["agreement.nc", "attractors.nc", "responses.nc", "static.nc", "timing.nc"]
-    figures = ["hero", "scene-0-0", "scene-0-0-2"]
+    figures = ["answer", "scene-0-0", "scene-0-0-2"]
     files = [
         "SHA256SUMS",
         *(f"figure-{name}.{kind}" for name in figures for kind in ("csv", "html", "svg")),
@@ -418,9 +399,8 @@ def slow_run(folder, *prefix):
     slow = QUICK.replace("omega = [12.0, 20.0]", "omega = { start = 6.0, stop = 30.0, num = 400 }")
     slow = slow.replace("settle_tol = 1e-2", "settle_tol = 1e-6")
     (folder / "tiny.toml").write_text(slow + '[solver]\nengine = "scipy"\nrtol = 1e-8\n')
-    command = [sys.executable, "-c", "from gapsweep.cli import main; main()", "run", "tiny.toml"]
-    process = subprocess.Popen(
-        [*prefix, *command], cwd=folder, stderr=subprocess.PIPE, text=True, start_new_session=True,
+    process = started(
+        *(folder, "run", "tiny.toml"), command=[*prefix, sys.executable, "-c", ENTRY], stdout=None,
         # SIGINT is ignored if a script started pytest with &.
         preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
     )  # fmt: skip

@@ -10,10 +10,13 @@ import subprocess
 import sys
 
 import pytest
+from tests.builders.runs import in_a_process
 from tests.builders.studies import PAPER
 from tests.cluster.test_external_clusters import SOURCES, scheduler, stored, worker
 
 import gapsweep as gs
+
+pytestmark = pytest.mark.extended
 
 # The code of a law by file. An edit has the size of what it replaces.
 LAWS = {
@@ -257,11 +260,7 @@ def test_an_edited_helper_and_edited_numerics_remake_the_files_of_a_run(
     made = []
 
     def in_the_copy(*arguments):
-        return subprocess.run(
-            [sys.executable, "-c", "from gapsweep.cli import main; main()", *arguments],
-            cwd=tmp_path, env=os.environ | {"PYTHONPATH": str(copy.parent)},
-            capture_output=True, text=True,
-        )  # fmt: skip
+        return in_a_process(tmp_path, *arguments, variables={"PYTHONPATH": str(copy.parent)})
 
     def check(done):
         assert done.returncode == 0, done.stderr

@@ -22,8 +22,12 @@ import xarray as xr
 from benchmarks import overhead
 from distributed import Client, LocalCluster
 from tests.builders.cache import n_stored
+from tests.builders.runs import in_a_process
+from tests.builders.studies import study_text
 
 import gapsweep as gs
+
+pytestmark = pytest.mark.extended
 
 SOURCES = Path(gs.__file__).parent
 ROOT = Path(__file__).parents[2]
@@ -277,29 +281,12 @@ def test_tls_address_passes_through(tables, tmp_path, certificate):
     tls = "DASK_DISTRIBUTED__COMM__TLS__"
     settings = {f"{tls}CA_FILE": cert, f"{tls}CLIENT__CERT": cert, f"{tls}CLIENT__KEY": key}
     study = tmp_path / "tls.toml"
-    study.write_text(
-        """
-oscillator = { mass = 3.0, omega_n = 5.0, zeta = 0.03, forcing = 4.0, alpha = 7e8 }
-[study]
-name = "tls"
-[[sweep]]
-representation = ["piecewise"]
-K_c = [1.4e4]
-gap = [[0.4e-3, 0.4e-3]]
-omega = [12.0]
-"""
-    )
-    command = [sys.executable, "-c", "from gapsweep.cli import main; main()", "run", "tls.toml"]
+    study.write_text(study_text(["piecewise"], "[12.0]", name="tls"))
     with scheduler(*files, protocol="tls") as (address, _), worker(address, *files):
-        done = subprocess.run(
-            [*command, "--scheduler", address], cwd=tmp_path, env=os.environ | settings,
-            capture_output=True, text=True, timeout=120,
-        )  # fmt: skip
+        command = (tmp_path, "run", "tls.toml", "--scheduler", address)
+        done = in_a_process(*command, variables=settings)
         assert done.returncode == 0, done.stderr
-        without = subprocess.run(
-            [*command, "--scheduler", address, "--cache", "other-cache"], cwd=tmp_path,
-            capture_output=True, text=True, timeout=120,
-        )  # fmt: skip
+        without = in_a_process(*command, "--cache", "other-cache")
     assert without.returncode == 1
     *_, line = without.stderr.splitlines()  # behind what the run has said of its progress
     assert f"scheduler {address}: cannot be reached" in line

@@ -7,6 +7,8 @@ import sys
 
 import pytest
 
+pytestmark = pytest.mark.extended
+
 SCRIPT = """
 import faulthandler, gc, json, logging, multiprocessing, os, signal, sys, threading, warnings
 from multiprocessing import process, resource_tracker, spawn, util

@@ -6,25 +6,15 @@ import sys
 import numpy as np
 import pytest
 import xarray as xr
+from tests.builders.studies import study_text
 
 import gapsweep as gs
 from gapsweep.store.cache import Cache
 from gapsweep.store.maintenance import verify
 
-TOML = """
-oscillator = { mass = 3.0, omega_n = 5.0, zeta = 0.03, forcing = 4.0, alpha = 7e8 }
-[study]
-name = "small"
-[[sweep]]
-representation = ["piecewise", "tanh-1e4"]
-K_c = [1.4e4]
-gap = [[0.4e-3, 0.4e-3]]
-omega = [7.0, 12.0]
-[steady]
-settle_tol = 1e-2
-n_periods = 16
-max_period_multiple = 8
-"""
+pytestmark = pytest.mark.extended
+
+TOML = study_text(["piecewise", "tanh-1e4"], "[7.0, 12.0]", name="small")
 
 
 @pytest.fixture

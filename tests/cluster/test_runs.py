@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 import xarray as xr
 from tests.builders.cache import commit, messages, point, stored, tile_rows
+from tests.builders.runs import run
 from tests.builders.studies import PAPER
 
 import gapsweep as gs
@@ -28,11 +29,7 @@ from gapsweep.store.cache import Cache
 from gapsweep.study.schema import POINT_DIMS, VARIABLES, coordinates
 from gapsweep.study.software import versions
 
-
-def run(tables, client, folder, name="out", **options):
-    study = gs.Study.from_dict(tables)
-    with gs.run(study, client, out=folder / name, cache=folder / f"{name}-cache", **options) as ds:
-        return ds.load()
+pytestmark = pytest.mark.extended
 
 
 @pytest.fixture
@@ -298,7 +295,7 @@ def test_a_run_that_waits_for_another_first_lets_go_of_what_it_has(
 ):
     # Two runs that each waited for points which the other had computed but not yet stored
     # once waited for ever.
-    monkeypatch.setattr(execute, "_COMMIT_SECONDS", 1e9)
+    monkeypatch.setattr(execute, "COMMIT_SECONDS", 1e9)
     study, cache = gs.Study.from_dict(tables), tmp_path / "cache"
     with Cache(cache):
         pass  # the other one looks into it

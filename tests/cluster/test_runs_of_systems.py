@@ -7,7 +7,7 @@ import pytest
 import xarray as xr
 from matplotlib.figure import Figure
 from numpy.testing import assert_array_equal
-from tests.unit.test_system_studies import SECTION, TWO_MASSES, changed
+from tests.builders.studies import SECTION, TWO_MASSES, changed
 
 import gapsweep as gs
 from gapsweep import pipeline
@@ -16,6 +16,8 @@ from gapsweep.execution.plan import plan
 from gapsweep.response.result import ResponseClass
 from gapsweep.store.cache import Cache
 from gapsweep.store.maintenance import verify
+
+pytestmark = pytest.mark.extended
 
 STEADY = {"settle_tol": 1e-3, "n_periods": 16, "max_period_multiple": 8}
 FORCED = changed(
@@ -298,7 +300,7 @@ def test_what_is_not_stored_yet_is_interrupted_in_the_shape_of_the_rest(made, tm
 
 def test_starts_in_parts_are_written_as_all_at_once(made, tmp_path, monkeypatch):
     study, folder, responses = made
-    monkeypatch.setattr("gapsweep.execution.layout._PIECE", 3)
+    monkeypatch.setattr("gapsweep.execution.layout.PIECE", 3)
     files = tmp_path / "responses.nc", tmp_path / "attractors.nc"
     with Cache(folder / "c-cache") as store:
         export(study, plan(study, store), store, *files)
@@ -313,7 +315,7 @@ def test_starts_in_parts_are_written_as_all_at_once(made, tmp_path, monkeypatch)
 
 def test_points_that_come_or_go_while_they_are_read_shift_no_other(made, tmp_path, monkeypatch):
     study, folder, responses = made
-    monkeypatch.setattr("gapsweep.execution.layout._PIECE", 3)
+    monkeypatch.setattr("gapsweep.execution.layout.PIECE", 3)
     rng, find = np.random.default_rng(1), Cache.find
 
     def losing(cache, keys, structure):

@@ -18,6 +18,8 @@ from gapsweep.execution.plan import plan
 from gapsweep.response.result import Responses
 from gapsweep.store.cache import Cache
 
+pytestmark = pytest.mark.extended
+
 WORKFLOWS = Path(__file__).parents[2] / "workflows"
 STUDIES = [str(path.relative_to(WORKFLOWS)) for path in sorted(WORKFLOWS.rglob("*.toml"))]
 

@@ -6,30 +6,18 @@ import re
 import shutil
 
 import pytest
+from tests.builders.studies import study_text
 
 import gapsweep as gs
 from gapsweep import pipeline
 from gapsweep.cli.main import FAULT, FINISHED, exit_code
 from gapsweep.run_folder import AGREEMENT, CLAIMS, REPORT, SECTIONS
 
-STUDY = """
-oscillator = { mass = 3.0, omega_n = 5.0, zeta = 0.03, forcing = 4.0, alpha = 7e8 }
-[study]
-name = "small"
-[[sweep]]
-representation = ["piecewise", "tanh-1e4", "poly-13"]
-K_c = [1.4e4]
-gap = [[0.4e-3, 0.4e-3]]
-omega = [7.0, 12.0, 20.0]
-[steady]
-settle_tol = 1e-2
-n_periods = 16
-max_period_multiple = 8
-[claims]
-module = "claims.py"
-[report]
-module = "figures.py"
-"""
+pytestmark = pytest.mark.extended
+
+LABELS = ["piecewise", "tanh-1e4", "poly-13"]
+MODULES = '[claims]\nmodule = "claims.py"\n[report]\nmodule = "figures.py"'
+STUDY = study_text(LABELS, "[7.0, 12.0, 20.0]", name="small", more=MODULES)
 WIDTHS = """
 import xarray as xr
 
@@ -293,7 +281,7 @@ def test_commands_name_what_is_missing(folder, tables, client, capsys):
     assert exit_code(["claims", str(out), "--study", str(folder / "other.toml")]) == FAULT
     assert "has the files of study 'small', not of 'other'" in capsys.readouterr().err
     plain = folder / "plain.toml"
-    plain.write_text(STUDY[: STUDY.index("[claims]")])
+    plain.write_text(STUDY.replace(MODULES, ""))
     for command in ("claims", "report"):
         assert exit_code([command, str(out), "--study", str(plain)]) == FAULT
         (line,) = capsys.readouterr().err.splitlines()

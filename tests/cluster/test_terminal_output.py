@@ -10,6 +10,8 @@ from itertools import pairwise
 
 import pytest
 
+pytestmark = pytest.mark.extended
+
 pty = pytest.importorskip("pty")
 
 STUDY = """

@@ -9,6 +9,8 @@ from gapsweep.execution.plan import plan
 from gapsweep.store.cache import Cache
 from gapsweep.store.maintenance import verify
 
+pytestmark = pytest.mark.extended
+
 RATIOS = (0.2, 1.0, 5.0)
 SAME = ("x_max", "x_min", "force_max", "contact_share", "n_contacts", "nfev", "lyapunov")
 

@@ -1,13 +1,12 @@
 """Failures are attributed to their cause, and never replace a result."""
 
 import os
-import subprocess
-import sys
 import time
 
 import numpy as np
 import pytest
 from tests.builders.cache import commit, points, stored
+from tests.builders.runs import run, started
 
 import gapsweep as gs
 from gapsweep.execution import task
@@ -21,9 +20,10 @@ from gapsweep.model.own_law import OwnLaw
 from gapsweep.store.cache import Cache
 from gapsweep.study.points import Kind
 
+pytestmark = pytest.mark.extended
+
 LAWS = "tests.misbehaving.forces"
-COMMAND = "from gapsweep.cli import main; main()"
-OPTIONS = ("--out", "out", "--cache", "c-cache", "--workers", "1")
+OPTIONS = ("--out", "out", "--cache", "out-cache", "--workers", "1")
 
 
 def break_numba(n_times: float = float("inf")) -> None:
@@ -47,14 +47,9 @@ def one_point(tables):
     return tables
 
 
-def run(tables, folder, client, **options):
-    study = gs.Study.from_dict(tables)
-    return gs.run(study, client, out=folder / "out", cache=folder / "c-cache", **options).load()
-
-
 def responses(tables, folder):
     study = gs.Study.from_dict(tables)
-    with Cache(folder / "c-cache") as cache:
+    with Cache(folder / "out-cache") as cache:
         return list(stored(study, cache).values())
 
 
@@ -64,16 +59,16 @@ def test_only_a_users_law_can_be_one_that_numba_does_not_compile(client, one_poi
         own.wait_for_workers(1)
         own.run(break_numba)
         one_point["sweep"][0]["representation"] = labels
-        run(one_point, tmp_path, own)
+        run(one_point, own, tmp_path)
     ours, compiles = responses(one_point, tmp_path)
     assert ours.status == gs.Status.ERROR
     assert ours.message == "LoweringError: out of registers"
     assert compiles.status == gs.Status.ERROR
     one_point["sweep"][0]["representation"] = [*labels, f"{LAWS}:leaving"]
     with pytest.raises(gs.StudyError, match=f"{LAWS}:leaving: its process ended with exit code 7"):
-        run(one_point, tmp_path, client)
+        run(one_point, client, tmp_path)
     one_point["sweep"][0]["representation"] = labels[:1]
-    ds = run(one_point, tmp_path, client, retry_failed=True)
+    ds = run(one_point, client, tmp_path, retry_failed=True)
     assert ds["status"].item() == gs.Status.OK
 
 
@@ -82,7 +77,7 @@ def test_what_fails_before_the_clock_starts_is_no_secret(one_point, tmp_path):
     with cluster(workers=1) as own:
         own.wait_for_workers(1)
         own.run(break_numba, 1)
-        assert run(one_point, tmp_path, own)["status"].item() == gs.Status.ERROR
+        assert run(one_point, own, tmp_path)["status"].item() == gs.Status.ERROR
 
 
 def load_slowly() -> None:
@@ -102,7 +97,7 @@ def test_no_point_is_timed_out_for_its_machine_code(one_point, tmp_path):
         own.wait_for_workers(1)
         own.run(load_slowly)
         before = own.run(os.getpid)
-        assert run(one_point, tmp_path, own, timeout=1.0)["status"].item() == gs.Status.OK
+        assert run(one_point, own, tmp_path, timeout=1.0)["status"].item() == gs.Status.OK
         assert own.run(os.getpid) == before, "the worker was given up"
 
 
@@ -136,15 +131,13 @@ def test_a_late_failure_does_not_replace_what_another_run_has_found(tmp_path):
     (tmp_path / "s.toml").write_text(STUDY)
     study = gs.Study.load(tmp_path / "s.toml")
     answer = gs.Response(status=gs.Status.OK, x_max=1e-3)
-    gives_up = subprocess.Popen(
-        [sys.executable, "-c", COMMAND, "run", "s.toml", *OPTIONS, "--timeout", "2"],
-        cwd=tmp_path,
-        env=os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)},
+    gives_up = started(
+        tmp_path, "run", "s.toml", *OPTIONS, "--timeout", "2", stdout=None, stderr=None
     )
     while not (tmp_path / "out" / "run.json").exists():
         assert gives_up.poll() is None
         time.sleep(0.05)
-    with Cache(tmp_path / "c-cache") as cache:  # as on another machine, where no lock is seen
+    with Cache(tmp_path / "out-cache") as cache:  # as on another machine, where no lock is seen
         commit(cache, study, lambda at: answer, "another")
         assert gives_up.wait() == 0, "its own failure was its result"
         (found,) = stored(study, cache).values()

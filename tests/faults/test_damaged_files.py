@@ -206,6 +206,7 @@ def test_a_file_that_is_no_segment_is_told_and_left_alone_by_a_run(tmp_path):
     assert (tmp_path / "theirs.seg").exists()
 
 
+@pytest.mark.extended
 def test_run_repairs_damaged_rows(sound, client, tmp_path):
     study, folder, truth = sound
     cache = shutil.copytree(folder / "cache", tmp_path / "cache")
@@ -230,6 +231,7 @@ def test_damaged_dataset_is_refused(sound, tmp_path, n_flips, n_truncations):
                 print(what, use(run))
 
 
+@pytest.mark.extended
 @pytest.mark.filterwarnings("ignore:.*not checked for damage")
 def test_damaged_digests_never_change_a_number(sound, tmp_path):
     _, folder, truth = sound

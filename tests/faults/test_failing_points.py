@@ -9,22 +9,20 @@ import numpy as np
 import pytest
 import xarray as xr
 from tests.builders.cache import messages
+from tests.builders.runs import run
 
 import gapsweep as gs
 from gapsweep.execution.cluster import cluster
 from gapsweep.store.cache import Cache
 
+pytestmark = pytest.mark.extended
+
 LAWS = "tests.misbehaving.forces"
-
-
-def run(tables, folder, client, **options):
-    study = gs.Study.from_dict(tables)
-    return gs.run(study, client, out=folder / "out", cache=folder / "c-cache", **options).load()
 
 
 def message(tables, folder, index):
     study = gs.Study.from_dict(tables)
-    with Cache(folder / "c-cache") as cache:
+    with Cache(folder / "out-cache") as cache:
         return messages(study, cache)[index]
 
 
@@ -45,7 +43,7 @@ def poisoned(tables):
 
 def test_poison_points_get_their_own_status_and_all_others_complete(poisoned, tmp_path):
     with cluster(workers=2) as fragile:
-        ds = run(poisoned, tmp_path, fragile, batch=9, timeout=5.0)
+        ds = run(poisoned, fragile, tmp_path, batch=9, timeout=5.0)
     status = {str(r): ds["status"].sel(representation=r).squeeze() for r in ds.representation.data}
     assert set(status.pop("piecewise").values.tolist()) == {gs.Status.OK}
     found = {name.split(":")[1]: s.sel(omega=12.0).item() for name, s in status.items()}
@@ -69,7 +67,7 @@ def test_hanging_point_in_a_sweep_does_not_end_the_sweep(poisoned, tmp_path):
     block = poisoned["sweep"][0] | {"representation": [f"{LAWS}:spinning"], "omega": [12.0, 14.0]}
     poisoned["sweep"] = [block | {"initial_condition": "sweep_up"}]
     with cluster(workers=1) as fragile:
-        ds = run(poisoned, tmp_path, fragile, timeout=2.0)
+        ds = run(poisoned, fragile, tmp_path, timeout=2.0)
     assert set(ds["status"].values.ravel().tolist()) == {gs.Status.TIMED_OUT}
 
 
@@ -78,7 +76,7 @@ def test_in_process_workers_never_end_their_process(tables, tmp_path):
     from distributed import Client
 
     with Client(processes=False, n_workers=1, threads_per_worker=1, dashboard_address=":0") as own:
-        ds = run(tables, tmp_path, own, timeout=1e-3)
+        ds = run(tables, own, tmp_path, timeout=1e-3)
     assert ds["status"].item() == gs.Status.OK
 
 
@@ -87,12 +85,12 @@ def test_killed_workers_cost_no_point_and_blame_none(client, tables, tmp_path, n
     tables["sweep"][0] |= {"representation": ["piecewise"]}
     tables["sweep"][0]["omega"] = {"start": 6.0, "stop": 30.0, "num": 20 * n_kills}
     tables["solver"] = {"engine": "scipy"}
-    quiet = run(tables, tmp_path / "quiet", client)
+    quiet = run(tables, client, tmp_path / "quiet")
     with cluster(workers=2) as fragile:
         ended = threading.Event()
         kills = threading.Thread(target=kill_workers, args=(fragile, n_kills, ended))
         kills.start()
-        ds = run(tables, tmp_path / "killed", fragile, batch=4)
+        ds = run(tables, fragile, tmp_path / "killed", batch=4)
         ended.set()
         kills.join()
     assert set(ds["status"].values.ravel().tolist()) == {gs.Status.OK}

@@ -1,13 +1,11 @@
 """Code of the user's own that ends, hangs or raises: what a real run makes of it."""
 
-import os
 import re
-import subprocess
-import sys
 from functools import partial
-from pathlib import Path
 
 import pytest
+from tests.builders import runs
+from tests.builders.studies import study_text
 
 import gapsweep as gs
 from gapsweep import pipeline
@@ -18,26 +16,10 @@ from gapsweep.status import Status
 from gapsweep.store.cache import Cache
 from gapsweep.store.maintenance import contents_of
 
-COMMAND = Path(sys.executable).with_name("gapsweep")
-ROOT, SOURCES = Path(__file__).parents[2], Path(gs.__file__).parent
-SWEEP = """
-oscillator = { mass = 3.0, omega_n = 5.0, zeta = 0.03, forcing = 4.0, alpha = 7e8 }
-[study]
-name = "own"
-[[sweep]]
-representation = {laws}
-K_c = [1.4e4]
-gap = [[0.4e-3, 0.4e-3]]
-omega = [12.0]
-[solver]
-engine = "scipy"
-rtol = 1e-4
-atol = 1e-7
-[steady]
-settle_tol = 1e-2
-n_periods = 16
-max_period_multiple = 8
-"""
+pytestmark = pytest.mark.extended
+
+SOLVER = '[solver]\nengine = "scipy"\nrtol = 1e-4\natol = 1e-7'
+SWEEP = study_text("{laws}", "[12.0]", name="own", more=SOLVER).replace('"{laws}"', "{laws}")
 
 
 def labels(*names):
@@ -51,12 +33,10 @@ def gapsweep(run_command):
 
 def in_a_process(folder, *arguments, seconds=100):
     """The installed command, as a user types it."""
-    path = os.pathsep.join(map(str, [SOURCES.parent, ROOT]))
-    environment = os.environ | {"PYTHONPATH": path, "GAPSWEEP_CACHE": "c-cache"}
-    return subprocess.run(
-        [COMMAND, *arguments], cwd=folder, env=environment, capture_output=True, text=True,
-        timeout=seconds,
-    )  # fmt: skip
+    variables = {"GAPSWEEP_CACHE": "c-cache"}
+    return runs.in_a_process(
+        folder, *arguments, command=[runs.COMMAND], timeout=seconds, variables=variables
+    )
 
 
 def study(folder, text, *laws):
@@ -231,7 +211,7 @@ def test_benchmarks_too_try_laws_out_elsewhere(gapsweep, tmp_path):
 def test_a_law_that_hangs_at_zero_is_refused(tmp_path, monkeypatch):
     (tmp_path / "endless.py").write_text(AT_ZERO.format("while True: pass"))
     study(tmp_path, SWEEP, "endless:law")
-    monkeypatch.setattr(try_out, "_SHORTEST", 1.0)
+    monkeypatch.setattr(try_out, "SHORTEST_TRIAL", 1.0)
     told, loaded = [], gs.Study.load(tmp_path / "own.toml")
 
     def tell(progress):
@@ -245,7 +225,7 @@ def test_a_law_that_hangs_at_zero_is_refused(tmp_path, monkeypatch):
         "importing endless:law (timeout 2 s)",
         "calling endless:law (timeout 2 s)",
     ]
-    monkeypatch.setattr(try_out, "_LONGEST", 1.5)
+    monkeypatch.setattr(try_out, "LONGEST_TRIAL", 1.5)
     with pytest.raises(gs.StudyError, match=r"exceeded the time limit of 1\.5 s") as refused:
         pipeline.query(loaded, **asked)
     assert "--timeout" not in str(refused.value), "no longer time is to be had"
@@ -271,7 +251,7 @@ t_end = 2.0
 
 
 def test_histories_survive_any_law_and_say_what_failed(gapsweep, tmp_path, monkeypatch):
-    monkeypatch.setattr(isolated, "_IDLE", 0.3)  # of the time that has passed: seen sooner
+    monkeypatch.setattr(isolated, "IDLE_SHARE", 0.3)  # of the time that has passed: seen sooner
     text = SWEEP.replace("{laws}", '["piecewise"]') + HISTORY
     study(tmp_path, text, *labels(*POISONS))
     done = gapsweep(tmp_path, "run", "own.toml", "--out", "out", "--timeout", "3")

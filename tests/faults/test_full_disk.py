@@ -11,9 +11,10 @@ import subprocess
 import sys
 from contextlib import contextmanager
 from functools import partial
-from pathlib import Path
 
 import pytest
+from tests.builders.runs import in_a_process
+from tests.builders.studies import study_text
 
 import gapsweep as gs
 from gapsweep.execution.recorder import Recorder
@@ -21,20 +22,10 @@ from gapsweep.store.cache import Cache
 from gapsweep.store.maintenance import verify
 from gapsweep.store.state import RunState
 
-STUDY = """
-oscillator = { mass = 3.0, omega_n = 5.0, zeta = 0.03, forcing = 4.0, alpha = 7e8 }
-[study]
-name = "full"
-[[sweep]]
-representation = ["piecewise"]
-K_c = [1.4e4]
-gap = [[0.4e-3, 0.4e-3]]
-omega = { start = 10.0, stop = 20.0, num = 1201 }
-[steady]
-settle_tol = 1e-2
-n_periods = 16
-max_period_multiple = 8
-"""
+pytestmark = pytest.mark.extended
+
+OMEGA = "{ start = 10.0, stop = 20.0, num = 1201 }"
+STUDY = study_text(["piecewise"], OMEGA, name="full")
 SMALL = {
     "study": {"name": "small"},
     "oscillator": {"mass": 3.0, "omega_n": 5.0, "zeta": 0.03, "forcing": 4.0},
@@ -48,12 +39,8 @@ def limited_run(folder, *options, room):
         resource.setrlimit(resource.RLIMIT_FSIZE, (room, room))
 
     # Workers inherit the limit: their logs and code must not meet it, only what we write.
-    environment = os.environ | {"PYTHONPATH": str(Path(__file__).parents[2])}
-    return subprocess.run(
-        [sys.executable, "-c", RUN, "run", "full.toml", "--cache", "cache", "--out", *options],
-        cwd=folder, env=environment, capture_output=True, text=True, timeout=300,
-        preexec_fn=limited,
-    )  # fmt: skip
+    command = ["run", "full.toml", "--cache", "cache", "--out", *options]
+    return in_a_process(folder, *command, timeout=300, preexec_fn=limited)
 
 
 @pytest.fixture

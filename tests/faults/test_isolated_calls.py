@@ -88,8 +88,8 @@ def test_a_call_may_take_any_time(timeout):
     ],
 )
 def test_a_process_that_does_not_start_is_an_error_of_the_call(monkeypatch, code, status):
-    monkeypatch.setattr(module, "_CHILD", code)
-    monkeypatch.setattr(module, "_START_SECONDS", 1.0)
+    monkeypatch.setattr(module, "CHILD", code)
+    monkeypatch.setattr(module, "START_SECONDS", 1.0)
     with Isolated(10.0) as isolated, pytest.raises(CallError) as raised:
         isolated(calls.same, 1)
     assert raised.value.status is status

@@ -12,7 +12,7 @@ import pytest
 
 import gapsweep
 
-pytestmark = pytest.mark.packaging
+pytestmark = pytest.mark.extended
 
 SOURCES = Path(gapsweep.__file__).parent
 RUN = """

@@ -4,58 +4,41 @@ import json
 import os
 import random
 import signal
-import subprocess
 import sys
 import time
 from contextlib import suppress
-from pathlib import Path
 
 import psutil
 import pytest
 import xarray as xr
 from tests.builders.cache import n_stored
+from tests.builders.runs import ENTRY, in_a_process, started
+from tests.builders.studies import study_text
 
 import gapsweep as gs
 from gapsweep.store.cache import Cache
 from gapsweep.store.maintenance import verify
 
-RUN = "import sys; from gapsweep.cli import main; sys.argv[0] = 'gapsweep'; main()"
 BATCH = 4
 # Two workers, three tasks in flight for each.
 IN_FLIGHT = 2 * 3 * BATCH
 
 
-def study_text(n_points, settle_tol="1e-3"):
-    return f"""
-oscillator = {{ mass = 3.0, omega_n = 5.0, zeta = 0.03, forcing = 4.0, alpha = 7e8 }}
-[study]
-name = "storm"
-[[sweep]]
-representation = ["piecewise", "tests.misbehaving.forces:counted"]
-K_c = [1.4e4]
-gap = [[0.4e-3, 0.4e-3]]
-omega = {{ start = 6.0, stop = 30.0, num = {n_points // 2} }}
-[solver]
-engine = "scipy"
-rtol = 1e-4
-atol = 1e-7
-[steady]
-settle_tol = {settle_tol}
-n_periods = 16
-max_period_multiple = 8
-"""
+def storm(n_points, settle_tol="1e-3"):
+    """A study file of so many points, which leaves a mark wherever one of half of them begins."""
+    omega = f"{{ start = 6.0, stop = 30.0, num = {n_points // 2} }}"
+    solver = '[solver]\nengine = "scipy"\nrtol = 1e-4\natol = 1e-7'
+    labels = ["piecewise", "tests.misbehaving.forces:counted"]
+    text = study_text(labels, omega, name="storm", more=solver)
+    return text.replace("settle_tol = 1e-2", f"settle_tol = {settle_tol}")
 
 
-def start(folder, cache, out, *options, run=RUN):
-    environment = os.environ | {
-        "COUNTED_LAW_LOG": str(folder / f"{out}.log"),
-        "PYTHONPATH": str(Path(__file__).parents[2]),
-    }
-    command = [sys.executable, "-c", run, "run", "storm.toml", "--cache", cache, "--out", out]
-    return subprocess.Popen(
-        [*command, *options], cwd=folder, env=environment, stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE, text=True, start_new_session=True,
-    )  # fmt: skip
+def start(folder, cache, out, *options, entry=ENTRY):
+    return started(
+        *(folder, "run", "storm.toml", "--cache", cache, "--out", out, *options),
+        command=[sys.executable, "-c", entry],
+        variables={"COUNTED_LAW_LOG": str(folder / f"{out}.log")},
+    )
 
 
 def finish(process):
@@ -77,7 +60,7 @@ def same(a, b):
     ("n_points", "n_kills"), [(40, 3), pytest.param(2000, 50, marks=pytest.mark.slow)]
 )
 def test_storm_of_kills_loses_nothing(tmp_path, n_points, n_kills):
-    (tmp_path / "storm.toml").write_text(study_text(n_points))
+    (tmp_path / "storm.toml").write_text(storm(n_points))
     finish(start(tmp_path, "calm-cache", "calm"))
     generator = random.Random(1)
     cache = tmp_path / "storm-cache"
@@ -109,8 +92,9 @@ def test_storm_of_kills_loses_nothing(tmp_path, n_points, n_kills):
     assert again <= n_kills * (IN_FLIGHT + BATCH), "what was in flight, and one commit"
 
 
+@pytest.mark.extended
 def test_a_worker_killed_while_the_cluster_starts_costs_one_line_at_most(tmp_path):
-    (tmp_path / "storm.toml").write_text(study_text(4))
+    (tmp_path / "storm.toml").write_text(storm(4))
     process = start(tmp_path, "cache", "out")
     is_killed = False
     while process.poll() is None and not is_killed:
@@ -128,8 +112,9 @@ def test_a_worker_killed_while_the_cluster_starts_costs_one_line_at_most(tmp_pat
     assert "Traceback" not in errors
 
 
+@pytest.mark.extended
 def test_a_killed_run_leaves_no_process_and_its_status_says_so(tmp_path):
-    (tmp_path / "storm.toml").write_text(study_text(400, settle_tol="1e-6"))
+    (tmp_path / "storm.toml").write_text(storm(400, settle_tol="1e-6"))
     process = start(tmp_path, "cache", "out", "--batch", "2")
     while n_stored(tmp_path / "cache") < 4:
         assert process.poll() is None
@@ -147,10 +132,10 @@ def test_a_killed_run_leaves_no_process_and_its_status_says_so(tmp_path):
 
 
 def status(folder):
-    command = [sys.executable, "-c", RUN, "status", "out", "--json"]
-    return json.loads(subprocess.run(command, cwd=folder, capture_output=True, check=True).stdout)
+    return json.loads(in_a_process(folder, "status", "out", "--json").stdout)
 
 
+@pytest.mark.extended
 @pytest.mark.parametrize(("locks", "second"), [("locks", "one"), ("no locks", "two")])
 @pytest.mark.parametrize("n_points", [120, pytest.param(800, marks=pytest.mark.slow)])
 def test_two_runs_on_one_cache_share_the_work(tmp_path, n_points, locks, second):
@@ -158,11 +143,12 @@ def test_two_runs_on_one_cache_share_the_work(tmp_path, n_points, locks, second)
 
     Of the two folders every number is the same, though each run has computed others of them.
     """
-    (tmp_path / "storm.toml").write_text(study_text(n_points))
-    run = (
-        RUN if locks == "locks" else f"import gapsweep.store.work_locks as w; w.fcntl = None; {RUN}"
-    )
-    both = [start(tmp_path, "cache", out, "--workers", "1", run=run) for out in ("one", second)]
+    (tmp_path / "storm.toml").write_text(storm(n_points))
+    without = "" if locks == "locks" else "import gapsweep.store.work_locks as w; w.fcntl = None; "
+    options = ("--workers", "1")
+    both = [
+        start(tmp_path, "cache", out, *options, entry=without + ENTRY) for out in ("one", second)
+    ]
     texts = [finish(process) for process in both]
     counts = [int(text.split(" from the cache, ")[1].split(" computed")[0]) for text in texts]
     assert n_points <= sum(counts) <= (1.05 if locks == "locks" else 2.0) * n_points, texts

@@ -14,6 +14,8 @@ from tests.builders.cache import keys
 from gapsweep.store.cache import Cache
 from gapsweep.store.maintenance import verify
 
+pytestmark = pytest.mark.extended
+
 ROOT = Path(__file__).parents[2]
 WRITER = """
 import sys

@@ -15,6 +15,8 @@ import netCDF4
 import pytest
 from click.testing import CliRunner
 from tests.builders.cache import damaged_row
+from tests.builders.runs import COMMAND, in_a_process
+from tests.builders.studies import study_text
 
 import gapsweep as gs
 from gapsweep import pipeline, stages
@@ -25,23 +27,12 @@ from gapsweep.store import netcdf
 from gapsweep.store.artefact import alone_in, checked, recording, sha256
 from gapsweep.store.state import RunState
 
-COMMAND = Path(sys.executable).with_name("gapsweep")
-STUDY = """
-oscillator = { mass = 3.0, omega_n = 5.0, zeta = 0.03, forcing = 4.0, alpha = 7e8 }
-[study]
-name = "tiny"
-[[sweep]]
-representation = ["piecewise", "piecewise@same"]
-K_c = [1.4e4]
-gap = [[0.4e-3, 0.4e-3]]
-omega = { start = 10.0, stop = 15.0, num = 20 }
-initial_condition = "sweep_up"
-[protocol.same]
-[steady]
-settle_tol = 1e-2
-n_periods = 16
-max_period_multiple = 8
-"""
+pytestmark = pytest.mark.extended
+
+STUDY = study_text(
+    ["piecewise", "piecewise@same"], "{ start = 10.0, stop = 15.0, num = 20 }",
+    sweep='initial_condition = "sweep_up"', more="[protocol.same]",
+)  # fmt: skip
 
 
 @pytest.fixture(scope="session")
@@ -148,11 +139,7 @@ def test_a_pipe_or_device_in_the_place_of_a_file_is_not_read(finished, tmp_path,
     path = out / name
     path.unlink(missing_ok=True)
     os.mkfifo(path) if kind == "pipe" else path.symlink_to("/dev/zero")
-    run = "from gapsweep.cli import main; main()"
-    done = subprocess.run(
-        [sys.executable, "-c", run, *command.split(), "out"],
-        cwd=tmp_path, capture_output=True, text=True, timeout=100,
-    )  # fmt: skip
+    done = in_a_process(tmp_path, *command.split(), "out")
     assert done.returncode == code, done.stderr
     assert "Traceback" not in done.stderr
 

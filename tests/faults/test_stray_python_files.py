@@ -1,45 +1,27 @@
 """Python files that happen to lie about, and rows that name code: nothing of it is run."""
 
-import os
-import subprocess
-import sys
 from dataclasses import replace
-from pathlib import Path
 
 import pytest
 from tests.builders.cache import made, point
+from tests.builders.runs import COMMAND, SOURCES, in_a_process
+from tests.builders.studies import study_text
 
 import gapsweep as gs
 from gapsweep.store.cache import Cache
 
-COMMAND = Path(sys.executable).with_name("gapsweep")
+pytestmark = pytest.mark.extended
+
 MARK = "import os\nopen(os.path.join(os.path.dirname(__file__), 'ran'), 'a').write(__name__)\n"
 # Libraries, parts of Python, and what some of them look for in vain.
 SHADOWS = ("xarray", "scipy", "numba", "queue", "socket", "random", "secrets", "cftime")
-STUDY = """
-oscillator = { mass = 3.0, omega_n = 5.0, zeta = 0.03, forcing = 4.0, alpha = 7e8 }
-[study]
-name = "tiny"
-[[sweep]]
-representation = ["piecewise"]
-K_c = [1.4e4]
-gap = [[0.4e-3, 0.4e-3]]
-omega = [12.0]
-initial_condition = { sobol = 2, seed = 1, x = [-1e-3, 1e-3], v = [-0.1, 0.1] }
-[steady]
-settle_tol = 1e-2
-n_periods = 16
-max_period_multiple = 8
-"""
+STARTS = "{ sobol = 2, seed = 1, x = [-1e-3, 1e-3], v = [-0.1, 0.1] }"
+STUDY = study_text(["piecewise"], "[12.0]", sweep=f"initial_condition = {STARTS}")
 
 
 def gapsweep(folder, *arguments):
-    environment = os.environ | {"GAPSWEEP_CACHE": "c-cache"}
-    environment["PYTHONPATH"] = str(Path(gs.__file__).parents[1])
-    return subprocess.run(
-        [COMMAND, *arguments], cwd=folder, env=environment, capture_output=True, text=True,
-        timeout=100,
-    )  # fmt: skip
+    variables = {"GAPSWEEP_CACHE": "c-cache", "PYTHONPATH": str(SOURCES.parent)}
+    return in_a_process(folder, *arguments, command=[COMMAND], variables=variables)
 
 
 @pytest.fixture

@@ -228,7 +228,7 @@ def test_prime_multiple_undoes_repetition(orbit, times):
 def test_stretches_cut_anywhere_lead_to_the_same_orbits(monkeypatch):
     law, omega = gs.Piecewise(SOFT, SYMMETRIC), np.linspace(5.0, 30.0, 40)
     whole = gs.respond(gs.systems.paper_oscillator(), law, omega)
-    monkeypatch.setattr(ensemble, "_STEPS_AT_A_TIME", 37.0)
+    monkeypatch.setattr(ensemble, "STEPS_AT_A_TIME", 37.0)
     cut = gs.respond(gs.systems.paper_oscillator(), law, omega)
     assert (whole.response_class == gs.ResponseClass.PERIODIC).all()
     assert np.array_equal(cut.period_multiple, whole.period_multiple)
@@ -238,7 +238,7 @@ def test_stretches_cut_anywhere_lead_to_the_same_orbits(monkeypatch):
 
 def test_a_window_is_the_same_in_its_pauses_call_and_in_its_own(monkeypatch):
     omega = np.linspace(5.0, 30.0, 40)
-    monkeypatch.setattr(ensemble, "_STEPS_AT_A_TIME", np.inf)
+    monkeypatch.setattr(ensemble, "STEPS_AT_A_TIME", np.inf)
     for law in (gs.Piecewise(HARD, SYMMETRIC), gs.contact_law("tanh-1e4", SOFT, SYMMETRIC)):
         together = gs.respond(gs.systems.paper_oscillator(), law, omega)
         with monkeypatch.context() as patched:
@@ -410,6 +410,7 @@ def test_bad_grids_of_starts_are_refused(arguments, message):
         gs.basins(gs.systems.paper_oscillator(), gs.Piecewise(SOFT, SYMMETRIC), **given)
 
 
+@pytest.mark.extended
 @pytest.mark.parametrize("omega", [9.0, 0.0])
 @pytest.mark.parametrize("label", ["piecewise", "piecewise-noevents", "tanh-1e4"])
 def test_shots_are_no_part_of_what_a_motion_costs(label, omega):

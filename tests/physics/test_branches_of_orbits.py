@@ -124,6 +124,7 @@ def test_folds_and_grazes_of_the_piecewise_linear_oscillator_are_the_known_ones(
     assert not unstable[steps[2] + 1 :].any()
 
 
+@pytest.mark.extended
 def test_two_masses_have_their_bifurcations_in_the_order_of_the_branch():
     ds = forced("two masses")
     branch = rows(ds, 0)
@@ -358,6 +359,7 @@ def test_symmetry_of_duffing_breaks_where_half_a_period_says(alpha, zeta):
         assert found == pytest.approx(broken_symmetry(model, state, found), rel=1e-6)
 
 
+@pytest.mark.extended
 def test_the_backbone_of_duffing_has_elliptic_periods():
     model = gs.Oscillator(zeta=0.0, omega_n=RATE, mass=1.0, alpha=1.0, forcing=0.0)
     branch = rows(gs.branches(model, NO_CONTACT, "amplitude", (0.1, 3.0)), 0)
@@ -415,6 +417,7 @@ def two_well(load=0.7):
     )
 
 
+@pytest.mark.extended
 def test_doublings_of_a_two_well_oscillator_in_its_load():
     ds = gs.branches(
         two_well, {}, "load", (0.6, 0.9), at=0.67, omega=3.5 * RATE, starts=[[0.2, -0.2]], follow=2
@@ -453,6 +456,7 @@ def flutter():
     return gs.branches(section, law, "speed", (9.0, 13.0), at=speed, start=start, max_steps=60)
 
 
+@pytest.mark.extended
 def test_the_asymmetric_cycle_of_the_typical_section_leaves_the_symmetric_one():
     ds, law = flutter(), SYSTEMS.typical_section_law(copy=CONNER)
     branch = rows(ds, 0)
@@ -554,6 +558,7 @@ def test_special_points_of_tanh_converge_to_those_of_exact_contact(
 # --- Invariants ---------------------------------------------------------------------------------
 
 
+@pytest.mark.extended
 def test_drawn_branches_hold_periodic_orbits_without_jumps():
     n_branches = n_points = n_stable = 0
     for case, ds in drawn_branches(25, seed=3, max_steps=60):
@@ -723,6 +728,7 @@ def test_a_system_without_contacts_has_the_branches_of_walls_out_of_reach():
     assert_allclose(*folds, rtol=1e-9)
 
 
+@pytest.mark.extended
 def test_free_motions_of_a_system_without_contacts_have_elliptic_periods():
     branch = rows(gs.branches(duffing(), {}, along="amplitude", between=(0.1, 2.0)), 0)
     a = branch["amplitude"].values
@@ -761,6 +767,7 @@ def coupled(rate):
     )
 
 
+@pytest.mark.extended
 @pytest.mark.filterwarnings("error")
 @pytest.mark.parametrize("law", [{}, gs.law(lambda x: 0.5 * x**3, K_c=0.0, gap=gs.Gap(0.0, 0.0))])
 def test_default_starts_leave_the_equilibrium_without_warnings(law):
@@ -807,6 +814,7 @@ def test_multipliers_are_one_where_the_branch_of_scene_17_ends():
             assert min(np.abs(mu - 1.0).min(), np.abs(mu + 1.0).min()) < 1e-3
 
 
+@pytest.mark.extended
 def test_each_graze_of_many_contacts_is_located_or_counted():
     """With 270 turning points, pairs of them appear and disappear beyond a wall within one step.
 
@@ -835,6 +843,7 @@ def test_at_without_numbers_gives_one_line(at):
         gs.branches(gs.systems.paper_oscillator(), SOFT, "omega", (6.0, 12.0), at=at)
 
 
+@pytest.mark.extended
 def test_far_from_the_freeplay_cycles_approach_the_linear_flutter_speed():
     """There an eigenvalue of the section with the flap on its spring crosses the axis."""
     law = SYSTEMS.typical_section_law()

@@ -134,7 +134,7 @@ def test_rest_on_a_wall_ends_normally():
 
 
 def test_chatter_ends_a_motion_at_once(monkeypatch):
-    monkeypatch.setattr(batch, "_MOST_SHORT", 0.0)
+    monkeypatch.setattr(batch, "MOST_SHORT", 0.0)
     run = gs.simulate(FREE, gs.Piecewise(1.4e4, gs.Gap(1e-12, 1e-12)), 9.0, v_0=0.05, t_end=1.0)
     assert run.status is gs.Status.CHATTER
     assert run.t_end == pytest.approx(1e-12 / 0.05, rel=0.1)

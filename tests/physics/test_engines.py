@@ -143,6 +143,7 @@ def one_after_the_other(models, integrate, start, n_runs):
     return chain, left
 
 
+@pytest.mark.extended
 @pytest.mark.parametrize(
     ("label", "engine"),
     [
@@ -213,6 +214,7 @@ def test_memory_does_not_grow_with_the_length_of_a_run():
     assert peak(2000.0) < peak(20.0) + 4_000_000
 
 
+@pytest.mark.extended
 def test_law_that_numba_cannot_compile_says_what_to_do():
     law = gs.law(prints_a_number, 1.4e4, SYMMETRIC)
     with pytest.raises(
@@ -236,6 +238,7 @@ def calls_helpers(x):
     return 1e3 * deep(x)
 
 
+@pytest.mark.extended
 def test_helpers_of_a_law_are_compiled_with_it():
     """Global and local ones, and one that calls itself; the linear law is what they come to."""
     inner = calls_helpers
@@ -251,6 +254,7 @@ def springy(x):
     return 1e3 * x
 
 
+@pytest.mark.extended
 def test_a_law_that_is_mended_compiles_in_the_same_process():
     def law(x):
         return factor["k"] * x
@@ -269,6 +273,7 @@ def test_a_law_that_is_mended_compiles_in_the_same_process():
     assert run.status is gs.Status.OK
 
 
+@pytest.mark.extended
 def test_parameters_of_a_law_are_numbers_for_one_compiled_function():
     """Against the closed form of a linear oscillator with springs k + s, each law in its row."""
     k, s = np.array([0.0, 1e3, 2e3]), 500.0
@@ -351,7 +356,7 @@ def test_a_section_alone_is_the_section_of_a_full_record(label, monkeypatch):
     is_late = whole.t_extrema >= problems.record_from[owner]
     assert_allclose(full.events().t_extrema, whole.t_extrema[is_late], rtol=1e-12)
     assert_allclose(full.events().extrema, whole.extrema[is_late], rtol=0.0, atol=1e-14)
-    monkeypatch.setattr(batch, "_MOST_PLACED", 0)  # section points are given no places beforehand
+    monkeypatch.setattr(batch, "MOST_PLACED", 0)  # section points are given no places beforehand
     assert_array_equal(integrate(problems).events().section, full.events().section)
     largest = np.abs(problems.start[:, 0])
     np.maximum.at(largest, owner, np.abs(whole.extrema))
@@ -386,6 +391,7 @@ def ends(label):
     return run.x_end.tobytes().hex() + run.v_end.tobytes().hex()
 
 
+@pytest.mark.extended
 @pytest.mark.parametrize("label", ["piecewise", "tanh-1e4"])
 def test_another_process_gives_the_same_bits(label):
     code = f"from tests.physics.test_engines import ends; print(ends({label!r}))"

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -16,6 +16,7 @@ from tests.oracles.equation import Equation, laws_of
 from tests.physics import test_response_invariants as responses
 
 import gapsweep as gs
+from gapsweep.model.laws import LAWS
 
 GAP = gs.Gap(0.2e-3, 0.5e-3)
 SYMMETRIC, STOP, WALL = gs.Gap(0.4e-3, 0.4e-3), gs.Gap(1e-3, 2e-3), gs.Gap(3e-3, 1e-3)
@@ -161,8 +162,11 @@ CASES = {
     "taylor thin tanh": oscillator(gs.Tanh(1.4e5, SYMMETRIC, 1e6), **POLES),
     "taylor hard tanh": oscillator(gs.Tanh(1.4e6, SYMMETRIC, 2e5), **POLES),
     "taylor closed tanh": oscillator(gs.Tanh(1e5, gs.Gap(0.0, 0.0), 3e4, K_ratio=2.0), **POLES),
-    "native arctan": oscillator(gs.Arctan(1.4e4, GAP, 1e4, K_ratio=0.5)),
-    "native logarctan": oscillator(gs.LogArctan(1.4e4, GAP, 1e4, K_ratio=0.5)),
+    **{  # arctan, logarctan and all others that only a Runge-Kutta method integrates
+        f"native {law.family}": oscillator(gs.contact_law(law.examples[0], 1.4e4, GAP, K_ratio=0.5))
+        for law in LAWS
+        if law.is_sharpened and law is not gs.Tanh
+    },
     "native polynomial": oscillator(gs.Polynomial(1.4e4, GAP, 9)),
     "native rational": oscillator(gs.RationalPolynomial(1.4e4, GAP, 5, 3)),
     "native table": oscillator(TABLE, within=3e-9),
@@ -192,9 +196,13 @@ CASES = {
     "scipy two masses": two_masses(gs.systems.two_masses_law(), SCIPY),
 }
 COMPILED = [name for name, case in CASES.items() if case.how is not SCIPY]
+# Most of these share their kernels with other tests; with all others, tests are extended.
+COMMON = ("taylor oscillator", "taylor closed", "taylor free", "taylor tanh", "taylor machine")
+COMMON += ("native arctan", "native polynomial", "scipy oscillator")
+params = partial(responses.params, common=COMMON)
 
 
-@pytest.fixture(params=CASES)
+@pytest.fixture(params=params(CASES))
 def case(request):
     return CASES[request.param]
 
@@ -270,6 +278,7 @@ def test_sections_are_states_at_whole_periods_or_at_maxima(case):
     assert case.error(motion.section, truth) < case.allowed
 
 
+@pytest.mark.extended
 @pytest.mark.parametrize("seed", range(8))
 def test_random_oscillators_move_as_the_equation_says(seed):
     rng = np.random.default_rng(seed)
@@ -380,7 +389,7 @@ def has_energy(case):
     return isinstance(case.model, gs.Oscillator) or case.model.coordinates == ("x_1", "x_2")
 
 
-@pytest.mark.parametrize("name", [name for name, case in CASES.items() if has_energy(case)])
+@pytest.mark.parametrize("name", params(n for n, case in CASES.items() if has_energy(case)))
 def test_energy_changes_by_the_work_of_loads_and_damping(name):
     case = CASES[name]
     times, equation = np.linspace(0.0, case.t_end, 20_001), case.equation
@@ -391,6 +400,7 @@ def test_energy_changes_by_the_work_of_loads_and_damping(name):
     assert_allclose(ended - begun, work, rtol=0.0, atol=begun * max(1e-7, 30.0 * case.within))
 
 
+@pytest.mark.extended
 @pytest.mark.parametrize("how", [{}, ODE45, RESTART, SCIPY])
 def test_energy_is_kept_over_thousands_of_contacts(how):
     law, rtol = gs.Piecewise(1.4e6, gs.Gap(0.4e-3, 0.4e-3)), 1e-10 if how else 1e-12
@@ -402,7 +412,7 @@ def test_energy_is_kept_over_thousands_of_contacts(how):
     assert_allclose(energy(state(run)), energy(start_of(case)), rtol=run.n_contacts * rtol)
 
 
-@pytest.mark.parametrize("name", [name for name, case in CASES.items() if case.model == FREE])
+@pytest.mark.parametrize("name", params(n for n, case in CASES.items() if case.model == FREE))
 def test_a_motion_without_damping_leads_back_when_it_is_reversed(name):
     case = CASES[name]
     there = case.run()
@@ -455,7 +465,7 @@ def rescaled(case, mass, length, time):
     return replace(case, model=model, law=law, omega=omega, start=start, t_end=case.t_end * time)
 
 
-@pytest.mark.parametrize("name", [name for name in COMPILED if name != "native user"])
+@pytest.mark.parametrize("name", params(name for name in COMPILED if name != "native user"))
 def test_units_by_powers_of_two_change_no_bit(name):
     case, (mass, length, time) = CASES[name], (2.0**10, 2.0**-7, 2.0**3)
     other = rescaled(case, mass, length, time)
@@ -499,6 +509,7 @@ def test_stopping_on_the_way_changes_nothing_but_rounding(case):
 ALIKE = [name for name in COMPILED if not name.endswith(" tanh") or name.startswith("ode45")]
 
 
+@pytest.mark.extended
 @pytest.mark.parametrize("name", ALIKE)
 def test_records_and_samples_change_no_bit(name):
     case = CASES[name]
@@ -515,6 +526,7 @@ def test_records_and_samples_change_no_bit(name):
         assert (whole.section[-1] == state(whole)).all()
 
 
+@pytest.mark.extended
 @pytest.mark.parametrize("name", COMPILED)
 def test_records_are_as_good_as_motions_that_end_there(name):
     """Steps are long: an interpolant between their ends is not as good."""
@@ -551,6 +563,7 @@ def bits(run, i, t):
     return [np.asarray(each).tobytes() for each in own]
 
 
+@pytest.mark.extended
 @pytest.mark.parametrize("options", [{"tangent": True}, {"dense_output": True}])
 @pytest.mark.parametrize("name", COMPILED)
 def test_a_motion_is_the_same_in_any_batch(name, options):
@@ -615,6 +628,7 @@ def test_errors_follow_the_tolerance(case):
         assert case.error(state(run), truth) < within * rtol * case.growth
 
 
+@pytest.mark.extended
 @pytest.mark.parametrize(
     ("law", "how", "order"),
     [
@@ -652,6 +666,7 @@ def sign_of(values, size):
     return np.sign(values) * (np.abs(values) > size)
 
 
+@pytest.mark.extended
 @pytest.mark.parametrize(
     ("method", "rtol"),
     [("taylor", rtol) for rtol in (1e-1, 1e-3, 1e-7, 1e-13)]
@@ -688,6 +703,7 @@ def test_records_tell_where_random_motions_turn_and_touch(method, rtol):
 # --- A user's law ---------------------------------------------------------------------------------
 
 
+@pytest.mark.extended
 def test_responses_to_a_users_law_are_those_of_the_equation():
     """Here, where the process has compiled the kernels of this law for its motions."""
     case = responses.Case(OSCILLATOR, CASES["native user"].law)

@@ -16,6 +16,8 @@ from scipy.linalg import expm
 import gapsweep as gs
 from gapsweep.model.system import first_order
 
+pytestmark = pytest.mark.extended
+
 W = 2.0 * math.pi
 EXACT = {"rtol": 1e-12, "atol": 1e-14}
 PLUNGE = [0.01, 0.0, 0.0]

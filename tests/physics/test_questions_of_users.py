@@ -20,6 +20,8 @@ from tests.oracles import piecewise_linear as exact
 import gapsweep as gs
 from gapsweep.response.result import ResponseClass
 
+pytestmark = pytest.mark.extended
+
 W = 2.0 * math.pi
 
 

@@ -10,6 +10,8 @@ from tests.oracles.random_branches import Scene, drawn, examined, faults, nearly
 
 import gapsweep as gs
 
+pytestmark = pytest.mark.extended
+
 
 # Nearly symmetric, own parameter, two coordinates, self-excited, nearly symmetric and stiff,
 # two branches that meet, one wall, unequal walls with doublings.

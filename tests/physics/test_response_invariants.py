@@ -114,7 +114,18 @@ CASES = {
 }  # fmt: skip
 
 
-@pytest.fixture(params=CASES)
+# These share their kernels with other tests.
+COMMON = ("piecewise", "tanh-1e4", "poly-13", "hard", "coupled")
+
+
+def params(names, common=COMMON):
+    """Names of cases for a test; the test is extended with all that are not common."""
+    return [
+        pytest.param(name, marks=() if name in common else pytest.mark.extended) for name in names
+    ]
+
+
+@pytest.fixture(params=params(CASES))
 def case(request):
     return CASES[request.param]
 
@@ -181,7 +192,7 @@ def test_multipliers_are_those_of_the_tangent_along_the_orbit(case):
 
 
 # Of walls at unequal distances: those of "sharp", "softer below", "loaded".
-@pytest.mark.parametrize("case", [n for n in CASES if "one-sided" not in n], indirect=True)
+@pytest.mark.parametrize("case", params(n for n in CASES if "one-sided" not in n), indirect=True)
 def test_scipy_finds_the_same_response(case):
     _, omega, start, found = case.orbits[0]
     how = {"engine": "scipy", "rtol": 1e-9, "atol": 1e-12}

@@ -260,6 +260,7 @@ def ode45(rhs, t_end, y, rtol, atol, *, restart=False):
 
 # Step lengths hang on error estimates that cancel almost fully, and a kink that is not located
 # multiplies a difference in the last place about tenfold per rejected step: a short time.
+@pytest.mark.extended
 @pytest.mark.parametrize(("rtol", "atol"), [(1e-4, 1e-7), (1e-6, 1e-9)])
 @pytest.mark.parametrize(
     ("law", "t_end"),
@@ -279,6 +280,7 @@ def test_ode45_controller_takes_the_steps_of_ode45(law, t_end, rtol, atol):
 
 
 # As written, steps pass kinks, which multiply a difference in the last place: a short time.
+@pytest.mark.extended
 @pytest.mark.parametrize(
     ("contact_force", "t_end", "n_contacts"), [("by_mode", 0.6, 11), ("as_written", 0.08, 3)]
 )
@@ -341,6 +343,7 @@ def test_the_reference_takes_the_steps_of_scipy_with_either_force(omega, contact
     assert_allclose(run.t_contacts, contacts, rtol=1e-6)
 
 
+@pytest.mark.extended
 def test_location_brings_little_and_a_force_by_mode_much():
     """Median rms distance over the fourth period, in gap widths, at the paper's tolerance.
 
@@ -372,6 +375,7 @@ def test_location_brings_little_and_a_force_by_mode_much():
 HOW = [{}, {"restart": True}, {"controller": "ode45", "restart": True}, {"engine": "scipy"}]
 
 
+@pytest.mark.extended
 @pytest.mark.parametrize("how", HOW)
 def test_both_forces_tend_to_the_same_motion(how):
     """Starts on walls and gaps of width zero among them; an error of a tolerance a step."""

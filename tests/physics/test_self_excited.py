@@ -16,6 +16,8 @@ from gapsweep.response.equilibrium import Rates, rates
 from gapsweep.response.respond import respond_all
 from gapsweep.response.scene import Scene
 
+pytestmark = pytest.mark.extended
+
 PERIODIC, EQUILIBRIUM = gs.ResponseClass.PERIODIC, gs.ResponseClass.EQUILIBRIUM
 LAW = gs.Piecewise(2e3, gs.Gap(5e-3, 6e-3))
 

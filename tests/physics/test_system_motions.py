@@ -38,7 +38,12 @@ def case():
 
 
 @pytest.mark.parametrize(
-    ("n", "n_contacts", "count", "tangent"), [(2, 1, 4, True), (3, 2, 4, True), (6, 3, 1, False)]
+    ("n", "n_contacts", "count", "tangent"),
+    [
+        (2, 1, 4, True),
+        pytest.param(3, 2, 4, True, marks=pytest.mark.extended),
+        pytest.param(6, 3, 1, False, marks=pytest.mark.extended),
+    ],
 )
 def test_random_systems_move_as_matrix_exponentials_say(n, n_contacts, count, tangent):
     for case in solvable(n, n_contacts, count):

@@ -11,6 +11,8 @@ from numpy.testing import assert_allclose
 import gapsweep as gs
 from gapsweep.integrate.stepping import batch
 
+pytestmark = pytest.mark.extended
+
 GAP = gs.Gap(4e-4, 6e-4)
 # Damped so that each scene has one attractor: which one a start ends on is another question.
 OSCILLATORS = (
@@ -152,6 +154,17 @@ def test_mistakes_are_named(arguments, message):
         gs.respond(system, **({"law": law, "omega": 3.0} | arguments))
 
 
+@pytest.mark.parametrize("engine", ["compiled", "scipy"])
+@pytest.mark.parametrize(
+    "other", [gs.Tanh(1e4, GAP, 1e4), gs.Piecewise(1e4, GAP, located=False)], ids=["tanh", "none"]
+)
+def test_no_engine_locates_some_contacts_only(engine, other):
+    system, law = coupled()
+    law = law | {list(law)[-1]: other}
+    with pytest.raises(gs.ModelError, match="all contacts or none"):
+        gs.simulate(system, law, 3.0, t_end=0.1, engine=engine)
+
+
 def test_a_part_too_light_to_be_seen_is_not_judged():
     # Uncoupled parts, so that the heavy one cannot matter: the light one alone is chaotic.
     small, w = 1e-5, 0.9
@@ -196,7 +209,7 @@ def test_contact_that_chatter_ends_is_counted_once(monkeypatch):
     system = two_equal_machines()
     shares = []
     for most in (100.0, 99.0, 8.0, 7.0):
-        monkeypatch.setattr(batch, "_MOST_SHORT", most)
+        monkeypatch.setattr(batch, "MOST_SHORT", most)
         law = gs.Piecewise(0.5, gs.Gap(0.0, 0.1))
         found = gs.respond(system, law, 1.1, q_0=[0.013, 0.0, 0.013, 0.0])
         shares.append(found.contact_share)

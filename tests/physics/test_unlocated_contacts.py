@@ -37,7 +37,7 @@ def test_every_contact_counted_has_its_time(rtol, controller):
 # ---- Section points --------------------
 
 
-@pytest.mark.parametrize("restart", [False, True])
+@pytest.mark.parametrize("restart", [False, pytest.param(True, marks=pytest.mark.extended)])
 def test_steps_over_many_forcing_periods_keep_every_section_point(restart):
     # Without forcing nothing keeps ode45's steps short of its period.
     free, law = gs.systems.paper_oscillator(forcing=0.0), gs.Tanh(SOFT, GAPS["wide"], 1e4)

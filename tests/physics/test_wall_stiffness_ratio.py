@@ -90,6 +90,7 @@ def two_masses():
     )
 
 
+@pytest.mark.extended
 @pytest.mark.parametrize("law", [gs.Piecewise, gs.Tanh])
 def test_a_wall_without_stiffness_of_a_system_is_none(law):
     more = {} if law is gs.Piecewise else {"epsilon": 1e4}

@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from matplotlib.text import Text
 from scipy.ndimage import binary_dilation
 
-from gapsweep.report.figure_marks import as_csv
+from gapsweep.report.figure_data import as_csv
 
 NEAR = 5  # pixels: marks have other sizes
 

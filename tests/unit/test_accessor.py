@@ -25,7 +25,7 @@ from gapsweep.analysis.agreement.comparison import agreement
 from gapsweep.continuation.special import Special
 from gapsweep.model.systems import paper_oscillator
 from gapsweep.report.branch_lines import caption, of_scene
-from gapsweep.report.figure_marks import as_csv
+from gapsweep.report.figure_data import as_csv
 from gapsweep.report.figures import frequency_response
 from gapsweep.report.style import GREY, MATPLOTLIB, NOT_PERIODIC, colour
 

@@ -206,6 +206,7 @@ AUTO = {
 }
 
 
+@pytest.mark.extended
 def test_auto_meets_its_error_and_says_what_it_chose(client, tmp_path):
     study = gs.Study.from_dict(AUTO)
     out, cache = tmp_path / "out", tmp_path / "cache"
@@ -271,6 +272,17 @@ def test_advice_covers_every_frequency_once():
         (30.0, 30.0, "linear"),
     ]
     assert start["start"] == "rest"
+
+
+def test_where_no_wall_is_reached_no_smooth_law_is_named():
+    far = AUTO["sweep"][0] | {"omega": [24.0, 30.0], "representation": ["piecewise", "tanh-1e4"]}
+    (near,) = sentences(advice(gs.Study.from_dict(AUTO | {"sweep": [far | {"omega": [7.0]}]})))
+    assert "tanh: epsilon >= " in near["approximations"]
+    assert near["laws"]
+    (scene,) = sentences(advice(gs.Study.from_dict(AUTO | {"sweep": [far]})))
+    assert "no wall is reached" in scene["approximations"]
+    assert "tanh" not in scene["approximations"]
+    assert scene["laws"] == []
 
 
 def test_starts_that_need_the_same_model_are_told_together():

@@ -11,7 +11,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from tests.builders.datasets import chaotic, datasets, failed, periodic, tables, unresolved
 
 from gapsweep import ResponseClass, Status
-from gapsweep.analysis.agreement.comparison import _width, agreement
+from gapsweep.analysis.agreement.comparison import agreement, length_scale
 from gapsweep.analysis.agreement.metrics import METRICS, REGIMES, variables
 from gapsweep.store import netcdf
 
@@ -237,8 +237,8 @@ def test_a_wall_that_nothing_comes_near_to_is_no_scale_of_errors():
         noise=np.array([[1e-12, 1e-12], [np.nan, 1e-12]]),
         found=SimpleNamespace(section=np.zeros((1, 1, 1, 2))),
     )
-    assert _width(2e-3, moving) == 2e-3  # it is reached
-    assert _width(1e6, moving) == _width(1.0, moving) == 6e-3
+    assert length_scale(2e-3, moving) == 2e-3  # it is reached
+    assert length_scale(1e6, moving) == length_scale(1.0, moving) == 6e-3
     dying = SimpleNamespace(**vars(moving) | {"amplitude": np.full((2, 2), 1e-12)})
     dying.noise = np.full((2, 2), 1e-12)
-    assert _width(1e-3, dying) == 1e-3  # what is left of a motion that dies out is no scale
+    assert length_scale(1e-3, dying) == 1e-3  # what is left of a motion that dies out is no scale

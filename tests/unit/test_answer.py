@@ -24,24 +24,23 @@ from workflows.paper.figures import sections
 
 from gapsweep.analysis.agreement.comparison import agreement
 from gapsweep.analysis.claims import Run
-from gapsweep.analysis.datasets.timing import repeatability, timing, widened
+from gapsweep.analysis.datasets.timing import repeatability, widened
 from gapsweep.model.labels import Representation
-from gapsweep.report.answer import (
+from gapsweep.report.scales import NamedValue
+from gapsweep.report.sections import findings
+from gapsweep.report.verdicts import (
     COLUMNS,
     Contact,
     Judged,
-    _judged,
-    _values,
     consequence,
     contacts,
     in_words,
+    judged_law,
+    shown_values,
     times,
     verdict,
     worst,
 )
-from gapsweep.report.findings import findings
-from gapsweep.report.inputs import Inputs
-from gapsweep.report.scales import NamedValue
 from gapsweep.study.study import Study
 
 NOTHING = {name: np.full(1, np.nan) for name in ("median", "p95", "found")}
@@ -131,8 +130,8 @@ def numbers(p95, ci):
     ],
 )
 def test_a_floor_without_an_interval_makes_no_verdict_firm(several, possible):
-    floors = worst([_values(numbers(*each)) for each in several])
-    one = _judged("tanh-1e4", numbers(0.2, (0.15, 0.25)), floors, 0.1)
+    floors = worst([shown_values(numbers(*each)) for each in several])
+    one = judged_law("tanh-1e4", numbers(0.2, (0.15, 0.25)), floors, 0.1)
     assert (one.verdict, one.possible) == ("exact here", possible)
 
 
@@ -429,7 +428,8 @@ def responses(tmp_path_factory):
 
 
 def found_in(responses, *several):
-    return " ".join(findings(Inputs(responses, None), several))
+    texts = next(findings.sections(responses)).sentences
+    return " ".join([*texts, *findings.counted(several)])
 
 
 def test_pairs_are_counted_by_verdict(responses):
@@ -562,9 +562,9 @@ def test_a_second_run_on_a_busy_machine_changes_no_sentence(papers, papers_respo
 
     def texts(run):
         found = judged_of(run)
-        inputs = Inputs(run["responses"], timing(run["responses"]), run["agreement"])
         without_times = page(run).partition("**(b)")[0]
-        said = (finding(run), *answer(run), *in_words(found), *findings(inputs, found))
+        told = next(findings.sections(run["responses"], run["agreement"])).sentences
+        said = (finding(run), *answer(run), *in_words(found), *told)
         return *said, signs(found), without_times
 
     responses, attractors = papers_responses

@@ -7,9 +7,9 @@ from tests.builders.datasets import chaotic, datasets, failed, periodic, tables,
 
 from gapsweep.analysis.agreement.attractor_sets import (
     CLOSE,
-    _mirror_classes,
     basin_metrics,
     matching,
+    mirror_classes,
     set_metrics,
 )
 from gapsweep.analysis.agreement.law_tables import AttractorTable, law_table
@@ -167,7 +167,7 @@ def test_images_are_one_whichever_of_them_names_the_other(mirror_of):
         n=np.array([2]), response_class=none, period_multiple=none, amplitude=none,
         mirror_of=np.array([mirror_of]), section=none, noise=none,
     )  # fmt: skip
-    assert _mirror_classes(found).tolist() == [[0, 0]]
+    assert mirror_classes(found).tolist() == [[0, 0]]
 
 
 def test_an_image_has_the_same_period(compare):

@@ -77,15 +77,13 @@ def test_key_and_caption_name_the_bands_that_are_drawn(kinds):
 
 @pytest.mark.parametrize(("of_peaks", "heights"), [(False, [-2.0, 3.0]), (True, [3.0])])
 def test_below_peaks_stands_no_wall_that_would_press_them_flat(of_peaks, heights):
-    axes = Figure().subplots()
-    backdrop.walls(axes, scene("periodic"), of_peaks=of_peaks)
-    assert [line.get_ydata()[0] for line in axes.lines] == pytest.approx(heights)
+    walls = backdrop.walls(scene("periodic"), of_peaks=of_peaks)
+    assert [wall.y for wall in walls] == pytest.approx(heights)
 
 
 def test_a_dot_without_a_known_basin_is_no_small_basin():
-    axes = Figure().subplots()
-    attractor_peaks(axes, attractors(np.nan, 0.01, 1.0), "omega")
-    unknown, small, whole = axes.collections[0].get_sizes()
+    filled, _ = attractor_peaks(attractors(np.nan, 0.01, 1.0), "omega")
+    unknown, small, whole = filled.size
     assert small < unknown < whole
 
 
@@ -188,9 +186,8 @@ def of_system(coordinate, K_ratio=1.0):
     ],
 )
 def test_walls_of_a_system_stand_where_its_coordinate_meets_them(shown, of_peaks, heights, said):
-    axes = Figure().subplots()
-    backdrop.walls(axes, shown, of_peaks=of_peaks)
-    assert sorted(line.get_ydata()[0] for line in axes.lines) == pytest.approx(heights)
+    walls = backdrop.walls(shown, of_peaks=of_peaks)
+    assert sorted(np.ravel(wall.y)[0] for wall in walls) == pytest.approx(heights)
     assert backdrop.caption_of_walls(shown, of_peaks=of_peaks) == said
 
 
@@ -201,7 +198,7 @@ def test_a_wall_of_a_system_sets_no_axis():
 
 def test_a_figure_of_a_system_names_the_coordinate_and_what_is_fixed():
     (axes,) = bifurcation(of_system("arm")).axes
-    assert axes.get_ylabel() == "arm: extrema"
+    assert axes.get_ylabel() == "arm: extrema [unit of arm]"
     both = [of_system("arm"), of_system("arm")]
     shown = xr.concat(both, "initial_condition", coords="minimal", compat="override")
     shown = shown.assign_coords(
@@ -209,7 +206,7 @@ def test_a_figure_of_a_system_names_the_coordinate_and_what_is_fixed():
     )
     for number, said in enumerate(("initial_condition = sweep_up", "initial_condition = 1")):
         axes = shown.gapsweep.bifurcation(initial_condition=number, ax=Figure().subplots())
-        assert axes.get_ylabel() == "arm: steady extrema"
+        assert axes.get_ylabel() == "arm: steady extrema [unit of arm]"
         assert axes.get_xlabel() == "forcing frequency [Hz]"
         title = axes.get_title(loc="left")
         assert title.startswith("tanh-10000, ")

@@ -21,9 +21,11 @@ from gapsweep.analysis.bench.stability import stability
 from gapsweep.execution.isolated import CallError
 from gapsweep.integrate import compiled
 from gapsweep.integrate.problem import Solver
+from gapsweep.integrate.runge_kutta import representations
 from gapsweep.model.equilibria import equilibria, linear_stiffness
 from gapsweep.report.bench_figures import STATUS_LETTERS, atlas, worst
-from gapsweep.report.benchmarks import bench_parts, conclusions
+from gapsweep.report.sections.benchmarks import conclusions
+from gapsweep.report.sections.benchmarks import stability as section_of
 from gapsweep.status import Status
 
 WORKFLOW = Path(__file__).parents[2] / "workflows" / "stability.toml"
@@ -64,15 +66,12 @@ def outcomes(*tables, labels=("piecewise",)):
 
 def test_engine_with_a_wrong_smooth_force_is_silent_and_wrong(monkeypatch):
     # At every tolerance, so that its tight solution is as wrong: scipy's is the witness.
-    kernel_law = compiled._kernel_law
+    of_numbers = representations.of_numbers
 
-    def broken(models, contact):
-        def stiffer(laws):
-            return tuple(replace(law, K_c=1.01 * law.K_c) for law in laws)
+    def broken(law, K_c, **others):
+        return of_numbers(law, K_c=1.01 * K_c, **others)
 
-        return kernel_law(models.with_laws(stiffer), contact)
-
-    monkeypatch.setattr(compiled, "_kernel_law", broken)
+    monkeypatch.setattr(representations, "of_numbers", broken)
     found = outcomes(HARD, labels=["arctan-1e6"])[0, 0]
     assert found.tolist()[1:] == [Outcome.SILENT_WRONG] * 2
 
@@ -105,6 +104,7 @@ def test_energy_that_leaks_is_silent_and_wrong(monkeypatch):
     assert outcomes(table)[0, 0, 1:].tolist() == [Outcome.SILENT_WRONG] * 2
 
 
+@pytest.mark.extended
 def test_model_error_is_the_models():
     found = outcomes(HARD, labels=["piecewise", "tanh-1e4", "tanh-1e9"])[0, :, 2]
     assert found.tolist() == [Outcome.RIGHT, Outcome.MODEL_ERROR, Outcome.RIGHT]
@@ -195,7 +195,7 @@ def test_law_that_cannot_be_built_is_model_invalid():
 
 def test_chatter_is_a_failure_with_its_status(monkeypatch):
     scene = scene_of(gap=[1e-12, 1e-12], start=[0.0, 0.05])
-    monkeypatch.setattr(compiled.batch, "_MOST_SHORT", 0.0)
+    monkeypatch.setattr(compiled.batch, "MOST_SHORT", 0.0)
     run = observed(scene, scene.law("piecewise"), SOLVER)
     assert run.status is Status.CHATTER
     answer = judge(scene_of(), "tanh-1e4", judge(scene_of(), "piecewise", None))
@@ -266,6 +266,7 @@ def mixed():
     return stability(study_of(HARD, strong, left_out, labels=LABELS))
 
 
+@pytest.mark.extended
 def test_processes_compute_the_same_cells_as_this_one(mixed):
     here = stability(study_of(HARD, labels=LABELS))
     for name in here.data_vars:
@@ -328,7 +329,7 @@ def test_false_wells_are_predicted(mixed):
 
 
 def test_report_lists_scenes_and_laws(mixed):
-    [part] = bench_parts(None, mixed)
+    [part] = section_of(mixed)
     assert part.sentences[0].endswith(": 0.")
     assert [row[0] for row in part.tables[0].rows] == ["hard", "strong", "without"]
     assert len(part.figures) == 2

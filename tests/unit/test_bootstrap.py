@@ -31,7 +31,7 @@ def test_quantiles_and_intervals_are_those_of_the_samples_drawn(cells, n_blocks)
     if used.size < bootstrap.FEWEST_BLOCKS:
         assert np.isnan(intervals).all()
         return
-    draws = bootstrap._draws(used.size)
+    draws = bootstrap.draws(used.size)
     of = np.searchsorted(used, block)
     samples = [np.quantile(np.repeat(values, draw[of]), Q) for draw in draws]
     expected = np.quantile(samples, (0.025, 0.975), axis=0).T
@@ -46,7 +46,7 @@ def test_pooled_statistics_are_those_of_the_blocks_drawn():
     estimate, interval = pooled(sums, block)
     assert_allclose(estimate, sums[:, 0].sum() / sums[:, 1].sum())
     by_block = sums.reshape(10, 3, 2).sum(axis=1)
-    drawn = [ratio((draw[:, None] * by_block).sum(axis=0)) for draw in bootstrap._draws(10)]
+    drawn = [ratio((draw[:, None] * by_block).sum(axis=0)) for draw in bootstrap.draws(10)]
     assert_allclose(interval, np.quantile(drawn, (0.025, 0.975)))
 
 
@@ -89,5 +89,5 @@ def test_intervals_hold_the_truth_about_as_often_as_they_say(estimate):
 def test_intervals_are_the_same_in_every_run():
     values, block = correlated(np.random.default_rng(3))
     first = quantiles(values, block, Q)[1]
-    bootstrap._draws.cache_clear()
+    bootstrap.draws.cache_clear()
     assert quantiles(values, block, Q)[1].tolist() == first.tolist()

@@ -6,6 +6,7 @@ import sys
 
 import click
 import pytest
+from tests.builders.runs import in_a_process
 
 from gapsweep.cli.main import commands
 from gapsweep.cli.options import ENGINES, selected
@@ -72,16 +73,13 @@ def test_examples_can_be_typed(path):
         ("gapsweep run --retry", "plain,--retry-failed"),
     ],
 )
-def test_shell_completion_offers_what_fits(words, offered):
+def test_shell_completion_offers_what_fits(words, offered, tmp_path):
     environment = {
         "_GAPSWEEP_COMPLETE": "bash_complete",
         "COMP_WORDS": words,
         "COMP_CWORD": str(len(words.split()) - 1),
     }
-    code = "from gapsweep.cli import main; main()"
-    done = subprocess.run(
-        [sys.executable, "-c", code], env=environment, capture_output=True, text=True
-    )
+    done = in_a_process(tmp_path, variables=environment)
     assert done.stdout.split() == [offered]
 
 

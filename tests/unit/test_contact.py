@@ -3,6 +3,8 @@
 import json
 import math
 import pickle
+from inspect import signature
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,11 +12,14 @@ from hypothesis import given
 from numpy.polynomial import chebyshev
 from numpy.testing import assert_allclose
 from tests.builders import strategies as own
+from tests.builders.studies import LABELS
 
 import gapsweep as gs
+from gapsweep.model import laws
 from gapsweep.model.contact import FIT_RANGE
 from gapsweep.model.fit import Fit, best_pole_free, poles, rational_candidates, unit_force
-from gapsweep.model.labels import Representation
+from gapsweep.model.labels import EXAMPLES, Representation
+from gapsweep.model.laws.fitted import Fitted
 
 SOFT = 1.4e4
 SYMMETRIC = gs.Gap(0.4e-3, 0.4e-3)
@@ -138,6 +143,42 @@ def test_odd_terms_alone_give_an_odd_fit():
 def test_force_of_a_symmetric_gap_is_odd(label, gap, x):
     law = gs.contact_law(label, SOFT, gap)
     assert_allclose(law.force(-x), -law.force(x), atol=1e-9 * SOFT * 4e-3)
+
+
+def numbers(law):
+    """Numbers of the formulas of the compiled engine for one law, by the names of arguments."""
+    low, high = map(np.asarray, law.walls)
+    ratio, sharpness = np.asarray(law.K_ratio), getattr(law, law.symbol, np.nan)
+    found = {"stiffness": law.K_c, "low": low, "high": high, "ratio": ratio}
+    if isinstance(law, Fitted):
+        top, bottom = law.coefficients
+        found |= {"numerator": top, "denominator": bottom}
+        found |= {"stiffness": 1.0, "fit_range": law.fit_range}
+    return found | law.rows(low, high, ratio, np.asarray(sharpness))
+
+
+@pytest.mark.parametrize("label", LABELS)
+@pytest.mark.parametrize("gap", [SYMMETRIC, ASYMMETRIC, gs.Gap(2e-4, 0.0)])
+def test_formulas_of_the_compiled_engine_give_force_and_slope(label, gap):
+    """On plain numbers, and compared with the force in NumPy, which is written separately."""
+    law = gs.contact_law(label, SOFT, gap, K_ratio=0.4)
+    given, x = numbers(law), np.linspace(-1.3e-3, 1.7e-3, 61)
+    for formula, expected in (
+        (law.formulas.force, law.force(x)),
+        (law.formulas.slope, law.derivative(x)),
+    ):
+        names = [*signature(formula).parameters][1:]
+        found = [formula(at, *(given[name] for name in names)) for at in x.tolist()]
+        assert_allclose(found, expected, rtol=1e-9, atol=1e-12 * np.abs(expected).max())
+
+
+def test_every_law_in_the_folder_is_registered():
+    files = {path.stem for path in Path(laws.__file__).parent.glob("*.py")}
+    registered = {law.__module__.rpartition(".")[2] for law in laws.LAWS}
+    assert files - {"__init__", "sharpened"} == registered - {"contact"}
+    assert [Representation(label).law_type for label in EXAMPLES.split(", ")] == [
+        law for law in laws.LAWS for _ in law.examples
+    ]
 
 
 @pytest.mark.parametrize("family", ["tanh", "arctan", "logarctan"])

@@ -7,7 +7,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 import gapsweep as gs
-from gapsweep.model.fitted import RationalPolynomial
+from gapsweep.model.laws.fitted import RationalPolynomial
 from gapsweep.model.systems import paper_oscillator
 from gapsweep.model.user_law import UserLaw
 from gapsweep.response.loads import largest_forces

@@ -49,6 +49,7 @@ REFUSED = {
         r"law = .* gs\.law\(function, K_c, gap\)",
     ),
     "own law without its gap": (lambda: gs.law(spring, K_c=1.0), r"'gap'; .*write gs\.law\("),
+    "own law without its arguments": (lambda: gs.law(spring), r"K_ratio, \*\*parameters: write"),
     "misspelt K_c": (lambda: gs.law(spring, Kc=1.0, gap=GAP), r"'K_c'; .*write gs\.law\("),
     "misspelt start": (lambda: answered(xo=0.0), r"'xo'; .*x_0.*write gs\.respond\("),
     "misspelt end": (lambda: simulated(tend=1.0), r"'tend'; .*t_end.*write gs\.simulate\("),

@@ -11,8 +11,10 @@ from numba.core import codegen, compiler, serialize, sigutils
 from numba.core.caching import CompileResultCacheImpl, FunctionCache
 from numba.core.dispatcher import Dispatcher
 
+import gapsweep as gs
 from gapsweep.integrate import jit
 from gapsweep.integrate.problem import LOADING
+from gapsweep.integrate.stepping.loop import advance
 
 
 def chaos(x, out):
@@ -99,12 +101,12 @@ def allocating(n):
 
 
 def test_numba_compiles_parts_only_within_their_callers():
-    """The library of a part is `_InlinedCode`, which holds no machine code."""
+    """The library of a part is `InlinedCode`, which holds no machine code."""
     part = jit.internal(chaos)
     njit(lambda x, out: part(x, out))(0.3, np.empty(3))
     (found,) = part.overloads.values()
     replaced = sentence("code of a part is compiled separately", "sets state.library for parts")
-    assert isinstance(found.library, jit._InlinedCode), replaced
+    assert isinstance(found.library, jit.InlinedCode), replaced
     assert found.library.get_pointer_to_function(found.fndesc.llvm_func_name) == 0, replaced
 
 
@@ -146,7 +148,23 @@ def test_numba_keeps_and_loads_machine_code_by_the_cache_of_jit(folder):
 def test_numba_takes_its_folder_from_the_setting_that_jit_replaces(folder):
     """numba's own cache would refuse a function without a folder to write to."""
     usual = numba.config.CACHE_DIR
-    made = jit._MachineCodeCache(chaos)
+    made = jit.MachineCodeCache(chaos)
     ignored = sentence("config.CACHE_DIR is not the folder of a cache", "sets it to its folder")
     assert made.cache_path.startswith(str(jit.code_folder())), ignored
     assert usual == numba.config.CACHE_DIR
+
+
+@pytest.mark.parametrize("law", [gs.Piecewise, gs.Tanh])
+def test_one_kernel_serves_all_tolerances_and_sizes_of_batches(law):
+    contact = law(1.4e4, gs.Gap(4e-4, 4e-4), *([1e5] if law is gs.Tanh else []))
+
+    def run(omega, rtol):
+        oscillator = gs.systems.paper_oscillator()
+        return gs.simulate(oscillator, contact, omega, n_periods=2, rtol=rtol).n_steps
+
+    run(9.0, 1e-9)
+    before = len(advance.signatures)
+    for rtol in (1e-3, 1e-6, 1e-12):
+        assert run(9.0, rtol) > 0
+        assert np.all(run(np.linspace(8.0, 9.0, 20), rtol) > 0)
+    assert len(advance.signatures) == before

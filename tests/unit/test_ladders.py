@@ -19,28 +19,36 @@ RANGE = 4e-3
 VERY_SOFT, SOFT, HARD = 1.4e3, 1.4e4, 1.4e6
 SYMMETRIC, ASYMMETRIC = gs.Gap(0.4e-3, 0.4e-3), gs.Gap(0.0, 0.8e-3)
 OSCILLATOR = gs.systems.paper_oscillator()
+NO_LINEAR = "no constant or linear term"
+
+
+def ladders_of(gaps, degrees, ratios):
+    """The paper's ladders of some gaps, of fewer degrees: all take most of a minute."""
+    sweep = {
+        "representation": ["piecewise"],
+        "K_c": [VERY_SOFT, SOFT, HARD],
+        "gap": [[gap.j_1, gap.j_2] for gap in gaps],
+        "omega": [7.0],
+    }
+    study = {"study": {"name": "rungs"}, "oscillator": PAPER, "sweep": [sweep]}
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(ladder, "DEGREES", degrees)
+        patch.setattr(ladder, "RATIOS", ratios)
+        return ladder.ladders(gs.Study.from_dict(study))
 
 
 @pytest.fixture(scope="module")
 def rungs():
-    sweep = {
-        "representation": ["piecewise"],
-        "K_c": [VERY_SOFT, SOFT, HARD],
-        "gap": [[gap.j_1, gap.j_2] for gap in (SYMMETRIC, ASYMMETRIC)],
-        "omega": [7.0],
-    }
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(ladder, "RATIOS", ("3/2", "5/3"))  # the others take most of a minute
-        yield ladder.ladders(
-            gs.Study.from_dict({"study": {"name": "rungs"}, "oscillator": PAPER, "sweep": [sweep]})
-        )
+    return ladders_of((SYMMETRIC, ASYMMETRIC), ladder.DEGREES, ("3/2", "5/3"))
 
 
+@pytest.mark.extended
 def test_in_gap_force_of_a_high_degree_at_hard_contact(rungs):
     rung = rungs["poly_in_gap_force"].sel(gap="0.4/0.4", constraint="none", degree=45)
     assert f"{HARD * float(rung):.0f}" == "39"
 
 
+@pytest.mark.extended
 def test_best_rational_fit_of_low_degree_is_odd(rungs):
     rung = rungs.sel(gap="0.4/0.4", ratio="3/2")
     law = gs.contact_law("ratpoly-3/2", SOFT, SYMMETRIC)
@@ -90,12 +98,13 @@ def test_constrained_polynomials_lack_constant_and_linear_term(gap, degree):
     fit = columns @ np.linalg.lstsq(columns, exact, rcond=None)[0]
     law = ladder.polynomial(gap, degree, RANGE, lowest=2)
     assert_allclose(law(x), fit, atol=1e-12 * RANGE)
-    errors = ladder._of_polynomial(law, gap, RANGE)
+    errors = ladders_of([gap], (degree,), ("3/2",)).sel(constraint=NO_LINEAR).squeeze()
     assert_allclose(errors["poly_rmse"], np.sqrt(np.mean((fit - exact) ** 2)), rtol=1e-9)
     worst = np.max(np.abs(fit - exact)[exact != 0.0])
     assert_allclose(errors["poly_outside_error"], worst, rtol=1e-9)
 
 
+@pytest.mark.extended
 def test_more_terms_never_fit_worse_and_a_constraint_never_better(rungs):
     rmse = rungs["poly_rmse"]
     assert (rmse.diff("degree") <= 1e-15).all()
@@ -103,6 +112,7 @@ def test_more_terms_never_fit_worse_and_a_constraint_never_better(rungs):
     assert (constrained >= free).all()
 
 
+@pytest.mark.extended
 @pytest.mark.parametrize(("unit", "metre"), [("m", 1.0), ("mm", 1e3), ("4 mm", 250.0)])
 def test_the_condition_grows_at_least_as_the_sizes_of_the_columns_differ(rungs, unit, metre):
     # The columns of 1 and of the leading monomial, whose mean square is range**(2 n) / (2 n + 1).
@@ -111,11 +121,13 @@ def test_the_condition_grows_at_least_as_the_sizes_of_the_columns_differ(rungs, 
     assert (rungs["poly_condition"].sel(unit=unit) > np.maximum(sizes, 1.0 / sizes)).all()
 
 
+@pytest.mark.extended
 def test_harder_contact_needs_a_higher_degree(rungs):
     degree = rungs["poly_smallest_degree"].sel(gap="0.4/0.4").values.tolist()
     assert degree == [5, 45, 0]
 
 
+@pytest.mark.extended
 def test_static_error_falls_fastest_for_tanh_and_slowest_for_logarctan(rungs):
     rmse = rungs["smooth_rmse"].sel(gap="0.4/0.4")
     tanh, arctan, logarctan = (rmse.sel(family=name) for name in ladder.TANGENTS)
@@ -158,6 +170,7 @@ def test_without_a_distance_to_a_wall_there_is_no_threshold():
     assert np.isnan(thresholds.tanh_threshold(OSCILLATOR, HARD, nowhere, RANGE))
 
 
+@pytest.mark.extended
 @pytest.mark.parametrize("label", ["poly-13", "ratpoly-5/3", "tanh-1e4", "logarctan-1e4"])
 @pytest.mark.parametrize("gap", [SYMMETRIC, ASYMMETRIC])
 def test_ladders_hold_the_errors_of_the_laws(rungs, label, gap):
@@ -179,6 +192,7 @@ def test_ladders_hold_the_errors_of_the_laws(rungs, label, gap):
         assert_allclose(HARD * rung[f"{kind}_in_gap_force"], in_gap, rtol=1e-5)
 
 
+@pytest.mark.extended
 def test_every_variable_has_a_unit_and_a_name(rungs):
     for name, variable in rungs.data_vars.items():
         assert variable.attrs["units"], name
@@ -189,5 +203,5 @@ def test_a_fit_that_cannot_be_made_is_left_out(monkeypatch):
     def no_fit(*args):
         raise gs.ModelError("pole at x = 1 mm")
 
-    monkeypatch.setattr("gapsweep.model.fitted.rational_fit", no_fit)
-    assert np.isnan(ladder._of_rational("ratpoly-3/2", SYMMETRIC, RANGE)["ratpoly_rmse"])
+    monkeypatch.setattr("gapsweep.model.laws.fitted.rational_fit", no_fit)
+    assert np.isnan(ladders_of([SYMMETRIC], (3,), ("3/2",))["ratpoly_rmse"]).all()

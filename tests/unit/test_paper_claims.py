@@ -291,7 +291,7 @@ def outcomes(study):
     return {(id, *key): seen for id, known in found.items() for key, seen in known.items()}
 
 
-@pytest.mark.packaging
+@pytest.mark.extended
 @pytest.mark.filterwarnings("ignore")
 def test_no_test_of_a_claim_is_vacuous_or_impossible(outcomes):
     one_way = {key: seen for key, seen in outcomes.items() if not {True, False} <= seen[1]}

@@ -28,7 +28,7 @@ from gapsweep.analysis.claims import Run
 from gapsweep.analysis.datasets import static as static_part
 from gapsweep.analysis.datasets.histories import histories
 from gapsweep.analysis.spectra import N_PERIODS, SAMPLES_PER_PERIOD
-from gapsweep.report.figure_marks import as_csv
+from gapsweep.report.figure_data import as_csv
 from gapsweep.report.figures import bifurcation
 from gapsweep.report.parts import rendered
 from gapsweep.report.pictures import is_picture
@@ -137,7 +137,7 @@ def extrema(scene, at=0):
 
 def overlay(limits, front, rear):
     hits = np.isin(OMEGA, OMEGA[[3, 7]])
-    return diagram(limits, {"both": [(rear, (0,)), (front, (0,))]}, 1, marks={"both": hits})
+    return diagram(limits, {"both": [(rear, (0,)), (front, (0,))]}, 1, ticks={"both": hits})
 
 
 def test_no_text_lies_on_another(scene, kept):
@@ -359,7 +359,7 @@ def test_a_scan_finds_rest_without_period_3_and_the_released_mass_with_it_in_the
     assert_allclose(sorted(everywhere[:, 1]), sorted(100.0 * found["inside"].values.ravel()))
 
 
-@pytest.mark.packaging
+@pytest.mark.extended
 def test_figure_2c_has_both_stiffnesses_and_figure_5_its_ladders():
     study = gs.Study.from_dict(
         {"study": {"name": "forces"}, "oscillator": PAPER, "sweep": [SOFT_SWEEP]}

@@ -37,8 +37,8 @@ def test_until_the_first_point_is_computed_machine_code_is_awaited():
 
 
 def test_a_log_has_a_line_per_stage_that_lasts_and_one_now_and_then(monkeypatch, capsys):
-    monkeypatch.setattr(console, "_SOON_SECONDS", 0.1)
-    monkeypatch.setattr(console, "_LINE_SECONDS", 0.3)
+    monkeypatch.setattr(console, "SOON_SECONDS", 0.1)
+    monkeypatch.setattr(console, "LINE_SECONDS", 0.3)
     with progress_bar() as observe:
         observe(Progress(10, 2, stage="brief"))
         observe(Progress(10, 2, stage="long"))

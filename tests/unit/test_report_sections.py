@@ -4,7 +4,7 @@ import csv
 import json
 import re
 import subprocess
-from dataclasses import replace
+from dataclasses import fields, replace
 from html import unescape
 from xml.etree import ElementTree
 
@@ -22,48 +22,58 @@ from tests.builders.datasets import (
     periodic,
     tables,
 )
-from tests.builders.studies import PAPER
-from tests.unit.test_system_studies import TWO_MASSES
+from tests.builders.studies import PAPER, TWO_MASSES, changed
 
 from gapsweep.analysis.agreement.comparison import agreement
 from gapsweep.analysis.datasets.timing import timing
 from gapsweep.errors import StoreError
-from gapsweep.model.labels import FAMILIES, Representation, contact_law
+from gapsweep.model.labels import Representation, contact_law
+from gapsweep.model.laws import LAWS
 from gapsweep.model.oscillator import Gap
-from gapsweep.report import model as model_module
-from gapsweep.report.answer import Contact, Judged, contacts
-from gapsweep.report.figure_marks import as_csv
-from gapsweep.report.findings import findings
+from gapsweep.report import marks
+from gapsweep.report.contents import SECTIONS
+from gapsweep.report.figure_data import as_csv
 from gapsweep.report.heat import cell, heads, heat, swept_columns
-from gapsweep.report.html import (
-    _environment,
-    _files,
-    _place,
-    _telling,
-    _write,
-    head,
-    sections,
-    write_report,
-)
+from gapsweep.report.html import write_report
 from gapsweep.report.inputs import Inputs
-from gapsweep.report.model import model
-from gapsweep.report.parts import Figured, Part, Table, for_page, pictured, rendered, shown
+from gapsweep.report.links import Links, for_page
+from gapsweep.report.parts import Figured, Part, Table, rendered
 from gapsweep.report.pictures import is_picture, pictures
-from gapsweep.report.provenance import provenance
 from gapsweep.report.scales import NamedValue
+from gapsweep.report.sections import answer, findings, force_errors, provenance
+from gapsweep.report.sections import model as model_section
+from gapsweep.report.sections.claim_list import claim_rows, outcome
 from gapsweep.report.style import MATPLOTLIB
+from gapsweep.report.style import colour as colour_of
 from gapsweep.report.tables import (
     VERDICTS,
-    claim_rows,
     number,
-    outcome,
     percent,
     special_points,
 )
+from gapsweep.report.verdicts import Contact, Judged, contacts
 from gapsweep.run_folder import is_of_run
+from gapsweep.stages import PAGE
 from gapsweep.status import Status
 from gapsweep.store.artefact import SUMS, sha256
 from gapsweep.study.study import Study
+
+
+def found_in(responses, **files):
+    """The findings of some files of a run."""
+    (part,) = findings.sections(responses, **files)
+    return part.sentences
+
+
+def model(responses):
+    (part,) = model_section.sections(responses)
+    return part.content["pairs"]
+
+
+def results(inputs):
+    """The parts under the heading of results."""
+    return [part for section in SECTIONS if section.group for part in section.parts(inputs)]
+
 
 LABELS = ("piecewise", "piecewise@half", "tanh-1e4", "poly-13")
 OMEGA = (1.0, 2.0, 3.0, 4.0)
@@ -96,10 +106,41 @@ def in_own_units(responses):
 EQUAL = {"piecewise": 1.0, "piecewise@half": 1.001, "tanh-1e4": 1.02, "poly-13": 1.3}
 
 
+def test_sections_name_the_files_that_a_report_is_made_from():
+    """As the fields of `Inputs`, which the page is made from."""
+    named = {name for section in SECTIONS for name in (*section.needs, *section.uses)}
+    assert named == {field.name for field in fields(Inputs)}
+    assert named == {file.partition(".")[0] for file in PAGE.inputs}
+
+
+@pytest.mark.parametrize(
+    ("lost", "titles"),
+    [
+        ({}, {"Answer", "Findings", "Model", "Provenance", "Claims", "Force errors"}),
+        ({"claims": None}, {"Claims"}),
+        ({"static": None}, {"Force errors"}),
+        ({"agreement": None}, {"Answer"}),
+    ],
+)
+def test_a_section_lacks_only_where_its_files_do(run, lost, titles):
+    responses, attractors = run
+    whole = Inputs(
+        responses, timing(responses), agreement(responses, attractors),
+        static=static_of([0.0, 1e-4, 0.2]), claims=decided(),
+    )  # fmt: skip
+
+    def shown(inputs):
+        return {part.title for section in SECTIONS for part in section.parts(inputs)}
+
+    every = shown(whole)
+    assert titles <= every
+    assert every - shown(replace(whole, **lost)) == (titles if lost else set())
+
+
 def test_failures_are_counted_once_and_never_ranked(tmp_path):
     responses, compared = made(tmp_path, EQUAL | {"poly-13": None})
     found = contacts(compared)
-    sentences = findings(Inputs(responses, None), found)
+    sentences = found_in(responses, agreement=compared)
     assert sentences[0] == (
         "16 sweep points: 12 periodic, 0 chaotic, 0 unresolved and 4 without a steady response "
         "(4 diverged)."
@@ -134,18 +175,20 @@ def test_no_law_is_judged_by_a_wall_that_the_exact_law_never_touches(
     """As where gaps are meant in millimetres; one touch at one frequency is enough."""
     responses, attractors = touching(tmp_path, gaps)
     compared = agreement(responses, attractors)
-    top = head(Inputs(responses, timing(responses), compared))
-    assert [bool(contact.laws) for contact in top["contacts"]] == [gap < 1e-3 for gap in gaps]
+    (top,) = answer.sections(responses, compared)
+    sentences = found_in(responses, agreement=compared)
+    assert [len(rows) > 1 for _, rows in top.content["numbers"]] == [gap < 1e-3 for gap in gaps]
     for part in said:
-        assert part in top["far"]
-        assert part in top["findings"][0]
-    texts = " ".join([top["far"], *top["findings"], *top["headline"], *top["answer"]])
+        assert part in top.sentences[0]
+        assert part in sentences[0]
+    texts = " ".join([*sentences, *top.sentences, *top.content["sentences"]])
     assert ("never reached" in texts) == bool(said)
     assert ("cannot be judged" in texts) == bool(said)
-    assert [sum(map(bool, judged)) for _, judged in top["heat"]] == [n_judged] * len(top["heat"])
-    assert "adequate" not in top["headline"][0] or n_judged
+    for _, groups in top.content["map"]["rows"]:
+        assert sum(map(bool, groups["error"])) == n_judged
+    assert "adequate" not in top.sentences[0] or n_judged
     own = in_own_units(responses)
-    assert "never reached" not in " ".join(findings(Inputs(own, None), []))
+    assert "never reached" not in " ".join(found_in(own))
 
 
 def test_several_attractors_are_told(tmp_path):
@@ -153,7 +196,7 @@ def test_several_attractors_are_told(tmp_path):
         return periodic([((1.0 + start * (omega > 2.0)) * 1e-3, 0.0)], omega)
 
     responses, attractors = datasets(tmp_path, tables(LABELS, OMEGA, starts=2, **HALF), answer)
-    said = findings(Inputs(responses, None, attractors=attractors), [])
+    said = found_in(responses, attractors=attractors)
     assert len(said) == 3
     assert re.findall("[0-9]+", said[2]) == ["2", "4", "2"]
 
@@ -166,7 +209,7 @@ def test_initial_conditions_that_were_tried_are_counted(tmp_path, starts, sweeps
     study = tables(LABELS, OMEGA, starts=max(starts, 1), sweeps=sweeps, **HALF)
     study["sweep"] = study["sweep"][1:] if starts == 0 else study["sweep"]
     responses, _ = datasets(tmp_path, study, lambda label, w, start: periodic([(1e-3, 0.0)], w))
-    tried = findings(Inputs(responses, None), [])[1]
+    tried = found_in(responses)[1]
     assert re.findall("[0-9]+", tried.split(";")[0]) == [n]
     assert ("coexisting" in tried) == (starts == 0)
 
@@ -184,7 +227,7 @@ def test_where_a_curve_is_chaotic_is_told(tmp_path, starts, some):
         responses, _ = datasets(
             tmp_path / str(len(omega)), tables(LABELS, omega, starts=starts, **HALF), answer
         )
-        return findings(Inputs(responses, None), [])[2:]
+        return found_in(responses)[2:]
 
     assert said(omega) == [
         f"piecewise is chaotic{some} at omega [Hz] 0.5, 1.5 to 2, 4 to 5 and 2 more."
@@ -199,7 +242,7 @@ def test_agreement_of_systems_is_of_what_is_compared(tmp_path):
     place = {"representation": "poly-13", "regime": "all"}
     compared["recall_pooled"].loc[place] = [[1.0], [0.75], [0.5], [1.0]]
     compared["n_compared"].loc[place] = [[0], [4], [4], [4]]
-    said = findings(Inputs(in_own_units(responses), None, compared), [])
+    said = found_in(in_own_units(responses), agreement=compared)
     assert "misses 25 % of the attractors" in said[-1]
     assert "3 parameter sets" in said[-1]
     assert "50 %" in said[-1]
@@ -208,8 +251,8 @@ def test_agreement_of_systems_is_of_what_is_compared(tmp_path):
 def test_what_approximations_keep_of_systems_is_told(tmp_path):
     responses, compared = made(tmp_path, {**EQUAL, "poly-13": 1.3})
     # These are of an oscillator, whose approximations are judged instead.
-    assert len(findings(Inputs(responses, None, compared), [])) == 2
-    *_, tanh, poly = findings(Inputs(in_own_units(responses), None, compared), [])
+    assert not any("accurate" in one for one in found_in(responses, agreement=compared))
+    *_, tanh, poly = found_in(in_own_units(responses), agreement=compared)
     assert tanh.startswith(
         "tanh-1e4 is accurate enough: 95 % of its amplitudes err by less than 2 %"
     )
@@ -226,13 +269,13 @@ def test_left_fit_ranges_are_told_from_missing_responses(tmp_path):
         return periodic([(1e-3, 0.0)], omega, status=outside if omega > 3.0 else Status.OK)
 
     responses, _ = datasets(tmp_path, tables(["poly-13"], OMEGA), answer)
-    assert findings(Inputs(responses, None), [])[0].endswith(
+    assert found_in(responses)[0].endswith(
         "and 1 without a steady response (1 out of fit range); "
         "1 with a steady response beyond the range of their fit."
     )
     both = [responses, responses.assign_coords(representation=["mine:table"])]
     both = xr.concat(both, "representation", coords="minimal", compat="override")
-    assert findings(Inputs(both, None), [])[0].endswith(
+    assert found_in(both)[0].endswith(
         "; 1 with a steady response beyond the range of their fit"
         "; 1 with a steady response beyond the table's ends."
     )
@@ -271,7 +314,7 @@ def decided(sentence="Holds."):
 
 
 PART = {
-    "anchor": '"><script>',
+    "anchor": "own-hostile",
     "title": HOSTILE,
     "sentences": [HOSTILE],
     "tables": [{"title": HOSTILE, "header": [HOSTILE], "rows": [[HOSTILE]]}],
@@ -300,19 +343,68 @@ NAMED = [
 ]
 
 
-THRESHOLDS = xr.Dataset(
-    {"tanh_threshold": (("K_c", "gap"), [[72488.0]])}, {"K_c": [1.4e4], "gap": ["0.4/0.4"]}
+def static_of(errors, K_c=(1.4e4,)):
+    """A part of ``static.nc``: force errors of `LABELS` without protocols, by stiffness."""
+    dims = ("representation", "K_c", "gap")
+    attributes = {"visited": "by the exact law's responses"}
+    return xr.Dataset(
+        {
+            "tanh_threshold": (dims[1:], [[72488.0]] * len(K_c)),
+            "force_error_ratio": (dims, np.reshape(errors, (3, len(K_c), 1)), attributes),
+        },
+        {
+            "representation": ["piecewise", "tanh-1e4", "poly-13"],
+            **{"K_c": ("K_c", [*K_c], {"units": "N m-1"}), "gap": ["0.4/0.4"]},
+        },
+    )
+
+
+@pytest.mark.parametrize(
+    ("K_c", "errors", "header", "rows"),
+    [
+        (
+            (1.4e3, 1.4e4),
+            [0, 0, 1e-3, 1.01e-3, 0.099, 0.1],
+            [f"K_c = {K_c} N/m, gap 0.4/0.4 mm" for K_c in (1400, 14000)],
+            [["tanh-1e4", "✓ 0.001", "◐ 0.00101"], ["poly-13", "◐ 0.099", "✗ 0.1"]],
+        ),
+        # A case that was not swept, and a law without a number.
+        (
+            (1.4e3, 1.4e4),
+            [0, np.nan, 0.2, np.nan, np.nan, np.nan],
+            ["K_c = 1400 N/m, gap 0.4/0.4 mm"],
+            [["tanh-1e4", "✗ 0.2"]],
+        ),
+        (
+            [1e3 * n for n in range(9)],
+            [*[0] * 9, *[1e-4] * 4, *[0.01] * 3, 0.5, 0.6, *[np.nan] * 9],
+            ["Range", "accurate", "between", "too coarse"],
+            [["tanh-1e4", "1e-4 to 0.6", "4", "3", "2"]],
+        ),
+    ],
 )
+def test_force_errors_are_judged_by_the_rule(K_c, errors, header, rows):
+    """At most 0.001 is accurate, 0.1 and more is too coarse: docs/explanation/rule.md."""
+    (part,) = force_errors.sections(static_of(errors, K_c))
+    (table,) = part.tables
+    assert table.header == ["Representation", *header]
+    assert table.rows == rows
+    assert "at most 0.001;" in part.sentences[1]
+    assert "visited by the exact law" in part.sentences[0]
 
 
-def written(folder, responses, attractors, own_parts):
+def test_without_a_forcing_there_are_no_force_errors():
+    assert [*force_errors.sections(static_of([np.nan] * 3))] == []
+
+
+def written(folder, responses, attractors, sections):
     inputs = Inputs(
         responses,
         timing(responses),
         agreement(responses, attractors),
-        static=THRESHOLDS,
+        static=static_of([0.0, 1e-4, 0.2]),
         claims=decided(),
-        own_parts=own_parts,
+        sections=sections,
     )
     return write_report(folder / "report" / "index.html", inputs, HOSTILE)
 
@@ -398,6 +490,30 @@ def test_the_studys_own_answer_comes_before_that_of_the_rules(page):
     assert "adequate in the only case" in first.partition("<details>")[2]
 
 
+def test_the_studys_own_answer_needs_no_exact_law(run):
+    table = {"title": "T", "header": ["h"], "rows": [["1"]]}
+    own = PART | {"anchor": "own-answer", "sentences": ["Mine."], "tables": [table]}
+    (part,) = answer.sections(run[0], sections=[own])
+    assert part.sentences == ["Mine."]
+    assert [one.title for one in part.tables] == ["T"]
+    assert part.content["map"] is None
+    assert [*answer.sections(run[0])] == []
+
+
+def test_rows_of_laws_have_the_colour_of_the_law_that_they_begin_with(run, tmp_path):
+    """Other texts of a study have none."""
+    rows = ["tanh-1e4", "tanh-1e4, K_ratio = 0.5", "exact law, other settings", "tanh-soft", "mean"]
+    table = Table("T", ["Representation"], [[row] for row in rows])
+    page = written(tmp_path, *run, rendered([Part("own-t", "T", [], [table])])).read_text()
+    found = dict.fromkeys(rows, "")
+    for colour, row in re.findall(
+        r'class="swatch" style="background:([^"]*)"></span>([^<]*)', page
+    ):
+        found[row] = colour
+    of_law = [*map(colour_of, ("tanh-1e4", "tanh-1e4", "piecewise"))]
+    assert list(found.values())[:5] == [*of_law, "none", "none"]
+
+
 def test_hostile_texts_stay_texts(page):
     text = page.read_text()
     assert "<img src=x" not in text
@@ -406,12 +522,13 @@ def test_hostile_texts_stay_texts(page):
     assert "&lt;script&gt;alert(2)" in text
 
 
-def test_data_of_a_figure_cannot_end_their_element():
+def test_data_of_a_figure_cannot_end_their_element(run, tmp_path):
     figure = Figure()
-    figure.subplots().plot([1.0], [1.0], label=HOSTILE)
+    marks.put(figure.subplots(), [marks.points(x=[1.0], y=[1.0], series=HOSTILE)])
     figure.axes[0].set_title("</script>", loc="left")
-    drawn = shown(pictured(Figured(figure, HOSTILE, HOSTILE))) | {"id": "figure-part"}
-    text = _files(_environment(), drawn, "")["figure-part.html"].decode()
+    own = rendered([Part("part", "Part", [], figures=[Figured(figure, HOSTILE, HOSTILE)])])
+    page = written(tmp_path, *run, own)
+    text = (page.parent / "figures" / "figure-part.html").read_text()
     assert text.count("</script>") == 2
     assert "<img src=x" not in text
     assert r"\u003c/script>" in text
@@ -419,7 +536,7 @@ def test_data_of_a_figure_cannot_end_their_element():
 
 def test_the_answer_comes_first_in_words_and_as_a_map(page):
     text = page.read_text()
-    order = ["<main", 'id="answer"', 'class="heat"', 'id="figure-hero"', 'id="results"']
+    order = ["<main", 'id="answer"', 'class="heat"', 'id="figure-answer"', 'id="results"']
     places = [text.index(part) for part in (*order, 'id="claims"', 'id="provenance"')]
     assert places == sorted(places)
     first = text[places[1] : text.index("<details>")]
@@ -482,7 +599,8 @@ def test_solvers_are_told_with_what_they_take_from_elsewhere(tmp_path):
             "moved": {"start_jitter": 1e-9},
         },
     }
-    told = dict(provenance(responses.assign_attrs(study_json=json.dumps(study))))
+    (part,) = provenance.sections(responses.assign_attrs(study_json=json.dumps(study)))
+    told = dict(part.content["pairs"])
     usual = "engine compiled, rtol 0.0001, atol rtol × static deflection, controller ode45"
     assert told["Solver"] == f"{usual}, restart True, contact_force by_mode"
     assert told["Solver of @off"] == f"{usual}, contact_force by_mode"
@@ -515,11 +633,20 @@ def test_the_model_of_a_system_is_what_its_function_made():
     told = dict(model(one_sided))
     assert told["r"] == "0 (stiffness of the lower wall / K_c); 0: no lower wall"
     assert "ε [1/unit of x] in its name" in told["F of tanh"]
-    assert [
-        model_module._turning({"k": k, "phase": phase})
+
+
+def test_loads_and_matrices_of_a_system_are_written_out():
+    loads = [
+        {"amplitude": [2.0, -0.0], "k": k, "phase": phase}
         for k, phase in ((0, 0.0), (0, 0.5), (1, 0.0), (3, 0.5))
-    ] == ["", " cos(0.5)", " cos(2πωt)", " cos(6πωt + 0.5)"]
-    assert model_module._rows([[1.0, -0.0], [0.5, 2e-7]]) == "[[1, 0], [0.5, 2e-7]]"
+    ]
+    damping = [[0.5, -0.0], [-0.0, 2e-7]]
+    study = Study.from_dict(changed(TWO_MASSES, system__forcing=loads, system__damping=damping))
+    coords = {"representation": ["piecewise"], "K_c": [10.0], "gap": ["0.1/0.2"]}
+    told = model(xr.Dataset({"x_max": 0.1}, coords, study.attributes))
+    cosines = ["", " cos(0.5)", " cos(2πωt)", " cos(6πωt + 0.5)"]
+    assert [text for name, text in told if name == "Load"] == [f"[2, 0]{each}" for each in cosines]
+    assert dict(told)["C"] == "[[0.5, 0], [0, 2e-7]]"
 
 
 def test_a_contact_of_its_own_numbers_is_told():
@@ -564,9 +691,9 @@ def test_the_model_is_told_with_the_numbers_that_a_run_used(tmp_path):
 
 def test_the_first_figure_shows_a_law_of_each_verdict_or_the_best_and_the_worst():
     use, better, no = ("use", 0.02, 1.0, 1.0), ("use", 0.01, 1.0, 2.0), ("no", 0.3, 0.5, 1.0)
-    both = _telling(contact({"tanh-1e4": use, "tanh-1e6": better, "poly-13": no}))
+    both = answer.telling(contact({"tanh-1e4": use, "tanh-1e6": better, "poly-13": no}))
     assert [one.verdict for one in both] == ["use", "no"]
-    alike = _telling(contact({"tanh-1e4": use, "tanh-1e6": better}))
+    alike = answer.telling(contact({"tanh-1e4": use, "tanh-1e6": better}))
     assert [one.law for one in alike] == ["tanh-1e6", "tanh-1e4"]
 
 
@@ -614,8 +741,8 @@ def test_forces_are_told_as_they_are():
     """What the report says of tanh, arctan and log-arctan, by another hand; walls differ."""
     K_c, r, gap, epsilon = 1.4e4, 0.5, Gap(0.3e-3, 0.5e-3), 2e3
     x = np.linspace(-2e-3, 2e-3, 401)
-    told = model_module._FORCES
-    assert told.keys() == FAMILIES.keys()
+    told = {law.family: law.words for law in LAWS}
+    assert all(told.values())
     for family, word, s in (
         ("tanh", "tanh", np.tanh),
         ("arctan", "(2/π) arctan", lambda z: 2.0 / np.pi * np.arctan(z)),
@@ -639,7 +766,9 @@ def test_forces_are_told_as_they_are():
 )
 def test_a_claim_leads_to_the_figure_of_its_own_number(place, leads_to):
     names = {"Fig. 10": "10", "Fig. 1a": "1a", "Fig. 11, their solver": "11"}
-    assert _place(place, names, []) == leads_to
+    figures = [{"name": name, "href": href} for name, href in names.items()]
+    links = Links([{"anchor": "own", "title": "Own", "href": "#own", "figures": figures}])
+    assert links.place(place) == leads_to
 
 
 def test_every_figure_lies_beside_the_page_as_files(page):
@@ -650,21 +779,28 @@ def test_every_figure_lies_beside_the_page_as_files(page):
     assert is_picture((folder / "figure-scene-0-0.svg").read_text())
 
 
+def on_page(part):
+    return for_page([part | {"group": ""}], most=9, folder="figures")
+
+
 def test_no_two_figures_of_a_page_share_an_id():
-    names = ["hero", "Fig. 7", "7", "x", "x", "x-2", "A" * 300, "A" * 299]
+    names = ["Fig. 7", "7", "x", "x", "x-2", "A" * 300, "A" * 299]
     figure = NAMED[0]["figures"][0]
     part = PART | {"anchor": "own", "figures": [figure | {"name": name} for name in names]}
-    (made,) = for_page([part])
+    (made,) = on_page(part)
     ids = [figure["id"] for figure in made["figures"]]
-    assert len({*ids, "figure-hero"}) == len(names) + 1
+    assert len({*ids}) == len(names)
     assert max(map(len, ids)) < 80
 
 
-def test_figures_are_not_written_where_a_link_leads(tmp_path):
-    (tmp_path / "figures").symlink_to(tmp_path)
+def test_figures_are_not_written_where_a_link_leads(run, tmp_path):
+    folder = tmp_path / "report"
+    folder.mkdir()
+    (folder / "figures").symlink_to(tmp_path)
     with pytest.raises(StoreError, match="a symbolic link"):
-        _write(tmp_path / "figures", {"figure-a.svg": b""})
-    assert [path.name for path in tmp_path.iterdir()] == ["figures"]
+        written(tmp_path, *run, [])
+    assert [path.name for path in tmp_path.iterdir()] == ["report"]
+    assert [path.name for path in folder.iterdir()] == ["figures"]
 
 
 def test_the_page_says_how_it_was_made(page):
@@ -752,7 +888,7 @@ def test_the_same_figure_gives_the_same_picture():
 def test_only_pictures_are_shown():
     drawn = pictures(panelled())
     stored = json.loads(json.dumps(PART | {"figures": [{**drawn, "caption": ""}]}))
-    ((shown,),) = (part["figures"] for part in for_page([stored]))
+    ((shown,),) = (part["figures"] for part in on_page(stored))
     assert shown["files"]["svg"].decode() == drawn["svg"]
     assert (shown["width"], shown["height"]) == (912, 288)
     for old, new in (
@@ -764,7 +900,7 @@ def test_only_pictures_are_shown():
     ):
         assert old in drawn["svg"]
         changed = drawn | {"svg": drawn["svg"].replace(old, new)}
-        assert for_page([PART | {"figures": [changed]}])[0]["figures"] == [], new
+        assert on_page(PART | {"figures": [changed]})[0]["figures"] == [], new
     assert not is_picture("")
 
 
@@ -873,7 +1009,7 @@ def test_branches_lie_behind_the_attractors_with_their_special_points(tmp_path):
     )  # fmt: skip
     found["omega"] -= 4.0 - 0.01 * (found["branch"] > 1)
     inputs = Inputs(files[0], timing(files[0]), agreement(*files), files[1])
-    (without,), (part,) = sections(inputs), sections(replace(inputs, branches=found))
+    (without,), (part,) = results(inputs), results(replace(inputs, branches=found))
     titles = [table.title for table in part.tables]
     assert titles[:-1] == [table.title for table in without.tables]
     assert [" | ".join(row) for row in part.tables[-1].rows] == [
@@ -950,7 +1086,8 @@ def test_a_caption_names_the_few_frequencies_that_had_several_starts(tmp_path):
     study["sweep"].append(study["sweep"][0] | {"omega": [2.0], "initial_condition": [[2e-5, 0.0]]})
     files = datasets(tmp_path, study, lambda _, omega, start: periodic([(1e-3, 0.0)], omega))
     inputs = Inputs(files[0], timing(files[0]), agreement(*files), files[1])
-    (part,) = sections(inputs)
+    (part,) = results(inputs)
     captions = " ".join(figured.caption for figured in part.figures)
     assert "several initial conditions at 2 Hz only" in captions
-    assert head(inputs)["starts"] == ["1–2"]
+    (head,) = SECTIONS[0].parts(inputs)
+    assert head.content["map"]["starts"] == ["1–2"]

@@ -55,6 +55,7 @@ def test_autonomous_motions_that_are_not_begun_in_time_have_timed_out():
     assert {*found.status} == {Status.TIMED_OUT}
 
 
+@pytest.mark.extended
 def test_a_slow_law_of_a_user_ends_soon_after_its_time_limit():
     def slow(x):
         for _ in range(1000):
@@ -69,6 +70,7 @@ def test_a_slow_law_of_a_user_ends_soon_after_its_time_limit():
     assert time.thread_time() - begin < 10.0
 
 
+@pytest.mark.extended
 @pytest.mark.parametrize("engine", ["compiled", "scipy"])
 def test_where_a_force_is_no_number_the_model_is_invalid(engine):
     def undefined(x, far):
@@ -80,6 +82,29 @@ def test_where_a_force_is_no_number_the_model_is_invalid(engine):
     assert [*found.status] == [Status.MODEL_INVALID, Status.DIVERGED]
     assert "force" in found.message[0]
     assert "force" not in found.message[1]
+
+
+def rooted(x):
+    return 1.4e4 * x * math.sqrt(1e-4 - abs(x))
+
+
+def raised(x):
+    return 1.4e4 * x * (1e-4 - abs(x)) ** 0.5
+
+
+def divided(x):
+    return 1.4e4 * x / (0.0 if abs(x) > 1e-4 else 1.0)
+
+
+@pytest.mark.parametrize("atol", [None, 1e-9])  # a default tolerance calls the law, too
+@pytest.mark.parametrize("engine", ["compiled", "scipy"])
+@pytest.mark.parametrize("function", [rooted, raised, divided])
+def test_where_arithmetic_has_no_result_the_model_is_invalid(function, engine, atol):
+    """Python raises an exception or returns a complex number where compiled code has NaN."""
+    law = gs.law(function, K_c=0.0, gap=SYMMETRIC)
+    found = gs.respond(paper_oscillator(), law, 9.0, engine=engine, atol=atol)
+    assert found.status is Status.MODEL_INVALID
+    assert "force" in found.message
 
 
 @pytest.mark.parametrize("time_limit", [0.0, -1.0, math.nan, "1"])

@@ -117,6 +117,7 @@ def test_systems_have_their_names_and_no_units_of_length():
     assert found["section_x"].dims == ("omega", "section_point", "coordinate")
 
 
+@pytest.mark.extended
 def test_a_system_that_is_not_forced_has_no_frequency():
     section, law = gs.systems.typical_section(12.0), gs.systems.typical_section_law()
     found = gs.respond(section, law, q_0=[[0.01, 0.0, 0.0], [0.02, 0.0, 0.0]], rtol=1e-6)

@@ -77,6 +77,7 @@ def test_intervals_and_sorting_are_those_of_scipy():
     assert_allclose(rule.sorting(cases, "RMS"), u / len(good) / len(bad))
 
 
+@pytest.mark.extended
 @pytest.mark.parametrize("coupled", [False, True])
 def test_a_drawn_machine_decides_both_ways(coupled, monkeypatch, tmp_path, client):
     monkeypatch.setattr(rule, "N_OMEGA", 12 if coupled else 5)

@@ -10,7 +10,7 @@ from llvmlite.binding import get_host_cpu_features
 
 from gapsweep.integrate import jit
 
-pytestmark = pytest.mark.packaging
+pytestmark = pytest.mark.extended
 
 KERNEL = """
 from gapsweep.integrate.jit import entry
@@ -58,7 +58,7 @@ def call(tmp_path):
 
 def has(level):
     features = {name for name, is_there in get_host_cpu_features().items() if is_there}
-    return jit._LEVELS[level] <= features
+    return jit.LEVELS[level] <= features
 
 
 def test_what_was_shipped_for_this_processor_is_not_compiled(call):
@@ -84,7 +84,7 @@ def test_whoever_says_what_to_compile_for_gets_that(call):
 
 
 def test_folders_are_of_levels_that_the_processor_has():
-    names = [jit.folder_of(level) for level in jit._LEVELS]
+    names = [jit.folder_of(level) for level in jit.LEVELS]
     found = jit.shipped_for()
     assert set(found) <= set(names)
     assert list(found) == sorted(found, key=names.index)

@@ -345,7 +345,7 @@ def test_a_fit_that_cannot_be_made_is_refused_alone(monkeypatch):
     def no_fit(*args):
         raise gs.ModelError("pole at x = 1 mm")
 
-    monkeypatch.setattr("gapsweep.model.fitted.rational_fit", no_fit)
+    monkeypatch.setattr("gapsweep.model.laws.fitted.rational_fit", no_fit)
     found = static(study(["piecewise", "ratpoly-3/2"], [SOFT], [SYMMETRIC])).squeeze()
     assert found["refusal"].values.tolist() == ["", "pole at x = 1 mm"]
 

@@ -17,7 +17,7 @@ import gapsweep as gs
 from gapsweep.cli.options import selected
 from gapsweep.explorer import question
 from gapsweep.model.oscillator import OSCILLATOR
-from gapsweep.report import model as report_model
+from gapsweep.report.sections import model as report_model
 from gapsweep.study import points
 from gapsweep.study.axes import OscillatorTable
 from gapsweep.study.points import canonical
@@ -27,6 +27,10 @@ from gapsweep.user_code import package_digest
 
 def study_of(tables, **changes):
     return gs.Study.from_dict(tables | changes)
+
+
+# Settings that exclude each other.
+WRONG = {"engine": "scipy", "controller": "ode45"}
 
 
 def problems(tables):
@@ -270,22 +274,22 @@ def test_an_upgrade_moves_the_keys_of_what_the_library_decides(
     tables, monkeypatch, library, engine, moved
 ):
     def keys():
-        points._identity.cache_clear()
+        points.identity_of.cache_clear()
         return all_keys(study_of(tables, solver={"engine": engine}))
 
     before, ours = keys(), points.versions()
     monkeypatch.setattr(points, "versions", lambda: {**ours, library: "99.9"})
     after = keys()
-    points._identity.cache_clear()
+    points.identity_of.cache_clear()
     assert {index[0] for index in before if before[index] != after[index]} == moved
 
 
 def test_result_schema_is_part_of_the_key(tables, monkeypatch):
     before = set(all_keys(study_of(tables)).values())
     monkeypatch.setattr(points, "RESULT_SCHEMA", points.RESULT_SCHEMA + 1)
-    points._identity.cache_clear()
+    points.identity_of.cache_clear()
     after = set(all_keys(study_of(tables)).values())
-    points._identity.cache_clear()
+    points.identity_of.cache_clear()
     assert not before & after
 
 
@@ -352,6 +356,43 @@ def test_undefined_protocol_is_named(tables):
     tables["sweep"][0]["representation"] = ["tanh-1e6@paper"]
     (problem,) = problems(tables)
     assert "[protocol.paper] is missing" in problem
+
+
+@pytest.mark.parametrize(
+    ("table", "named"),
+    [({"protocol": {"paper": WRONG}}, "protocol.paper"), ({"solver": WRONG}, "")],
+)
+def test_wrong_settings_of_a_protocol_name_its_table(tables, table, named):
+    (problem,) = problems(tables | table)
+    assert f"study: {named or 'solver'}: controller = 'ode45': needs" in problem
+
+
+@pytest.mark.parametrize(
+    "settings",
+    [{"contact_force": "as_written"}, {"restart": True}, {"controller": "ode45"}],
+    ids=lambda settings: next(iter(settings)),
+)
+@pytest.mark.parametrize("swept", [{"mean_load": [0.0, 1.0]}, {"omega_n": [0.0, 5.0]}, {}])
+def test_settings_that_cannot_locate_contacts_are_refused_before_a_run(tables, settings, swept):
+    """By the check of a call; smooth laws and the reference engine have no such contacts."""
+    labels = ["piecewise@paper", "tanh-1e4@paper", "piecewise-noevents@paper"]
+    tables["sweep"][0] |= {"representation": labels, **swept}
+    tables["protocol"] = {"paper": {**settings}}
+    if not swept:
+        gs.Study.from_dict(tables)
+        return
+    (problem,) = problems(tables)
+    name = next(iter(settings))
+    assert f"piecewise@paper: {name} = " in problem
+    model = tables["oscillator"] | {name: max(axis) for name, axis in swept.items()}
+    model |= {"omega_n": 0.0} if "omega_n" in swept else {}
+    law = gs.Piecewise(1.4e4, gs.Gap(4e-4, 4e-4))
+    with pytest.raises(gs.ModelError) as refused:
+        gs.simulate(gs.Oscillator(**model), law, 9.0, t_end=1.0, dense_output=True, **settings)
+    assert str(refused.value) in problem
+    if name != "controller":
+        tables["protocol"]["paper"] |= {"engine": "scipy"}
+        gs.Study.from_dict(tables)
 
 
 def test_points_carry_canonical_values(tables):
@@ -512,11 +553,18 @@ def test_a_gap_is_selected_as_a_study_file_gives_it(tables, wanted):
             study.select(gap=wrong)
 
 
-def test_every_number_of_the_oscillator_is_known_wherever_they_are_listed():
+def test_every_number_of_the_oscillator_is_known_wherever_they_are_listed(tables):
     numbers = set(OSCILLATOR)
     assert set(OscillatorTable.model_fields) == numbers
-    for known in (COORDINATES, report_model._NUMBERS, question._DIALS):
-        assert numbers <= set(known)
+    assert numbers <= set(COORDINATES)
+    assert numbers <= set(question.numbers(question.of_model()))
+    values = {name: 1.125 + i for i, name in enumerate(OSCILLATOR)}
+    tables["sweep"][0] |= {"representation": "piecewise", "omega": [7.0]}
+    study = study_of(tables, oscillator=values)
+    coords = {"representation": ["piecewise"], "K_c": [1.4e4], "omega": [7.0], "gap": ["0.4/0.4"]}
+    (part,) = report_model.sections(xr.Dataset({"x_max": 0.1}, coords, study.attributes))
+    in_report = dict(part.content["pairs"])["Numbers"]
+    assert [value for value in values.values() if f" {value:g}" not in in_report] == []
 
 
 def test_branches_have_defaults_and_stand_in_the_json(tables):

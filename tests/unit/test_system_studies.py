@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from numpy.testing import assert_array_equal
 from scipy.integrate import solve_ivp
 from tests.builders.random_systems import as_gapsweep, random_case
-from tests.builders.studies import PAPER
+from tests.builders.studies import PAPER, SECTION, TWO_MASSES, changed
 
 import gapsweep as gs
 from gapsweep.execution.layout import Layout
@@ -22,50 +22,6 @@ from gapsweep.execution.task import Tile, respond_to
 from gapsweep.model.structure import Structure
 from gapsweep.study.points import Kind
 from gapsweep.variables import CONTACT, COORDINATE, LAG
-
-TWO_MASSES = {
-    "study": {"name": "masses"},
-    "system": {
-        "mass": [[1.0, 0.0], [0.0, 2.0]],
-        "stiffness": [[30.0, -10.0], [-10.0, 20.0]],
-        "damping": [[0.3, -0.1], [-0.1, 0.2]],
-        "contacts": {"stop": [1.0, 0.0], "between": [1.0, -1.0]},
-        "forcing": [{"amplitude": [1.0, 0.0]}],
-    },
-    "contact": {"between": {"K_c": 50.0, "gap": [0.5, 0.4], "K_ratio": 2.0}},
-    "sweep": [
-        {
-            "representation": "piecewise",
-            "K_c": [10.0, 100.0],
-            "gap": [0.1, 0.2],
-            "omega": [0.3, 0.5],
-            "initial_condition": [[0.1, 0.2, 0.3, 0.4], [0.0, 0.0, 0.0, 0.0]],
-        }
-    ],
-}
-SECTION = {
-    "study": {"name": "section"},
-    "system": {"function": "typical_section"},
-    "parameters": {"speed": 12.0, "density": 1.2},
-    "sweep": [
-        {"representation": "piecewise", "K_c": 3.9, "gap": [0.03, 0.03], "speed": [8.0, 10.0]}
-    ],
-}
-
-
-def changed(tables, **changes):
-    """Tables with keys, as ``sweep__0__omega``, set to values; None takes them away."""
-    found = deepcopy(tables)
-    for path, value in changes.items():
-        *parents, last = (int(key) if key.isdigit() else key for key in path.split("__"))
-        table = found
-        for key in parents:
-            table = table.setdefault(key, {}) if isinstance(table, dict) else table[key]
-        if value is None:
-            del table[last]
-        else:
-            table[last] = value
-    return found
 
 
 def points_of(tables):

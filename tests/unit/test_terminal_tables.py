@@ -7,6 +7,7 @@ import click
 import numpy as np
 import pytest
 import xarray as xr
+from tests.builders.studies import study_text
 
 from gapsweep.cli.main import FINISHED, exit_code
 from gapsweep.cli.query_output import Form, written
@@ -15,16 +16,8 @@ from gapsweep.report.scales import shortened
 
 WIDTH = 80
 LONG = "the exact law, contacts located, is the cheapest adequate one, and this goes on and on"
-STUDY = """
-oscillator = { mass = 3.0, omega_n = 5.0, zeta = 0.03, forcing = 4.0, alpha = 7e8 }
-[study]
-name = "wide"
-[[sweep]]
-representation = ["piecewise", "tanh-1e4", "poly-13", "ratpoly-5/3", "arctan-1e4", "logarctan-1e4"]
-K_c = [1.4e4]
-gap = [[0.4e-3, 0.4e-3]]
-omega = [7.0, 30.0]
-"""
+LABELS = ["piecewise", "tanh-1e4", "poly-13", "ratpoly-5/3", "arctan-1e4", "logarctan-1e4"]
+STUDY = study_text(LABELS, "[7.0, 30.0]", name="wide")
 
 
 @pytest.fixture(autouse=True)

@@ -19,7 +19,7 @@ from gapsweep.analysis.datasets.static import static
 from gapsweep.execution.layout import Layout
 from gapsweep.model.equilibria import equilibria
 from gapsweep.model.fit import Fit
-from gapsweep.model.fitted import Fitted
+from gapsweep.model.laws.fitted import Fitted
 
 SOFT, HARD, RANGE = 1.4e4, 1.4e6, 4e-3
 SYMMETRIC = gs.Gap(0.4e-3, 0.4e-3)

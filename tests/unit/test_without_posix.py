@@ -5,7 +5,11 @@ import subprocess
 import sys
 from pathlib import Path, PureWindowsPath
 
+import pytest
+
 import gapsweep as gs
+
+pytestmark = pytest.mark.extended
 
 # Run by every Python process that has its folder on the path: caller, helpers and workers.
 SITE = """

@@ -21,7 +21,7 @@ from gapsweep.analysis.bench.scenarios import scenarios
 from gapsweep.analysis.bench.work_precision import find_fronts, followed, work_precision
 from gapsweep.cli.main import commands
 from gapsweep.report.bench_figures import tolerance_figure, work_precision_figure
-from gapsweep.report.benchmarks import beaten, conclusions
+from gapsweep.report.sections.benchmarks import beaten, conclusions
 from gapsweep.status import Status
 from gapsweep.store import netcdf
 

@@ -7,8 +7,8 @@ from collections.abc import Iterable
 from contextlib import suppress
 
 from gapsweep.analysis.claims import NotInRunError, Run
-from gapsweep.report.answer import Contact, contacts
 from gapsweep.report.tables import percent
+from gapsweep.report.verdicts import Contact, contacts
 
 from .language import At
 from .measures import distance

@@ -121,7 +121,7 @@ def figures(run: Run) -> Iterator[Figured]:
             panels, words = _panels(name, scene), _PEAKS if peaks else _EXTREMA
             marks = {title: _apart(scene, *pair) for title, pair in panels.items() if name == "10"}
             n_columns = 3 if peaks else len(_starts(scene))
-            figure = draw.diagram(scene, panels, n_columns, peaks=peaks, marks=marks)
+            figure = draw.diagram(scene, panels, n_columns, peaks=peaks, ticks=marks)
             same = (f"{percent(1.0 - hits.mean())} ({title})" for title, hits in marks.items())
             words += f" {_SAME} {', '.join(same)}." * bool(marks)
             n = np.count_nonzero(scene["status"] != Status.NOT_REQUESTED)

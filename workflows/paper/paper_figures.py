@@ -9,8 +9,9 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from gapsweep.model.labels import Representation
-from gapsweep.report import backdrop, drawing
+from gapsweep.report import backdrop, drawing, marks
 from gapsweep.report.drawing import labels_of
+from gapsweep.report.figures import key_above
 from gapsweep.report.scales import axis_label, drawn
 from gapsweep.report.style import GREY, NOT_PERIODIC, colour, looks
 from gapsweep.status import Status
@@ -29,7 +30,7 @@ def diagram(
     n_columns: int,
     *,
     peaks: bool = False,
-    marks: Mapping[str, NDArray[np.bool_]] | None = None,
+    ticks: Mapping[str, NDArray[np.bool_]] | None = None,
 ) -> Figure:
     """Peaks or all extrema over frequency; the first law of the scene sets the vertical axis.
 
@@ -37,7 +38,7 @@ def diagram(
     ----------
     panels : mapping of str to sequence
         Titles, and what each panel shows: laws and positions of initial conditions, back to front.
-    marks : mapping of str to ndarray of bool, optional
+    ticks : mapping of str to ndarray of bool, optional
         Titles, and the frequencies that have a red tick.
     """
     scene = drawing.with_setting(scene, "x_max" if peaks else "extrema")
@@ -50,29 +51,29 @@ def diagram(
         axes.remove()
     for i, (axes, (title, layers)) in enumerate(zip(grid, panels.items(), strict=False)):
         axes.xaxis.set_tick_params(labelbottom=i >= n - n_columns)
-        backdrop.walls(axes, scene, of_peaks=peaks)
+        marks.put(axes, backdrop.walls(scene, of_peaks=peaks))
         for (label, starts), size in zip(layers, (_REAR, _DOT)[-len(layers) :], strict=True):
             one = scene.sel(representation=label).isel(initial_condition=list(starts))
             if peaks:
-                drawing.peaks(axes, one, size, high=high)
+                marks.put(axes, drawing.peaks(one, size, high=high))
                 continue
-            drawing.extrema(axes, one, "omega", size=size)
+            marks.put(axes, drawing.extrema(one, "omega", size=size))
             peak, trough = (drawn(one[name])[:, 0] for name in ("x_max", "x_min"))
-            drawing.outside(axes, omega[peak > high], high, label)
-            drawing.outside(axes, omega[trough < low], low, label)
+            marks.put(axes, drawing.outside(omega[peak > high], high, label))
+            marks.put(axes, drawing.outside(omega[trough < low], low, label))
         if len(layers) == 1 and not peaks:
-            backdrop.bands(axes, one)
-        if marks:
-            edge = {"transform": axes.get_xaxis_transform(), "clip_on": False, "label": "_differ"}
-            axes.vlines(omega[marks[title]], 1.0, 1.04, colors=NOT_PERIODIC, **edge)
+            marks.put(axes, backdrop.bands(one))
+        if ticks:
+            look = {"series": "differ", "colour": NOT_PERIODIC}
+            marks.put(axes, [marks.ticks(x=omega[ticks[title]], **look)])
         words = filter(None, [title, without_response(one)])
-        axes.set_title("\n".join(words), fontsize=8, loc="left", pad=7 if marks else 3)
+        axes.set_title("\n".join(words), fontsize=8, loc="left", pad=7 if ticks else 3)
     pad = 0.01 * float(np.ptp(omega)) or 0.5
     grid[0].set(xlim=(max(0.0, omega.min() - pad), omega.max() + pad), ylim=(low, high))
     figure.supxlabel("forcing frequency [Hz]", fontsize=9)
     figure.supylabel(f"{'peak displacement' if peaks else 'steady extrema'} [mm]", fontsize=9)
-    if not peaks and not marks:
-        backdrop.key(figure, scene, drawing.key_of_marks(scene, "extrema"))
+    if not peaks and not ticks:
+        key_above(figure, scene)
     return figure
 
 
@@ -84,15 +85,16 @@ def histories_and_spectra(histories: xr.Dataset) -> Figure:
     panels = figure.subplots(n, 2, squeeze=False, sharex="col")
     for (motion, spectrum), (_, one) in zip(panels, histories.groupby("history"), strict=True):
         one = one.squeeze("history")
-        backdrop.walls(motion, one)
+        marks.put(motion, backdrop.walls(one))
         for label, look in looks(labels).items():
             own = one.sel(representation=label)
             width = 1.2 if label.endswith("-mode") else widths.get(Representation(label).law, 0.9)
-            style = {"color": look.colour, "linewidth": width, "label": f"_{label}"}
-            motion.plot(*_last_periods(own), look.dashes, **style)
-            spectrum.plot(
-                own["frequency"] / one["omega"], drawn(own["spectrum"]), look.dashes, **style
-            )
+            style = {"colour": look.colour, "size": width, "dashes": look.dashes, "series": label}
+            t, x = _last_periods(own)
+            marks.put(motion, [marks.line(x=t, y=x, **style)])
+            orders = drawn(own["frequency"]) / drawn(one["omega"])
+            heights = drawn(own["spectrum"])
+            marks.put(spectrum, [marks.line(x=orders, y=heights, entry=label, **style)])
         top = np.nanmax(drawn(one["spectrum"]), initial=0.0) or 1.0
         motion.set(xlim=(0.0, SHOWN_PERIODS), ylabel="displacement [mm]")
         limits = (top * 10.0**-_DECADES, 2.0 * top)
@@ -104,7 +106,8 @@ def histories_and_spectra(histories: xr.Dataset) -> Figure:
         motion.set_title(title, fontsize=9, loc="left")
     motion.set_xlabel("forcing periods")
     spectrum.set_xlabel("frequency / forcing frequency")
-    figure.legend(panels[0, 1].lines, labels, loc="outside upper center", ncols=4, fontsize=8)
+    entries = panels[0, 1].get_legend_handles_labels()
+    figure.legend(*entries, loc="outside upper center", ncols=4, fontsize=8)
     return figure
 
 
@@ -112,19 +115,23 @@ def start_scan(scan: xr.Dataset) -> Figure:
     """Period 3 inside and outside the paper's band, over the initial condition."""
     figure = Figure(figsize=(WIDTH, 3.2), layout="constrained")
     along, all_of_them = figure.subplots(1, 2)
-    shares = {"inside": (colour(EXACT), "o-"), "outside": (NOT_PERIODIC, "s--")}
-    for name, (shade, look) in shares.items():
-        share = 100.0 * scan[name].sel(v_0=0.0)
-        along.plot(drawn(scan["x_0"]), share, look, color=shade, markersize=3, label=name)
+    shares = {"inside": (colour(EXACT), "o", "-"), "outside": (NOT_PERIODIC, "s", "--")}
+    for name, (shade, marker, dashes) in shares.items():
+        share = 100.0 * scan[name].sel(v_0=0.0).values
+        look = {"colour": shade, "marker": marker, "dashes": dashes, "dots": 3.0}
+        look |= {"size": 1.5, "series": name, "entry": name}
+        marks.put(along, [marks.line(x=drawn(scan["x_0"]), y=share, **look)])
     along.set(xlabel=axis_label(scan["x_0"]), ylabel="frequencies with period 3 [%]")
     along.set_title("initial velocity 0", fontsize=9, loc="left")
     along.legend()
     x, y = (100.0 * scan[name].values.ravel() for name in ("outside", "inside"))
-    all_of_them.plot(x, y, "o", color=GREY, markersize=4, label="_initial conditions")
+    some = {"size": 4.0, "colour": GREY, "series": "initial conditions"}
+    marks.put(all_of_them, [marks.points(x=x, y=y, **some)])
     for name, (x_0, v_0) in STARTS.items():
         one = 100.0 * scan.sel(x_0=x_0, v_0=v_0, method="nearest")
         at = float(one["outside"]), float(one["inside"])
-        all_of_them.plot(*at, "o", color=NOT_PERIODIC, markersize=6, label=f"_{name}")
+        look = {"size": 6.0, "colour": NOT_PERIODIC, "series": name}
+        marks.put(all_of_them, [marks.points(x=[at[0]], y=[at[1]], **look)])
         all_of_them.annotate(name, at, (7, 4), textcoords="offset points")
     all_of_them.set(xlabel="outside the band [%]", ylabel="inside the band [%]")
     all_of_them.set_title("all initial conditions", fontsize=9, loc="left")

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from gapsweep.model.labels import contact_law
 from gapsweep.model.oscillator import Gap
+from gapsweep.report import marks
 from gapsweep.report.scales import axis_label, drawn, plain
 from gapsweep.report.style import GREY, NUMBERED, colour, looks
 
@@ -54,20 +55,20 @@ def force_curves(static: xr.Dataset, forces: Forces, stiffnesses: Sequence[float
         for label, force in forces.items():
             law = label.removesuffix(CONSTRAINED)
             look = {
-                "color": styles[law].colour if law == label else _OTHER,
-                "linewidth": 2.2 if law == EXACT else 1.3,
-                "linestyle": styles[law].dashes,
-                "label": f"_{label}",
+                "colour": styles[law].colour if law == label else _OTHER,
+                "size": 2.2 if law == EXACT else 1.3,
+                "dashes": styles[law].dashes,
+                "series": label,
             }
-            row[0].plot(x[near], K_c * force[near], **look)
-            row[1].plot(x, K_c * (force - forces[EXACT]), **look)
+            marks.put(row[0], [marks.line(x=x[near], y=K_c * force[near], entry=label, **look)])
+            marks.put(row[1], [marks.line(x=x, y=K_c * (force - forces[EXACT]), **look)])
         for axes, title in zip(row, ("force near the gap", "error in the fit range"), strict=True):
-            axes.axvspan(low, high, color="#eeeeee", zorder=0, label="_gap")
+            marks.put(axes, [marks.band(x=[low], x_end=[high], colour="#eeeeee", series="gap")])
             axes.set_title(f"{plain(K_c)} N/m: {title} [N]", fontsize=9, loc="left")
             axes.margins(x=0.0)
     for axes in panels[-1]:
         axes.set_xlabel(axis_label(static["x"]))
-    figure.legend(panels[0, 0].lines, list(forces), loc="outside upper center", ncols=5)
+    figure.legend(*panels[0, 0].get_legend_handles_labels(), loc="outside upper center", ncols=5)
     return figure
 
 
@@ -76,20 +77,25 @@ def static_convergence(ladders: xr.Dataset) -> Figure:
     figure = Figure(figsize=(WIDTH, 5.2), layout="constrained")
     panels = figure.subplots(2, 3, sharex="col", sharey="row")
     curves = (
-        ("polynomials", "poly", "constraint", "degree", "o-"),
-        ("rational", "ratpoly", "", "ratio", "o"),  # no line leads from one ratio to the next
-        ("smooth", "smooth", "family", "parameter", "o-"),
+        ("polynomials", "poly", "constraint", "degree"),
+        ("rational", "ratpoly", "", "ratio"),  # no line leads from one ratio to the next
+        ("smooth", "smooth", "family", "parameter"),
     )
     for row, (error, (says, bound)) in zip(panels, _QUALITY.items(), strict=True):
-        for axes, (title, kind, by, along, mark) in zip(row, curves, strict=True):
+        for axes, (title, kind, by, along) in zip(row, curves, strict=True):
             rungs = ladders[f"{kind}_{error}"]
             loss = 1.0 - rungs if error == "r_squared" else SOFT * rungs
             for n, one in enumerate(loss.transpose(by, ...) if by else [loss]):
                 name = str(one[by].values).replace("none", "free") if by else ""
                 shade = colour(name if kind == "smooth" else kind)
-                look = {"color": _OTHER if kind == "poly" and n else shade, "markersize": 3.5}
-                axes.plot(one[along].values, one.where(one > _ROUNDING), mark, label=name, **look)
-            axes.axhline(bound, color=GREY, linewidth=0.8, linestyle=":")
+                look = {"colour": _OTHER if kind == "poly" and n else shade, "entry": name}
+                look |= {"x": one[along].values, "y": one.where(one > _ROUNDING).values}
+                look |= {"series": name}
+                if by:
+                    marks.put(axes, [marks.line(size=1.5, dots=3.5, **look)])
+                else:
+                    marks.put(axes, [marks.points(size=3.5, **look)])
+            marks.put(axes, [marks.level(y=bound, colour=GREY, size=0.8, dashes=":")])
             axes.set_yscale("log")
             if row is panels[0]:
                 axes.set_title(title, fontsize=9, loc="left")

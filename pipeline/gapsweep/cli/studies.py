@@ -318,7 +318,7 @@ def bench(study: Path, out: Path | None, timeout: float, as_json: bool) -> int:
       gapsweep bench study.toml
     """
     from gapsweep import pipeline
-    from gapsweep.report.benchmarks import conclusions
+    from gapsweep.report.sections.benchmarks import conclusions
     from gapsweep.run_folder import REPORT
     from gapsweep.store import netcdf
 

@@ -17,7 +17,7 @@ from gapsweep.errors import ClusterError
 from gapsweep.execution.workers import end_workers, start_workers, worker_process
 from gapsweep.study.software import software
 
-_CONNECT_SECONDS = 10
+CONNECT_SECONDS = 10
 _WAIT_SECONDS = 0.1
 _LOOK_SECONDS = 0.01
 _LONGEST_PLACE = 71  # characters: multiprocessing adds 32, and macOS allows 103 in all
@@ -63,11 +63,11 @@ def cluster(
     """
     if scheduler is None:
         settings = _LOCAL_SETTINGS | ({} if dashboard else dict.fromkeys(_ROUTES, ()))
-        with dask.config.set(settings), _local(workers, dashboard) as client:
+        with dask.config.set(settings), local_cluster(workers, dashboard) as client:
             yield client
         return
     try:
-        client = Client(scheduler, timeout=_CONNECT_SECONDS)
+        client = Client(scheduler, timeout=CONNECT_SECONDS)
     except (OSError, ValueError, TypeError, TimeoutError) as error:
         raise ClusterError(
             f"scheduler {scheduler}: cannot be reached ({first_line(error)}); start one with "
@@ -78,7 +78,8 @@ def cluster(
 
 
 @contextmanager
-def _local(workers: int, dashboard: bool) -> Iterator[Client]:
+def local_cluster(workers: int, dashboard: bool) -> Iterator[Client]:
+    """Client of a cluster of worker processes on this machine, which ends with the block."""
     place = tempfile.gettempdir()
     if os.name == "posix" and len(os.fsencode(place)) > _LONGEST_PLACE:
         raise ClusterError(

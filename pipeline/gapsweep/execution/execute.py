@@ -49,7 +49,7 @@ _PART_OF_SHARE = 0.5
 _MIN_BATCH = 64
 _KNOWN = 0.1  # share of the points to compute before the remaining time is estimated
 _WINDOW = 3  # tasks in flight per worker thread
-_COMMIT_SECONDS = 0.5
+COMMIT_SECONDS = 0.5
 _COMMIT_POINTS = 4096
 # Workers that may die of an isolated task before its points are marked as killed.
 _MAX_ATTEMPTS = 5
@@ -230,7 +230,10 @@ class _Execution:
         return drawn, rest
 
     def _room(self, point: np.intp) -> int:
-        """Number of points in a task: it is short, all threads end together, and none waits."""
+        """Return the points of a task: `batch`, or so few that all threads end together.
+
+        They are enough that no thread waits for the client.
+        """
         if self.batch:
             return self.batch
         kind, of_thread = self._kind(point), self.plan.n_missing // self.n_threads
@@ -354,7 +357,7 @@ class _Execution:
                 kind = self._kind(job.rows[0])[0], int(is_swept)
                 self.costs.add(kind, n, share * result.seconds, share * result.spent)
         self.held.append(job.claimed)
-        due = time.monotonic() - self.last_commit > _COMMIT_SECONDS
+        due = time.monotonic() - self.last_commit > COMMIT_SECONDS
         n_arrived = sum(slab.n_points for slab in self.arrived)
         if job.rest.size or due or n_arrived >= _COMMIT_POINTS:
             self.commit()

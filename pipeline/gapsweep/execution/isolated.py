@@ -36,14 +36,14 @@ except ImportError:  # not a POSIX system: there only the time of calls is limit
 Result = TypeVar("Result")
 
 LONGEST = 1e8  # s: the operating system takes no infinite limit
-_START_SECONDS = 120.0
+START_SECONDS = 120.0
 _LOOK_SECONDS = 0.1
 _LEAVE_SECONDS = 2.0
 # A call beyond its time limit on the clock is ended if it used a smaller share of the processor.
 # With a larger share the machine is busy: the call has up to 50 times the limit on the clock.
-_IDLE = 0.02
+IDLE_SHARE = 0.02
 _PR_SET_PDEATHSIG = 1  # option of prctl on Linux
-_CHILD = "from gapsweep.execution.isolated import serve; serve()"
+CHILD = "from gapsweep.execution.isolated import serve; serve()"
 
 
 class CallError(Exception):
@@ -115,7 +115,7 @@ class Isolated:
         )
         with theirs:
             process = self._process = subprocess.Popen(
-                [sys.executable, "-P", "-c", _CHILD, str(theirs.fileno())],
+                [sys.executable, "-P", "-c", CHILD, str(theirs.fileno())],
                 pass_fds=[theirs.fileno()],
                 env=os.environ | {"PYTHONPATH": search_path(), TEMPORARY: self._folder.name},
                 stdin=subprocess.DEVNULL,
@@ -123,7 +123,7 @@ class Isolated:
                 stderr=subprocess.DEVNULL,
                 start_new_session=True,  # gets no Ctrl-C; its group holds all processes it starts
             )
-        if self._answer(process, _START_SECONDS) != software():
+        if self._answer(process, START_SECONDS) != software():
             raise ClusterError("the code of gapsweep changed during the run; run again to resume")
         return process
 
@@ -133,7 +133,7 @@ class Isolated:
         try:
             while not self._pipe.poll(_LOOK_SECONDS) and process.poll() is None:
                 took, used = time.monotonic() - began, _processor_seconds(process.pid) - spent
-                if took > timeout and not _IDLE * took < used < timeout + 2.0:
+                if took > timeout and not IDLE_SHARE * took < used < timeout + 2.0:
                     raise _too_long(timeout)
             if not self._pipe.poll():  # a child of the process may hold the connection open
                 raise _lost(process, timeout)

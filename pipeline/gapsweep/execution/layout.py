@@ -28,7 +28,7 @@ from gapsweep.variables import EXTREMUM, MULTIPLIER, SECTION_POINT, Variable
 Arrays = dict[str, NDArray[Any]]
 
 # Sweep points in memory, and in a chunk of the file, at a time.
-_PIECE = 4096
+PIECE = 4096
 # Attractors of a parameter set in a chunk: few have more.
 _ATTRACTORS = 4
 # Items of a list in a chunk: chunks behind the longest list of their points are not written.
@@ -94,7 +94,7 @@ class Layout:
     @property
     def chunk(self) -> tuple[int, ...]:
         """Chunk sizes of a variable: large along initial conditions first, then frequencies."""
-        sizes, room = {}, _PIECE
+        sizes, room = {}, PIECE
         for dim in sorted(self.grid.dims[::-1], key=lambda dim: (dim != START, dim != "omega")):
             sizes[dim] = max(1, min(len(self.grid.axes[dim]), room))
             room //= sizes[dim]
@@ -146,8 +146,8 @@ class Layout:
     def starts(self) -> Iterator[slice]:
         """Slices of the initial conditions, each written at a time."""
         n_starts = len(self.grid.starts)
-        for first in range(0, n_starts, _PIECE):
-            yield slice(first, min(first + _PIECE, n_starts))
+        for first in range(0, n_starts, PIECE):
+            yield slice(first, min(first + PIECE, n_starts))
 
 
 def define(dataset: netCDF4.Dataset, layout: Layout) -> None:

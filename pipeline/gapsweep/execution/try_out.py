@@ -23,8 +23,8 @@ from gapsweep.status import Status
 from gapsweep.study.study import Study
 from gapsweep.study.system_tables import in_words
 
-_LONGEST = 60.0  # s
-_SHORTEST = 10.0  # s, for imports and compilation, which no time limit of points includes
+LONGEST_TRIAL = 60.0  # s
+SHORTEST_TRIAL = 10.0  # s, for imports and compilation, which no time limit of points includes
 _MOST_GAPS = 100  # gaps in which jumps are searched for
 _studies: list[Study] = []  # the study that an isolated process has loaded, for later calls
 
@@ -38,7 +38,7 @@ def try_out_system(function: str, path: Path) -> None:
         If the function ends its process or hangs. Other errors appear when the
         study is loaded.
     """
-    with Isolated(_LONGEST) as isolated:
+    with Isolated(LONGEST_TRIAL) as isolated:
         at = ""
         try:
             for some in isolated(_loads, path):
@@ -76,7 +76,7 @@ def try_out(study: Study, timeout: float, say: Callable[[str], None]) -> None:
         If a law ends the process, hangs, raises an error that is no `ModelError`, cannot be
         compiled although its points need that, or jumps.
     """
-    limit = min(max(timeout, _SHORTEST), _LONGEST)
+    limit = min(max(timeout, SHORTEST_TRIAL), LONGEST_TRIAL)
     swept, axes = study.grid.representations, study.grid.axes
     compiled = {one.law for one in swept if study.solver(one).engine == "compiled"}
     gaps = study.grid.gaps[:_MOST_GAPS] if {"gap", "j_1"} & axes.keys() else (Gap(0.0, 0.0),)
@@ -98,8 +98,8 @@ def try_out(study: Study, timeout: float, say: Callable[[str], None]) -> None:
                     if lost.status is Status.MODEL_INVALID:
                         break  # the plan refuses it; in a history it is the status
                     why = lost.message
-                    if lost.status is Status.TIMED_OUT and timeout < _LONGEST:
-                        why += f"; allow up to {_LONGEST:g} s with --timeout"
+                    if lost.status is Status.TIMED_OUT and timeout < LONGEST_TRIAL:
+                        why += f"; allow up to {LONGEST_TRIAL:g} s with --timeout"
                     where = f"{study.source}: {step.format(label)}"
                     raise StudyError([f"{where}: {why}"]) from None
 

@@ -318,7 +318,7 @@ class Page:
             self._document.add_timeout_callback(partial(self._show, question, answer), _FRAME)
 
     def _show(self, question: Question, answer: Curve | Motion | Plane) -> None:
-        """Draw a result, and update the legend and the status text."""
+        """Draw a result, unless its question is outdated, and update legend and status text."""
         is_first = _is_first(answer)
         # While a slider moves, only the first result of each question is shown.
         if question is not self._question and not is_first:

@@ -18,13 +18,9 @@ from gapsweep.integrate.runge_kutta import representations
 from gapsweep.integrate.runge_kutta.smooth_scenes import runge_kutta_scenes
 from gapsweep.integrate.stepping import batch, record
 from gapsweep.integrate.taylor.method import Taylor
-from gapsweep.model.contact import (
-    Arctan,
-    LogArctan,
-    Piecewise,
-    Tanh,
-)
-from gapsweep.model.fitted import Polynomial, RationalPolynomial
+from gapsweep.model.contact import Piecewise
+from gapsweep.model.laws.fitted import Fitted
+from gapsweep.model.laws.tanh import Tanh
 from gapsweep.model.oscillator import CLASSIC, Oscillator
 from gapsweep.model.table import ForceTable
 from gapsweep.model.user_law import UserLaw
@@ -82,26 +78,13 @@ def prepared(models: Models, solver: Solver) -> Integrate:
 
 def _by_taylor(models: Models, solver: Solver) -> bool:
     """Whether the Taylor method integrates the models; refuse models that no method integrates."""
-    laws = models.laws[0]
-    located = [law for law in laws if isinstance(law, Piecewise) and law.located]
-    is_written = solver.contact_force == "as_written"
-    if solver.controller != "native" or (located and (solver.restart or is_written)):
-        if located and not _is_oscillator(models):
-            what = "restart = true" if solver.restart else "controller = 'ode45'"
-            what = "contact_force = 'as_written'" if is_written else what
-            raise ModelError(
-                f"{what}: needs an Oscillator with omega_n > 0 and mean_load = 0; "
-                "otherwise use engine='scipy', or located=False (piecewise-noevents)"
-            )
+    laws, n_located = models.laws[0], models.n_located
+    solver.check_located(n_located, len(laws), is_oscillator=_is_oscillator(models))
+    if solver.controller != "native" or (n_located and solver.runge_kutta):
         return not laws
-    if located and len(located) < len(laws):
-        raise ModelError(
-            f"{located[0]}: contacts are located for all contacts or none; use located=False "
-            "(piecewise-noevents), or engine='scipy', which then locates none"
-        )
     if _is_oscillator(models) and isinstance(laws[0], Tanh):
         return laws[0].has_thin_layers or solver.rtol <= _THICK_LAYERS_UP_TO
-    return len(located) == len(laws)
+    return n_located == len(laws)
 
 
 def _is_oscillator(models: Models) -> bool:
@@ -189,21 +172,15 @@ def _kernel_law(models: Models, contact: int) -> Any:
         return np.array([getattr(laws[contact], name) for laws in models.laws])[models.law]
 
     gaps = {name: values[:, contact] for name, values in _walls(models).items()}
-    match law:
-        case Tanh():
-            return representations.tanh(**gaps, epsilon=column("epsilon"))
-        case Arctan():
-            return representations.arctan(**gaps, epsilon=column("epsilon"))
-        case LogArctan():
-            return representations.log_arctan(**gaps, gamma=column("gamma"))
-        case Piecewise():
-            return representations.piecewise(**gaps, located=law.located)
+    if isinstance(law, Piecewise) and law.located:
+        return representations.located(**gaps)
+    if law.is_numbers:
+        sharpness = column(law.symbol) if law.symbol else np.nan
+        return representations.of_numbers(type(law), **gaps, sharpness=sharpness)
     walls = {"j_1": -law.walls[0], "j_2": law.walls[1]}
     match law:
-        case Polynomial():
-            return representations.polynomial(law.coefficients[0], law.fit_range, **walls)
-        case RationalPolynomial():
-            return representations.rational_polynomial(*law.coefficients, law.fit_range, **walls)
+        case Fitted():
+            return representations.fitted(type(law), *law.coefficients, law.fit_range, **walls)
         case ForceTable():
             return representations.table(law.x, law.pieces, **walls)
         case UserLaw():

@@ -38,7 +38,7 @@ from numba.extending import overload
 from gapsweep.integrate.problem import LOADING
 
 
-class _InlinedCode(JITCodeLibrary):
+class InlinedCode(JITCodeLibrary):
     """Code of a function that runs only inside its callers and is optimised together with them.
 
     numba would also optimise and compile every function separately, with all functions it calls:
@@ -56,7 +56,7 @@ class _InlinedCode(JITCodeLibrary):
         return 0
 
     @property
-    def codegen(self) -> "_InlinedCode":
+    def codegen(self) -> "InlinedCode":
         return self
 
     def set_env(self, _name: str, _environment: Any) -> None:
@@ -65,7 +65,7 @@ class _InlinedCode(JITCodeLibrary):
 
 class _PartCompiler(Compiler):
     def compile_extra(self, function: Callable[..., Any]) -> Any:
-        self.state.library = _InlinedCode(self.state.targetctx.codegen(), function.__qualname__)
+        self.state.library = InlinedCode(self.state.targetctx.codegen(), function.__qualname__)
         return super().compile_extra(function)
 
 
@@ -77,6 +77,8 @@ _PART = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True, "pipeline_class":
 # refuses to compile a function that does allocate under this option.
 internal = njit(**_PART, _nrt=False)
 inlined = njit(forceinline=True, **_PART, _nrt=False)
+# not inlined even where its callers are: numba would inherit their setting
+separate = njit(forceinline=False, **_PART, _nrt=False)
 
 
 def chosen_by_type(function: Callable[..., Any]) -> Any:
@@ -86,7 +88,7 @@ def chosen_by_type(function: Callable[..., Any]) -> Any:
 
 # Levels of x86-64, the best first, and the features of each beyond the next. Lower levels, without
 # fused multiply-add, would give other bits.
-_LEVELS = {
+LEVELS = {
     "x86-64-v4": {"avx512f", "avx512bw", "avx512cd", "avx512dq", "avx512vl"},
     "x86-64-v3": {"avx2", "bmi", "bmi2", "f16c", "fma", "lzcnt", "movbe"},
 }
@@ -135,7 +137,7 @@ class _Code:
                 temporary.unlink()
 
 
-class _MachineCodeCache(FunctionCache):
+class MachineCodeCache(FunctionCache):
     """numba's cache of a function on disk; code shipped with the package is tried first."""
 
     def __init__(self, function: Callable[..., Any]) -> None:
@@ -179,9 +181,9 @@ def shipped_for() -> tuple[str, ...]:
     if config.CPU_NAME or config.CPU_FEATURES is not None:
         return ()
     features = {name for name, has in get_host_cpu_features().items() if has}
-    several, fit = list(_LEVELS), []
+    several, fit = list(LEVELS), []
     for i, level in enumerate(several):
-        if set().union(*(_LEVELS[each] for each in several[i:])) <= features:
+        if set().union(*(LEVELS[each] for each in several[i:])) <= features:
             fit.append(folder_of(level))
     return tuple(fit)
 
@@ -195,7 +197,7 @@ def folder_of(level: str) -> str:
 def entry(function: Callable[..., Any]) -> Any:
     """Compile a function that Python calls, and keep the machine code on disk."""
     found = njit(nogil=True)(function)
-    found._cache = _MachineCodeCache(function)
+    found._cache = MachineCodeCache(function)
     found.compile = _by_one_process(function, found.compile)
     return counted(found)
 
@@ -275,10 +277,13 @@ def _private() -> Path:
 def source_fingerprint() -> str:
     """Hash (16 hex digits) of all sources below this module's folder, names included.
 
-    ``status.py`` is included: its numbers are constants of the code.
+    The sources of the formulas of contact laws are included, and ``status.py``, whose numbers are
+    constants of the code.
     """
     here = Path(__file__).parent
+    of_laws = here.parent / "model"
+    others = here.parent / "status.py", of_laws / "arithmetic.py", of_laws / "contact.py"
     digest = hashlib.sha256()
-    for path in sorted([*here.rglob("*.py"), here.parent / "status.py"]):
+    for path in sorted([*here.rglob("*.py"), *(of_laws / "laws").rglob("*.py"), *others]):
         digest.update(path.relative_to(here.parent).as_posix().encode() + b"\0" + path.read_bytes())
     return digest.hexdigest()[:16]

@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 
 from gapsweep.errors import ModelError
 from gapsweep.integrate.motions import Motions
-from gapsweep.model.contact import ContactLaw, Piecewise, Tanh, checked_law
+from gapsweep.model.contact import ContactLaw, Piecewise, checked_law
+from gapsweep.model.laws.tanh import Tanh
 from gapsweep.model.oscillator import Oscillator, checked
 from gapsweep.model.structure import general_form
 from gapsweep.model.system import System
@@ -118,6 +119,11 @@ class Models:
         group = sizes[self.system] * len(kinds) + which[self.law]
         groups = [np.flatnonzero(group == one) for one in np.unique(group).tolist()]
         return [(rows, self.take(rows)) for rows in groups]
+
+    @property
+    def n_located(self) -> int:
+        """Number of contacts that are located, of the first row as of all."""
+        return sum(isinstance(law, Piecewise) and law.located for law in self.laws[0])
 
     def of_systems(self, value: Callable[[Any], Any]) -> NDArray[Any]:
         """Return a function's value for every row's system, shape (n, ...)."""
@@ -321,7 +327,8 @@ class Solver:
     engine : str
         ``"compiled"``, or ``"scipy"`` for the reference engine.
     rtol : float
-        Relative tolerance [-], ``> 0``.
+        Relative tolerance [-], 1e-13 to 0.1; `Solver.of` takes 1e-9 for engine ``"compiled"`` and
+        1e-4 for ``"scipy"`` by default.
     atol : float or None
         Absolute tolerance [m, m/s], ``> 0``; None: `rtol` times a length, see `Models.absolute`.
     controller : str
@@ -333,7 +340,7 @@ class Solver:
     contact_force : str
         Force of a located contact inside a step: ``"by_mode"`` keeps the contact mode until the
         step ends at the wall; ``"as_written"`` evaluates the piecewise force at every stage, so
-        that a step passes its kink before it is cut at the wall.
+        that a step passes its kink before it is cut at the wall. No effect on smooth laws.
 
     Raises
     ------
@@ -381,6 +388,39 @@ class Solver:
             restart=restart,
             contact_force=contact_force,
         )
+
+    @property
+    def runge_kutta(self) -> str:
+        """The setting for which a compiled motion with located contacts takes Runge-Kutta steps.
+
+        As in a study file; empty if there is none.
+        """
+        if self.contact_force == "as_written":
+            return "contact_force = 'as_written'"
+        if self.restart:
+            return "restart = true"
+        return "" if self.controller == "native" else "controller = 'ode45'"
+
+    def check_located(self, n_located: int, n_contacts: int, *, is_oscillator: bool) -> None:
+        """Raise a `ModelError` if the engine cannot locate contacts with these settings.
+
+        Parameters
+        ----------
+        n_located, n_contacts : int
+            Numbers of contacts that are located, and of all contacts.
+        is_oscillator : bool
+            Whether the models are oscillators with ``is_classic``.
+        """
+        if self.engine == "compiled" and n_located and self.runge_kutta and not is_oscillator:
+            raise ModelError(
+                f"{self.runge_kutta}: needs an Oscillator with omega_n > 0 and mean_load = 0; "
+                "otherwise use engine='scipy', or located=False (piecewise-noevents)"
+            )
+        if 0 < n_located < n_contacts:
+            raise ModelError(
+                f"{Piecewise.family}: contacts are located for all contacts or none; use "
+                "located=False (piecewise-noevents)"
+            )
 
     def with_rtol(self, rtol: float) -> "Solver":
         """Return the solver with another relative tolerance, `atol` scaled by the same factor."""

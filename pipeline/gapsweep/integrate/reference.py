@@ -94,7 +94,7 @@ def prepared(models: Models, solver: Solver) -> Integrate:
 
     RK45 for ``rtol >= 1e-6``, DOP853 below; the absolute tolerance holds for both m and m/s.
     """
-
+    solver.check_located(models.n_located, len(models.laws[0]), is_oscillator=False)
     atol = models.absolute(solver)
 
     def integrate(problems: Problems) -> Motions:

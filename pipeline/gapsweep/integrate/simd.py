@@ -78,7 +78,7 @@ def _lowered(emit):
 
 
 def _define(op, result, emit, *cases):
-    """Teach numba an operator for some types of operands."""
+    """Register an operator with numba: result type, code generator and types of operands."""
 
     class Template(ConcreteTemplate):
         pass
@@ -172,6 +172,22 @@ def load(typingctx, array, row):
         return builder.load(_row_pointer(context, builder, sig.args[0], args[0], row), align=8)
 
     return vec(array, row), codegen
+
+
+def loads(rows):
+    """Return a function that returns some rows of such an array, as a tuple of vectors."""
+
+    @intrinsic
+    def function(typingctx, array):
+        def codegen(context, builder, sig, args):
+            at = (ir.Constant(I64, row) for row in rows)
+            pointers = (_row_pointer(context, builder, array, args[0], row) for row in at)
+            found = [builder.load(pointer, align=8) for pointer in pointers]
+            return context.make_tuple(builder, sig.return_type, found)
+
+        return types.UniTuple(vec, len(rows))(array), codegen
+
+    return function
 
 
 @intrinsic

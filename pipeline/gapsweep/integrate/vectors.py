@@ -109,6 +109,12 @@ class Mask(_LaneValues):
         return self.builder.zext(self.builder.bitcast(self.value, ir.IntType(width)), I64)
 
 
+def mask_of(builder, bits, width):
+    """Mask from the lowest bits of an integer, as `Mask.bits` returns it."""
+    lowest = builder.trunc(bits, ir.IntType(width))
+    return Mask(builder, builder.bitcast(lowest, ir.VectorType(ir.IntType(1), width)))
+
+
 def where(mask, a, b):
     """`a` in the lanes of `mask`, `b` in the others; either may be a number."""
     vec = a if isinstance(a, Vec) else b

@@ -1,24 +1,22 @@
-"""Contact laws: the exact freeplay force and its continuous representations.
+"""The base class of contact laws, and the exact freeplay force.
 
 Every law has ``force(x)`` [N] and ``derivative(x)`` [N/m] on arrays of displacements [m],
-for symmetric, asymmetric and zero gaps. Formulas and labels are those of the user guide;
-`gapsweep.model.labels` builds any law from its label.
+for symmetric, asymmetric and zero gaps. `gapsweep.model.labels` builds any law from its label.
 
-A law is one class, here or in `fitted`, `table` and `user_law`, with all properties that the rest
-of the package uses, and one compiled form in `gapsweep.integrate.runge_kutta.laws`.
+The laws of this package are classes in files of `gapsweep.model.laws`, each with all that the rest
+of the package uses: label, colour, texts, force, and the formulas that the compiled engine uses.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from decimal import Decimal
-from functools import cached_property
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gapsweep.errors import ModelError
+from gapsweep.model.arithmetic import select
 from gapsweep.model.fit import unit_force
 from gapsweep.model.oscillator import Gap, called_as, checked
 from gapsweep.status import DIVERGED_AT
@@ -26,8 +24,23 @@ from gapsweep.status import DIVERGED_AT
 Array = NDArray[np.float64]
 FIT_RANGE = 4e-3
 _NOEVENTS = "noevents"
-_HALVINGS = 60  # to the last digits of a double
-_THIN = 30.0  # gap over the width of a layer
+
+
+class Formulas(NamedTuple):
+    """Force [N] and slope [N/m] of a law as the compiled engine computes them.
+
+    Each is a function of the displacement x [m] and of the numbers that its other arguments name:
+    ``stiffness`` [N/m] (of the upper wall; 1 for fits), ``low`` and ``high`` (positions of the
+    walls [m]), ``ratio`` (`ContactLaw.K_ratio`), ``fit_range`` [m], and those of
+    `ContactLaw.rows`. A fit has its Chebyshev series, ``numerator`` and ``denominator``, directly
+    after x. A formula is written with operators, constants, the functions of
+    `gapsweep.model.arithmetic` and functions of the same file.
+    """
+
+    force: Callable[..., Any]
+    slope: Callable[..., Any]
+    # Positive where the law is valid.
+    denominator: Callable[..., Any] | None = None
 
 
 @dataclass(frozen=True)
@@ -57,6 +70,12 @@ class ContactLaw:
     is_numbers: ClassVar[bool] = False
     # Whether the law has a convergence parameter: the larger, the closer to the exact law.
     is_sharpened: ClassVar[bool] = False
+    # Name of the field that the label holds, if the law errs less the larger it is.
+    symbol: ClassVar[str] = ""
+    # For laws with a label: labels, the first one for a first trial; and the force in words.
+    examples: ClassVar[tuple[str, ...]] = ()
+    words: ClassVar[str] = ""
+    formulas: ClassVar[Formulas]
 
     K_c: float
     gap: Gap
@@ -78,6 +97,24 @@ class ContactLaw:
     def of_label(cls, parameter: str, fit_range: float) -> dict[str, Any]:
         """Return the parameters of the law, by name, from the parameter of a canonical label."""
         raise NotImplementedError
+
+    @classmethod
+    def rows(cls, low: Array, high: Array, ratio: Array, sharpness: Array) -> Mapping[str, Array]:
+        """Return further numbers of the `formulas` of n laws, by name, each of shape (n,).
+
+        ``layer``, no argument of a formula, is the half-width [m] of the layers at the walls, which
+        steps resolve.
+
+        Parameters
+        ----------
+        low, high : ndarray, shape (n,)
+            Positions of the walls [m].
+        ratio : ndarray, shape (n,)
+            Stiffness of the lower wall over the stiffness of the upper wall [-].
+        sharpness : ndarray, shape (n,)
+            Values of the field `symbol`; NaN for a law without one.
+        """
+        return {}
 
     @property
     def exact(self) -> "Piecewise":
@@ -124,6 +161,16 @@ class ContactLaw:
         raise NotImplementedError
 
 
+def _piecewise_force(x: Any, stiffness: Any, low: Any, high: Any, ratio: Any) -> Any:
+    below = ratio * (x - low)
+    return stiffness * select(x > high, x - high, select(x < low, below, 0.0))
+
+
+def _piecewise_slope(x: Any, stiffness: Any, low: Any, high: Any, ratio: Any) -> Any:
+    below = select(x < low, ratio, 0.0)
+    return stiffness * select(x > high, 1.0, below)
+
+
 @called_as("gs.Piecewise(1.4e4, gs.Gap(4e-4, 4e-4)), in N/m and m")
 @dataclass(frozen=True)
 class Piecewise(ContactLaw):
@@ -145,6 +192,12 @@ class Piecewise(ContactLaw):
 
     family: ClassVar[str] = "piecewise"
     is_numbers: ClassVar[bool] = True
+    examples: ClassVar[tuple[str, ...]] = ("piecewise", "piecewise-noevents")
+    words: ClassVar[str] = (
+        "K_c (x − j₂) for x > j₂, r K_c (x + j₁) for x < −j₁, 0 between; also of "
+        "piecewise-noevents, which does not locate contacts"
+    )
+    formulas: ClassVar[Formulas] = Formulas(_piecewise_force, _piecewise_slope)
 
     located: bool = True
 
@@ -170,223 +223,6 @@ class Piecewise(ContactLaw):
         x = np.asarray(x, dtype=float)
         below = np.where(x < -self.gap.j_1, self.K_ratio * self.K_c, 0.0)
         return np.where(x > self.gap.j_2, self.K_c, below)
-
-
-@dataclass(frozen=True)
-class _Sharpened(ContactLaw):
-    """A law with a convergence parameter [1/m], whose inverse is the width of its layer."""
-
-    is_numbers: ClassVar[bool] = True
-    is_sharpened: ClassVar[bool] = True
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        # A smooth law has a force everywhere: arctan K_c / (pi epsilon) at any distance.
-        if self.K_c and (farthest := max(map(abs, self.walls))) > DIVERGED_AT:
-            raise ModelError(
-                f"wall at {farthest:g}: a smooth law needs walls within {DIVERGED_AT:g}, "
-                "where motions count as diverged; a stop on one side has K_ratio = 0"
-            )
-
-    @property
-    def sharpness(self) -> float:
-        """The convergence parameter [1/m]."""
-        raise NotImplementedError
-
-    @property
-    def layer(self) -> float:
-        return 1.0 / self.sharpness
-
-    @property
-    def turns(self) -> tuple[float, ...] | None:
-        return ()
-
-    @classmethod
-    def canonical(cls, label: str, parameter: str) -> str:
-        try:
-            value = float(parameter)
-        except ValueError:
-            raise ModelError(
-                f"{label!r}: must be {cls.family} and its convergence parameter in 1/m, as "
-                f"{cls.family}-1e4"
-            ) from None
-        if not (math.isfinite(value) and value > 0.0):
-            raise ModelError(f"{label!r}: the convergence parameter must be > 0 and finite, in 1/m")
-        digits, exponent = f"{value:.11e}".split("e")
-        return f"{Decimal(digits).normalize():f}e{int(exponent)}"
-
-
-@dataclass(frozen=True)
-class _Switched(_Sharpened):
-    """Both contact branches, each blended in by a switch ``s`` running from -1 to 1."""
-
-    epsilon: float
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        value = checked("epsilon", self.epsilon, low=0.0, strict=True)
-        object.__setattr__(self, "epsilon", value)
-
-    @property
-    def sharpness(self) -> float:
-        return self.epsilon
-
-    @classmethod
-    def of_label(cls, parameter: str, fit_range: float) -> dict[str, Any]:
-        return {"epsilon": float(parameter)}
-
-    def _switch(self, z: Array) -> tuple[Array, Array]:
-        """Value and derivative of the switch at scaled distance `z` [-]."""
-        raise NotImplementedError
-
-    def force(self, x: ArrayLike) -> Array:
-        below, above = _penetrations(x, self.gap)
-        s_below, _ = self._switch(self.epsilon * below)
-        s_above, _ = self._switch(self.epsilon * above)
-        blend = self.K_ratio * (1.0 - s_below) * below + (1.0 + s_above) * above
-        return np.asarray(0.5 * self.K_c * blend)
-
-    def derivative(self, x: ArrayLike) -> Array:
-        below, above = _penetrations(x, self.gap)
-        a, b = self.epsilon * below, self.epsilon * above
-        s_below, d_below = self._switch(a)
-        s_above, d_above = self._switch(b)
-        slope = self.K_ratio * ((1.0 - s_below) - d_below * a) + (1.0 + s_above) + d_above * b
-        return np.asarray(0.5 * self.K_c * slope)
-
-
-@called_as("gs.Tanh(1.4e4, gs.Gap(4e-4, 4e-4), epsilon=1e4), in N/m, m and 1/m")
-@dataclass(frozen=True)
-class Tanh(_Switched):
-    """Smooth approximation of the exact law by hyperbolic tangents.
-
-    Parameters
-    ----------
-    epsilon : float
-        Convergence parameter [1/m], ``> 0``; its reciprocal is the thickness of the layer.
-
-    Examples
-    --------
-    >>> import gapsweep as gs
-    >>> law = gs.Tanh(1.4e4, gs.Gap(0.4e-3, 0.4e-3), epsilon=1e4)
-    >>> law.force(0.5e-3).round(2).item()  # the exact law's is 1.4
-    1.23
-    """
-
-    family: ClassVar[str] = "tanh"
-
-    @property
-    def has_thin_layers(self) -> bool:
-        """Whether the layers at both walls leave most of the gap free."""
-        return self.epsilon * self.gap.width >= _THIN
-
-    @cached_property
-    def turns(self) -> tuple[float, ...] | None:
-        """Extrema of the force [m] between walls of equal stiffness; None for unequal ones.
-
-        With walls ``w`` apart in ``u = ε (x - middle)`` the slope is ``h'(u - w/2) + h'(-u - w/2)``
-        with ``h' = d/dz z (1 + tanh z)``. If the slope is negative in the middle, it changes sign
-        once before each wall; if it is positive in the middle, it is positive everywhere.
-        """
-        if self.K_ratio != 1.0:
-            return None
-        half = 0.5 * self.epsilon * self.gap.width
-        low, high = 0.0, half
-        for _ in range(_HALVINGS):
-            middle = 0.5 * (low + high)
-            falls = _blend_slope(middle - half) + _blend_slope(-middle - half) < 0.0
-            low, high = (middle, high) if falls else (low, middle)
-        centre, turn = 0.5 * (self.gap.j_2 - self.gap.j_1), low / self.epsilon
-        return centre - turn, centre + turn
-
-    def _switch(self, z: Array) -> tuple[Array, Array]:
-        s = np.tanh(z)
-        return s, 1.0 - s * s
-
-
-def _blend_slope(z: float) -> float:
-    s = math.tanh(z)
-    return 1.0 + s + z * (1.0 - s * s)
-
-
-@called_as("gs.Arctan(1.4e4, gs.Gap(4e-4, 4e-4), epsilon=1e4), in N/m, m and 1/m")
-@dataclass(frozen=True)
-class Arctan(_Switched):
-    """Smooth approximation of the exact law by arctangents; its error decays algebraically.
-
-    Parameters
-    ----------
-    epsilon : float
-        Convergence parameter [1/m], ``> 0``.
-
-    Examples
-    --------
-    >>> import gapsweep as gs
-    >>> law = gs.Arctan(1.4e4, gs.Gap(0.4e-3, 0.4e-3), epsilon=1e4)
-    >>> law.force(0.0).item()
-    0.0
-    """
-
-    family: ClassVar[str] = "arctan"
-
-    def _switch(self, z: Array) -> tuple[Array, Array]:
-        return (2.0 / math.pi) * np.arctan(z), (2.0 / math.pi) / (1.0 + z * z)
-
-
-@called_as("gs.LogArctan(1.4e4, gs.Gap(4e-4, 4e-4), gamma=1e4), in N/m, m and 1/m")
-@dataclass(frozen=True)
-class LogArctan(_Sharpened):
-    """Smooth approximation: integral of an arctangent stiffness, with ``force(0) = 0``.
-
-    Parameters
-    ----------
-    gamma : float
-        Convergence parameter [1/m], ``> 0``.
-
-    Notes
-    -----
-    The condition ``force(0) = 0`` shifts the force of an asymmetric contact by a constant; for
-    ``j_1 = 0`` and equal stiffnesses about ``K_c (1 + ln(γ j_2)) / (π γ)``.
-
-    Examples
-    --------
-    >>> import gapsweep as gs
-    >>> law = gs.LogArctan(1.4e4, gs.Gap(0.4e-3, 0.4e-3), gamma=1e4)
-    >>> law.force(0.0).item()
-    0.0
-    """
-
-    family: ClassVar[str] = "logarctan"
-
-    gamma: float
-
-    @property
-    def sharpness(self) -> float:
-        return self.gamma
-
-    @classmethod
-    def of_label(cls, parameter: str, fit_range: float) -> dict[str, Any]:
-        return {"gamma": float(parameter)}
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        object.__setattr__(self, "gamma", checked("gamma", self.gamma, low=0.0, strict=True))
-
-    def _integral(self, x: Array) -> Array:
-        below, above = _penetrations(x, self.gap)
-        a, b = self.gamma * below, self.gamma * above
-        logs = (self.K_ratio * np.log1p(a * a) - np.log1p(b * b)) / (2.0 * self.gamma)
-        return np.asarray(above * np.arctan(b) - self.K_ratio * below * np.arctan(a) + logs)
-
-    def force(self, x: ArrayLike) -> Array:
-        x = np.asarray(x, dtype=float)
-        anchored = self._integral(x) - self._integral(np.zeros(()))
-        return np.asarray(self.K_c * (0.5 * (1.0 + self.K_ratio) * x + anchored / math.pi))
-
-    def derivative(self, x: ArrayLike) -> Array:
-        below, above = _penetrations(x, self.gap)
-        angles = np.arctan(self.gamma * above) - self.K_ratio * np.arctan(self.gamma * below)
-        return np.asarray(self.K_c * (0.5 * (1.0 + self.K_ratio) + angles / math.pi))
 
 
 def checked_gap(gap: Gap | Sequence[float]) -> Gap:
@@ -416,7 +252,7 @@ def checked_law(law: ContactLaw) -> ContactLaw:
     return law
 
 
-def _penetrations(x: ArrayLike, gap: Gap) -> tuple[Array, Array]:
-    """Signed distances from the lower and the upper wall [m]."""
+def penetrations(x: ArrayLike, gap: Gap) -> tuple[Array, Array]:
+    """Return the signed distances from the lower and the upper wall [m]."""
     x = np.asarray(x, dtype=float)
     return x + gap.j_1, x - gap.j_2

@@ -13,7 +13,7 @@ from numpy.polynomial import chebyshev
 from numpy.typing import ArrayLike, NDArray
 
 from gapsweep.model.contact import ContactLaw
-from gapsweep.model.fitted import Fitted
+from gapsweep.model.laws.fitted import Fitted
 from gapsweep.model.oscillator import Oscillator
 
 Array = NDArray[np.float64]

@@ -1,17 +1,10 @@
 """Labels: the text form of a contact law in studies, datasets and plots.
 
-========================= ==========================================================
-``piecewise``             exact force, every contact located
-``piecewise-noevents``    exact force, contacts not located
-``poly-13``               polynomial of degree 13
-``ratpoly-5/3``           rational polynomial, numerator and denominator degree
-``tanh-1e4``              tanh, epsilon = 1e4 /m; ``arctan-…`` likewise
-``logarctan-1e4``         log-arctan, gamma = 1e4 /m
-``my_module:spring``      the function ``spring(x)`` in ``my_module.py``, or a
-                          `gapsweep.ForceTable` of that name
-``stop.csv:mm``           measured forces [N] at displacements [mm] in ``stop.csv``
-``auto``                  in a study: the least model that each sweep point needs
-========================= ==========================================================
+A label is a family with its parameter, as ``tanh-1e4`` (all families are in `LAWS`), or
+
+- ``my_module:spring``, the function ``spring(x)`` in ``my_module.py``, or a table of that name;
+- ``stop.csv:mm``, measured forces [N] at displacements [mm] in ``stop.csv``;
+- ``auto``, in a study: the simplest adequate model of each point.
 """
 
 from __future__ import annotations
@@ -22,30 +15,20 @@ from collections.abc import Callable
 from pathlib import Path
 
 from gapsweep.errors import ModelError
-from gapsweep.model.contact import (
-    FIT_RANGE,
-    Arctan,
-    ContactLaw,
-    LogArctan,
-    Piecewise,
-    Tanh,
-)
-from gapsweep.model.fitted import Fitted, Polynomial, RationalPolynomial
+from gapsweep.model.contact import FIT_RANGE, ContactLaw
+from gapsweep.model.laws import LAWS
+from gapsweep.model.laws.fitted import Fitted
 from gapsweep.model.oscillator import Gap, called_as
 from gapsweep.model.own_law import OwnLaw
 from gapsweep.model.user_law import UserLaw
 
-EXAMPLES = (
-    "piecewise, piecewise-noevents, poly-13, ratpoly-5/3, tanh-1e4, arctan-1e4, logarctan-1e4"
-)
+EXAMPLES = ", ".join(example for law in LAWS for example in law.examples)
 # The label of a user's law, ``module:name``.
 FUNCTION = re.compile(r"[A-Za-z_][\w.]*:[A-Za-z_]\w*")
 
 
 # Every law that a label names, by its family, in the order of the user guide.
-FAMILIES: dict[str, type[ContactLaw]] = {
-    law.family: law for law in (Piecewise, Polynomial, RationalPolynomial, Tanh, Arctan, LogArctan)
-}
+FAMILIES: dict[str, type[ContactLaw]] = {law.family: law for law in LAWS}
 
 
 class Representation(str):

@@ -47,7 +47,9 @@ def called_as(example: str) -> Callable[[C], C]:
                     signature(function).bind_partial(*values, **named)
                     signature(function).bind(*values, **named)
                 except TypeError as error:
-                    known = list(signature(function).parameters)[is_class:]
+                    arguments = list(signature(function).parameters.values())[is_class:]
+                    # The text of an argument has the stars of `**parameters`; its type goes.
+                    known = [str(each).partition(":")[0] for each in arguments]
                     why = f": {NO_LOSS}" if _LOSSES.intersection(named).difference(known) else ""
                     raise ModelError(
                         f"{kind.__name__}: {error}{why}; its parameters are {', '.join(known)}: "

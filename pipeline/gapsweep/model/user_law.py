@@ -113,6 +113,13 @@ class UserLaw(ContactLaw):
     def _at(self, x: float) -> float:
         return _number(self.function(x, **self.parameters))
 
+    def _as_compiled(self, x: float) -> float:
+        """Return the force [N] at `x` [m]; NaN where arithmetic has no result, as compiled code."""
+        try:
+            return self._at(x)
+        except (ValueError, OverflowError, ZeroDivisionError):  # as sqrt(-1.0)
+            return math.nan
+
     def _known(self, x: float) -> float:
         """Return the force [N] at `x` [m]; NaN if the function raises."""
         try:
@@ -133,7 +140,7 @@ class UserLaw(ContactLaw):
 
     def force(self, x: ArrayLike) -> Array:
         x = np.asarray(x, dtype=float)
-        return np.reshape([self._at(float(v)) for v in x.ravel()], x.shape)
+        return np.reshape([self._as_compiled(float(v)) for v in x.ravel()], x.shape)
 
     def derivative(self, x: ArrayLike) -> Array:
         x = np.asarray(x, dtype=float)
@@ -157,4 +164,4 @@ def _number(force: Any) -> float:
     """Return the result of a user's function as a float; refuse text and booleans."""
     if np.asarray(force).dtype.kind in "bSU":
         raise TypeError(f"must return a number, not {force!r:.40}")
-    return float(force)
+    return math.nan if isinstance(force, complex) else float(force)  # as (-1.0) ** 0.5

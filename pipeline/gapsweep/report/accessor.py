@@ -13,11 +13,11 @@ import xarray as xr
 
 from gapsweep.analysis.dimensions import selected
 from gapsweep.errors import DatasetError
-from gapsweep.report import backdrop, contacts, drawing, dynamics, maps
+from gapsweep.report import backdrop, contacts, drawing, dynamics, maps, marks
 from gapsweep.report import branch_lines as of_branches
 from gapsweep.report.drawing import labels_of
 from gapsweep.report.dynamics import CURVES, WORDS
-from gapsweep.report.labelled import axes_of, axis_of, finished, scene_along, titled
+from gapsweep.report.labelled import axes_of, axis_of, finished, loglog, scene_along, titled
 from gapsweep.report.scales import axis_label
 from gapsweep.report.selection import missing_variable, scene
 from gapsweep.report.style import colour
@@ -105,10 +105,9 @@ class GapsweepAccessor:
         shown = scene_along(self._dataset, along, dict.fromkeys(names, CURVES), wanted)
         kinds = shown.get("response_class")
         axes = axes_of(ax)
-        drawing.curves(axes, shown[variable], along, kinds)
-        drawing.name_marks(axes, shown)
+        marks.put(axes, drawing.curves(shown[variable], along, kinds), drawing.key_of_marks(shown))
         if kinds is not None:
-            backdrop.unresolved(axes, shown, along)
+            marks.put(axes, backdrop.unresolved(shown, along))
         axes.set_ylabel(axis_label(shown[variable], WORDS.get(variable, "")))
         if not (shown[variable] < 0.0).any():
             axes.set_ylim(bottom=0)
@@ -161,7 +160,7 @@ class GapsweepAccessor:
         y = y or str(self._dataset.attrs.get("second", "x_max"))
         shown = of_branches.shown(self._dataset, [along, y], wanted)
         axes = axes_of(ax)
-        of_branches.draw(axes, shown, along, [y])
+        marks.put(axes, of_branches.orbits(shown, along, [y]))
         for name, which in ((along, "x"), (y, "y")):
             axes.set(**{f"{which}label": of_branches.label(shown[name])})
             if of_branches.is_log(shown[name]):
@@ -197,13 +196,12 @@ class GapsweepAccessor:
         both = scene_along(self._dataset, along, needed, {**wanted, "representation": [a, b]})
         shown = drawing.with_setting(both, "x_max")
         axes = axes_of(ax)
-        backdrop.walls(axes, shown, along, of_peaks=True)
+        marks.put(axes, backdrop.walls(shown, along, of_peaks=True))
         for label, size in ((a, _RIM), (b, _DOT)):
             one = selected(shown, {"representation": label})
-            drawing.peaks(axes, one, size, along=along)
-            axes.plot([], [], "o", color=colour(label), markersize=size, label=label)
-        drawing.name_marks(axes, shown, "x_max")
-        backdrop.unresolved(axes, shown, along)
+            marks.put(axes, drawing.peaks(one, size, along=along))
+            marks.put(axes, [marks.key(entry=label, colour=colour(label), size=size)])
+        marks.put(axes, drawing.key_of_marks(shown, "x_max"), backdrop.unresolved(shown, along))
         axes.set_ylabel(axis_label(shown["x_max"], "peak displacement"))
         return finished(axes, shown, along)
 
@@ -237,11 +235,11 @@ class GapsweepAccessor:
         )
         shown = scene_along(self._dataset, along, needed, wanted)
         axes = axes_of(ax)
-        backdrop.walls(axes, shown, along, of_peaks=True)
+        marks.put(axes, backdrop.walls(shown, along, of_peaks=True))
         for label in labels_of(shown):
-            drawing.attractor_peaks(axes, shown.sel(representation=label), along)
-            axes.plot([], [], "o", color=colour(label), markersize=4, label=label)
-        drawing.name_marks(axes, shown, "x_max")
+            marks.put(axes, drawing.attractor_peaks(shown.sel(representation=label), along))
+            marks.put(axes, [marks.key(entry=label, colour=colour(label))])
+        marks.put(axes, drawing.key_of_marks(shown, "x_max"))
         axes.set_ylabel(axis_label(shown["x_max"], "peak displacement"))
         return finished(axes, shown, along)
 
@@ -283,7 +281,10 @@ class GapsweepAccessor:
         of_all = {name: what for name, what in wanted.items() if name != "representation"}
         floor = _numbers(self._dataset, f"{variable}_floor", (), of_all)
         axes = axes_of(ax)
-        drawing.summary(axes, value, interval, floor)
+        marks.put(axes, drawing.summary(value, interval, floor))
+        rows = labels_of(value.to_dataset(name=variable))
+        axes.set_yticks(range(len(rows)), rows)
+        axes.set_ylim(len(rows) - 0.5, -0.5)
         axes.set_xlabel(axis_label(value))
         return titled(axes, value.to_dataset(name=variable))
 
@@ -339,7 +340,8 @@ class GapsweepAccessor:
             self._dataset, dict.fromkeys(drawing.WORK_PRECISION, ("method", "tolerance")), wanted
         )
         axes = axes_of(ax)
-        drawing.work_precision(axes, shown)
+        loglog(axes)
+        marks.put(axes, drawing.work_precision(shown))
         axes.set_xlabel(axis_label(shown["total_error"]))
         axes.set_ylabel(axis_label(shown["cpu_time"]))
         return titled(axes, shown)
@@ -381,7 +383,7 @@ def _starts(dataset: xr.Dataset, ax: "Axes | None") -> "Axes":
     names = ("attractor", "period_multiple", "x_max", "x_0", "v_0")
     shown = scene(dataset, dict.fromkeys(names, ("initial_condition",)), {})
     axes = axes_of(ax)
-    drawing.starts(axes, shown)
+    marks.put(axes, drawing.starts(shown))
     return _plane(axes, shown["x_0"], shown["v_0"], shown)
 
 
@@ -394,7 +396,7 @@ def _sections(dataset: xr.Dataset, ax: "Axes | None") -> "Axes":
     }
     shown = scene(dataset, needed, {})
     axes = axes_of(ax)
-    drawing.sections(axes, shown)
+    marks.put(axes, drawing.sections(shown))
     return _plane(axes, shown["section_x"], shown["section_v"], shown)
 
 

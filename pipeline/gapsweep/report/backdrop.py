@@ -1,22 +1,18 @@
 """Walls and class bands behind the points of a figure, and the sentences for its caption."""
 
 import json
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from collections.abc import Iterable, Iterator, Mapping
 
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from gapsweep.report import marks
+from gapsweep.report.marks import Marks
 from gapsweep.report.scales import drawn
 from gapsweep.report.style import BANDS, WALL
 from gapsweep.response.result import ResponseClass
 from gapsweep.study.grid import COORDINATE, START
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-    from matplotlib.lines import Line2D
 
 _NOT_DRAWN = {
     ResponseClass.EQUILIBRIUM: "equilibria",
@@ -36,24 +32,19 @@ def caption_of_walls(scene: xr.Dataset, along: str = "omega", *, of_peaks: bool 
     return f" Dashed: {which}." if n else ""
 
 
-def walls(axes: "Axes", scene: xr.Dataset, along: str = "omega", *, of_peaks: bool = False) -> None:
-    """Draw both walls of the gap, or the upper one; a wall that depends on the axis is a curve.
+def walls(scene: xr.Dataset, along: str = "omega", *, of_peaks: bool = False) -> Iterator[Marks]:
+    """Both walls of the gap, or the upper one; a wall that depends on the axis is a curve.
 
     For systems, only walls of contacts on the drawn coordinate.
     """
-    from matplotlib.lines import Line2D
-
+    # A distant wall of a system, as of gears under load, does not set the axis.
+    sets = False if _SYSTEM in scene.attrs else None
     for height in _walls(scene, along, of_peaks):
-        if _SYSTEM not in scene.attrs and height.ndim:
-            axes.plot(drawn(scene[along]), height, label="_wall", **WALL)
-        elif _SYSTEM not in scene.attrs:
-            axes.axhline(float(height), **WALL)
-        # A distant wall of a system, as of gears under load, does not set the axis.
-        elif height.ndim:
-            axes.add_artist(Line2D(drawn(scene[along]), height, label="_wall", **WALL))
+        if height.ndim:
+            line = {"x": drawn(scene[along]), "y": height, "series": "wall"}
+            yield marks.line(sets=sets, **line, **WALL)
         else:
-            across = {"transform": axes.get_yaxis_transform(), **WALL}
-            axes.add_artist(Line2D([0.0, 1.0], [float(height)] * 2, **across))
+            yield marks.level(y=float(height), sets=sets, **WALL)
 
 
 def _walls(scene: xr.Dataset, along: str, of_peaks: bool) -> Iterator[NDArray[np.float64]]:
@@ -102,29 +93,25 @@ def _contacts(scene: xr.Dataset) -> Iterator[tuple[float, dict[str, float]]]:
 
 
 def bands(
-    axes: "Axes", one: xr.Dataset, along: str = "omega", *, of: Iterable[str] = tuple(BANDS)
-) -> None:
-    """Draw pale bands where any response has one of the classes `of`."""
+    one: xr.Dataset, along: str = "omega", *, of: Iterable[str] = tuple(BANDS)
+) -> Iterator[Marks]:
+    """Pale bands where any response has one of the classes `of`."""
     x = drawn(one[along])
-    width = np.gradient(x) if x.size > 1 else np.ones(1)
+    half = 0.5 * (np.gradient(x) if x.size > 1 else np.ones(1))
     kinds = one["response_class"].transpose(along, ...).values.reshape(x.size, -1)
     left = np.ones(x.size, dtype=bool)
     for kind in of:
         where = left & (kinds == ResponseClass[kind.upper()]).any(axis=1)
         left &= ~where
-        look: dict[str, Any] = {"color": BANDS[kind], "zorder": 0, "antialiased": False}
-        bars = axes.bar(x[where], 1.0, width[where], transform=axes.get_xaxis_transform(), **look)
-        for bar in bars:
-            bar.set_label(f"_{kind}")
-            bar.sticky_edges.y.clear()  # their heights are shares of the axis
+        ends = {"x": (x - half)[where], "x_end": (x + half)[where]}
+        yield marks.band(series=kind, colour=BANDS[kind], **ends)
 
 
-def unresolved(axes: "Axes", scene: xr.Dataset, along: str) -> None:
-    """Draw bands of unresolved responses, with a legend entry, if there are any."""
+def unresolved(scene: xr.Dataset, along: str) -> Iterator[Marks]:
+    """Bands of unresolved responses, with a legend entry, if there are any."""
     if _UNRESOLVED in _has(scene):
-        bands(axes, scene, along, of=[_UNRESOLVED])
-        look: dict[str, Any] = {"color": BANDS[_UNRESOLVED], "markersize": 8}
-        axes.plot([], [], "s", label=_UNRESOLVED, **look)
+        yield from bands(scene, along, of=[_UNRESOLVED])
+        yield marks.key(entry=_UNRESOLVED, colour=BANDS[_UNRESOLVED], marker="s", size=8.0)
 
 
 def _has(scene: xr.Dataset) -> list[str]:
@@ -133,13 +120,9 @@ def _has(scene: xr.Dataset) -> list[str]:
     return [kind for kind in BANDS if ResponseClass[kind.upper()] in found]
 
 
-def key(figure: "Figure", scene: xr.Dataset, marks: Sequence["Line2D"] = ()) -> None:
-    """Add a legend of the bands, and of these markers, to a figure, if it has any."""
-    from matplotlib.patches import Patch
-
-    handles = [*marks, *(Patch(color=BANDS[kind], label=kind) for kind in _has(scene))]
-    if handles:
-        figure.legend(handles=handles, loc="outside upper right", ncols=len(handles), fontsize=8)
+def key_of_bands(scene: xr.Dataset) -> Iterator[Marks]:
+    """Legend entries of the bands in a figure."""
+    return (marks.key(entry=kind, colour=BANDS[kind], marker="s", size=8.0) for kind in _has(scene))
 
 
 def caption_of_bands(scene: xr.Dataset) -> str:

@@ -1,6 +1,7 @@
 """Figures of the benchmark: work-precision diagrams and the failure atlas."""
 
 import math
+from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -10,7 +11,9 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
 from gapsweep.analysis.bench.judge import CellOutcome
+from gapsweep.report import marks
 from gapsweep.report.drawing import work_precision
+from gapsweep.report.labelled import loglog
 from gapsweep.report.style import GREY, NUMBERED, looks
 from gapsweep.status import Status
 
@@ -70,10 +73,10 @@ def work_precision_figure(bench: xr.Dataset) -> Figure:
     columns = min(_COLUMNS, bench.sizes["scene"])
     figure = Figure(figsize=(_WIDTH, 1.3 + 2.6 * n_rows), layout="constrained")
     panels = figure.subplots(n_rows, columns, squeeze=False, sharex=True, sharey=True)
-    labels = bench["method"].values.tolist()
     for axes, s in zip(panels.flat, range(bench.sizes["scene"]), strict=False):
         one = bench.isel(scene=s)
-        work_precision(axes, one)
+        loglog(axes)
+        marks.put(axes, work_precision(one))
         title = f"{one['gap'].item()} mm, {float(one['omega']):g} Hz"
         axes.set_title(title, fontsize=9, loc="left")
     _widen(panels[0, 0])
@@ -84,8 +87,7 @@ def work_precision_figure(bench: xr.Dataset) -> Figure:
     for axes in panels[-1]:
         axes.set_xlabel("error compared with the exact law")
     figure.legend(
-        [panels[0, 0].lines[i] for i in range(len(labels))],
-        labels,
+        *panels[0, 0].get_legend_handles_labels(),
         loc="outside upper center",
         ncols=5,
         fontsize=8,
@@ -113,20 +115,19 @@ def tolerance_figure(bench: xr.Dataset) -> Figure:
     labels = bench["method"].values.tolist()
     styles = looks(labels)
     for axes, (name, title) in zip(panels, _QUANTITIES.items(), strict=True):
-        axes.set_xscale("log")
-        axes.set_yscale("log")
+        loglog(axes)
         middle = bench[name].median("scene")
         for label in labels:
             x, y = bench["rtol"].sel({"method": label}), middle.sel({"method": label})
             y, own = y.where(y > 0.0), styles[label]
-            axes.plot(x, y, own.dashes, marker=own.marker, color=own.colour, markersize=3,
-                      linewidth=0.9, label=label)  # fmt: skip
+            look: dict[str, Any] = {"colour": own.colour, "dashes": own.dashes, "dots": 3.0}
+            look |= {"marker": own.marker, "size": 0.9, "series": label, "entry": label}
+            marks.put(axes, [marks.line(x=x.values, y=y.values, **look)])
         ends = [float(bench["rtol"].min()), float(bench["rtol"].max())]
-        axes.plot(ends, ends, "--", color=GREY, linewidth=0.8)
+        marks.put(axes, [marks.line(x=ends, y=ends, dashes="--", colour=GREY, size=0.8)])
         axes.set_title(title, fontsize=9, loc="left")
         axes.set(xlabel="relative tolerance", ylabel="error")
-        axes.grid(which="minor", visible=False)
-    figure.legend(panels[0].lines[: len(labels)], labels, loc="outside upper center", ncols=5,
+    figure.legend(*panels[0].get_legend_handles_labels(), loc="outside upper center", ncols=5,
                   fontsize=8)  # fmt: skip
     return figure
 

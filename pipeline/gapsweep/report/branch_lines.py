@@ -18,7 +18,8 @@ from gapsweep.continuation.dataset import (
 )
 from gapsweep.continuation.special import Special
 from gapsweep.errors import DatasetError
-from gapsweep.report import scales
+from gapsweep.report import marks, scales
+from gapsweep.report.marks import Marks
 from gapsweep.report.scales import drawn
 from gapsweep.report.selection import places, scene
 from gapsweep.report.style import GREY, NUMBERED, colour
@@ -50,7 +51,7 @@ KINDS = {
     Special.RESONANCE_1_2: ("p", "resonance 1:2"),
 }
 _MOST_NAMES = 8  # branches in a legend
-_FONT = 8.0  # points
+_FONT, _DARK = 8.0, "#222222"  # points
 _LETTERS = 2.1, 1.1  # width and height of a symbol of two letters, in sizes of its font
 _WAYS = np.array([(1, 1), (1, -1), (-1, 1), (-1, -1), (1, 0), (-1, 0)])
 _MOST_SYMBOLS = 100  # special points of a figure, beyond which markers must do
@@ -149,7 +150,8 @@ def behind(
     branches = of_scene(found, here, along, *heights)
     if branches is not None:
         labels = np.atleast_1d(here[REPRESENTATION].values)
-        draw(axes, branches, along, heights, colour(labels[0]) if len(labels) == 1 else GREY)
+        shade = colour(labels[0]) if len(labels) == 1 else GREY
+        marks.put(axes, orbits(branches, along, heights, shade))
         name_points(axes, branches, along, heights[0])
 
 
@@ -175,10 +177,10 @@ def caption(found: xr.Dataset | None, here: xr.Dataset, along: str) -> str:
     return words
 
 
-def draw(
-    axes: "Axes", branches: xr.Dataset, along: str, heights: Sequence[str], shade: str = ""
-) -> None:
-    """Draw branches as lines, solid where stable, with their special points.
+def orbits(
+    branches: xr.Dataset, along: str, heights: Sequence[str], shade: str = ""
+) -> Iterator[Marks]:
+    """Branches as lines, solid where stable, with their special points.
 
     Parameters
     ----------
@@ -193,33 +195,25 @@ def draw(
         single representation, named in the legend.
     """
     look = _looks(branches) if not shade else [(shade, "")] * branches.sizes[BRANCH]
-    style: dict[str, Any] = {"linewidth": 1.3, "zorder": 1.8}
+    style: dict[str, Any] = {"size": 1.3, "zorder": 1.8}
     for name in heights:
-        for number, is_stable, line in lines(branches, along, name):
+        for number, is_stable, part in lines(branches, along, name):
             own, entry = look[number]
             dashes, word = ("-", "stable") if is_stable else ("--", "unstable")
-            axes.plot(*line.T, dashes, color=own, label=f"_{entry or BRANCH} {word}", **style)
+            about = {"dashes": dashes, "series": f"{entry or BRANCH} {word}"}
+            yield marks.line(x=part[:, 0], y=part[:, 1], colour=own, **about, **style)
     for entry, own in {entry: own for own, entry in look if entry}.items():
-        axes.plot([], [], "-", color=own, label=entry, **style)
-    dashed = [line for line in axes.lines if str(line.get_label()) == f"_{BRANCH} unstable"]
-    if shade and dashed:  # one legend entry
-        dashed[0].set_label(f"{BRANCH} unstable")
-    elif (branches["stable"] == 0).any():
-        axes.plot([], [], "--", color=GREY, label="unstable", **style)
+        yield marks.key(entry=entry, kind=marks.LINE, colour=own, **style)
+    if (branches["stable"] == 0).any():
+        name = f"{BRANCH} unstable" if shade else "unstable"
+        yield marks.key(entry=name, kind=marks.LINE, colour=shade or GREY, dashes="--", **style)
     x, y, special = of_orbits(branches, along, heights[0], "special")
     for kind, (marker, word) in KINDS.items():
-        if (special == kind).any():
-            axes.plot(
-                x[special == kind],
-                y[special == kind],
-                marker,
-                color="#222222",
-                markerfacecolor="white",
-                markersize=4.0 if kind != Special.GRAZING else 3.0,
-                markeredgewidth=0.8,
-                zorder=2.8,
-                label=f"{kind.symbol} {word}",
-            )
+        here, name = special == kind, f"{kind.symbol} {word}"
+        if here.any():
+            look_of: dict[str, Any] = {"marker": marker, "colour": _DARK, "face": "white"}
+            look_of |= {"size": 4.0 if kind != Special.GRAZING else 3.0, "zorder": 2.8}
+            yield marks.points(x=x[here], y=y[here], series=name, entry=name, **look_of)
 
 
 def of_orbits(branches: xr.Dataset, *names: str) -> list[Array]:
@@ -299,14 +293,7 @@ def name_points(axes: "Axes", branches: xr.Dataset, along: str, height: str) -> 
             best = int(is_free.argmax())
             taken = np.vstack([taken, centres[best]])
             right, up = _WAYS[best]
-            axes.text(
-                x[branch, step],
-                y[branch, step],
-                f" {kind.symbol}" if right > 0 else f"{kind.symbol} ",
-                horizontalalignment="left" if right > 0 else "right",
-                verticalalignment={1: "bottom", 0: "center", -1: "top"}[int(up)],
-                fontsize=_FONT,
-                color="#222222",
-                zorder=3,
-                clip_on=True,
-            )
+            words = f" {kind.symbol}" if right > 0 else f"{kind.symbol} "
+            sides = "left" if right > 0 else "right", ("center", "bottom", "top")[up]
+            place = {"x": x[branch, step], "y": y[branch, step], "size": _FONT}
+            marks.put(axes, [marks.text(series=words, align=sides, colour=_DARK, **place)])

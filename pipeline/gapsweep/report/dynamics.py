@@ -13,7 +13,7 @@ import xarray as xr
 from gapsweep.analysis.dimensions import Array
 from gapsweep.analysis.spectra import N_PERIODS, SAMPLES_PER_PERIOD, spectrum
 from gapsweep.errors import DatasetError
-from gapsweep.report import backdrop, drawing
+from gapsweep.report import backdrop, drawing, marks
 from gapsweep.report import branch_lines as of_branches
 from gapsweep.report.continued import motions, weights
 from gapsweep.report.drawing import labels_of
@@ -93,7 +93,7 @@ def bifurcation(
         raise DatasetError(f"branches: continued along {its}, and this plot is along {along}")
     axes = axes_of(ax)
     if variable in ("extrema", "section_x"):
-        backdrop.walls(axes, shown, along)
+        marks.put(axes, backdrop.walls(shown, along))
     if not is_section:
         of_branches.behind(axes, branches, shown, along, ("x_max", "x_min"))
     words = WORDS.get(variable, "")
@@ -103,15 +103,14 @@ def bifurcation(
 def dots(axes: "Axes", shown: xr.Dataset, variable: str, along: str, label: str) -> "Axes":
     """Draw marks of a variable for every response, hollow if it is not periodic."""
     labels = labels_of(shown)
-    other = NOT_PERIODIC if len(labels) == 1 else None
+    other = NOT_PERIODIC if len(labels) == 1 else ""
     # Any variable is drawn in the same way as extrema.
     renamed = drawing.with_setting(shown.rename({variable: "extrema"}), "extrema")
     for name, look in looks(labels).items():
         one = renamed.sel(representation=name)
-        drawing.extrema(axes, one, along, other=other, marker=look.marker)
-        axes.plot([], [], look.marker, color=look.colour, markersize=4, label=name)
-    drawing.name_marks(axes, shown, variable, other)
-    backdrop.unresolved(axes, shown, along)
+        marks.put(axes, drawing.extrema(one, along, other=other, marker=look.marker))
+        marks.put(axes, [marks.key(entry=name, colour=look.colour, marker=look.marker)])
+    marks.put(axes, drawing.key_of_marks(shown, variable, other), backdrop.unresolved(shown, along))
     axes.set_ylabel(label)
     return finished(axes, shown, along)
 
@@ -136,22 +135,25 @@ def lyapunov(
     shown = scene_along(dataset, along, dict.fromkeys(names, CURVES), wanted)
     axes, labels = axes_of(ax), labels_of(shown)
     x = np.repeat(drawn(shown[along]), shown.sizes[START])
-    axes.axhline(0.0, color=GREY, linewidth=0.8, zorder=1.6)
+    marks.put(axes, [marks.level(y=0.0, colour=GREY, size=0.8)])
     for name in labels:
         one = shown.sel(representation=name).transpose(along, START)
         value, error = (one[each].values.ravel() for each in names[:2])
         kind = one["response_class"].values.ravel()
-        for is_periodic, face in ((True, None), (False, "none")):
+        for is_periodic, face in ((True, ""), (False, "none")):
             here = ((kind == ResponseClass.PERIODIC) == is_periodic) & np.isfinite(value)
             here &= kind != ResponseClass.UNRESOLVED
+            if not here.any():
+                continue
             shade = colour(name) if is_periodic or len(labels) > 1 else NOT_PERIODIC
-            bars = None if is_periodic else _ERRORS * np.nan_to_num(error[here])
-            look: dict[str, Any] = {"markersize": 4 if is_periodic else 6, "elinewidth": 0.8}
-            look |= {"color": shade, "markerfacecolor": face or shade}
-            if here.any():
-                look["label"] = name if is_periodic else f"{name}, not periodic"
-            axes.errorbar(x[here], value[here], bars, fmt=".", **look)
-    backdrop.unresolved(axes, shown, along)
+            series = name if is_periodic else f"{name}, not periodic"
+            look: dict[str, Any] = {"colour": shade, "series": series}
+            at, y, half = x[here], value[here], _ERRORS * np.nan_to_num(error[here])
+            if not is_periodic:
+                marks.put(axes, [marks.bars(at, y - half, y + half, size=0.8, **look)])
+            size = 2.5 if is_periodic else 3.5
+            marks.put(axes, [marks.points(x=at, y=y, size=size, face=face, entry=series, **look)])
+    marks.put(axes, backdrop.unresolved(shown, along))
     axes.set_ylabel(axis_label(shown["lyapunov"]))
     return finished(axes, shown, along)
 
@@ -192,10 +194,10 @@ def poincare(
         name, direction = labels_of(shown)[at[0]], weights(run, shown, variable)
         n = direction.size
         x, v = run.section[:, :n] @ direction, run.section[:, n : 2 * n] @ direction
-        look: dict[str, Any] = {"markersize": 1.5 if len(x) > _FEW else 5.0, "markeredgewidth": 0.0}
-        (cloud,) = axes.plot(factors[0] * x, factors[1] * v, ".", color=colour(name), **look)
-        cloud.set_rasterized(True)
-        axes.plot([], [], ".", color=colour(name), label=name)
+        look: dict[str, Any] = {"colour": colour(name), "series": name}
+        size = 0.8 if len(x) > _FEW else 2.5
+        marks.put(axes, [marks.points(x=factors[0] * x, y=factors[1] * v, size=size, **look)])
+        marks.put(axes, [marks.key(entry=name, colour=colour(name))])
     labels = [axis_label(shown[name], WORDS.get(name, "")) for name in pair]
     axes.set(xlabel=labels[0], ylabel=labels[1])
     return titled(axes, shown)
@@ -286,11 +288,12 @@ def _ridges(axes: "Axes", places: xr.DataArray, rows: _Rows, unit: tuple[float, 
         height = np.log10(np.maximum(amplitude[here] / floor, 1.0)) * _RISE / _DECADES
         order = 3.0 - row / len(rows)
         axes.fill_between(frequency[here], row, row + height, color=ground, zorder=order)
-        axes.plot(frequency[here], row + height, color="black", linewidth=0.7, zorder=order)
+        look: dict[str, Any] = {"size": 0.7, "zorder": order}
+        marks.put(axes, [marks.line(x=frequency[here], y=row + height, **look)])
     if places.name == "omega":
-        forcing = [at[n] for n, _, _ in rows]
-        look: dict[str, Any] = {"color": NUMBERED[1], "linewidth": 1.0, "zorder": 4}
-        axes.plot(forcing, range(len(rows)), "--", label="forcing frequency", **look)
+        line = {"x": [at[n] for n, _, _ in rows], "y": range(len(rows))}
+        look = {"colour": NUMBERED[1], "dashes": "--", "zorder": 4.0}
+        marks.put(axes, [marks.line(entry="forcing frequency", **line, **look)])
     ticks = np.unique(np.linspace(0, len(rows) - 1, _MOST_TICKS).round().astype(int))
     axes.set_yticks(ticks, [f"{at[rows[i][0]]:.4g}" for i in ticks])
     axes.set(xlabel="frequency [Hz]", ylabel=axis_label(places))

@@ -8,7 +8,7 @@ import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from gapsweep.report import backdrop, branch_lines, drawing
+from gapsweep.report import backdrop, branch_lines, drawing, marks
 from gapsweep.report.drawing import labels_of
 from gapsweep.report.maps import MapImage, draw
 from gapsweep.report.scales import axis_label, drawn, is_log
@@ -29,8 +29,8 @@ def frequency_response(responses: xr.Dataset, along: str = "omega") -> Figure:
     """
     figure = Figure(figsize=(_WIDTH, 4.2))
     axes = figure.subplots()
-    drawing.curves(axes, responses["amplitude"], along, responses.get("response_class"))
-    drawing.name_marks(axes, responses)
+    marks.put(axes, drawing.curves(responses["amplitude"], along, responses.get("response_class")))
+    marks.put(axes, drawing.key_of_marks(responses))
     _axis(axes, responses[along])
     axes.set_ylabel(axis_label(responses["amplitude"], "amplitude"))
     axes.set_ylim(bottom=0)
@@ -48,15 +48,23 @@ def bifurcation(
     """
 
     def extrema(axes: Axes, one: xr.Dataset) -> None:
-        backdrop.walls(axes, responses, along)
-        backdrop.bands(axes, one, along)
+        marks.put(axes, backdrop.walls(responses, along), backdrop.bands(one, along))
         branch_lines.behind(axes, continued, one, along, ("x_max", "x_min"))
-        drawing.extrema(axes, one, along)
+        marks.put(axes, drawing.extrema(one, along))
 
     shown = drawing.with_setting(responses, "extrema")
     figure = _grid(shown, along, axis_label(responses["extrema"], "extrema"), extrema)
-    backdrop.key(figure, responses, drawing.key_of_marks(responses, "extrema"))
+    key_above(figure, responses)
     return figure
+
+
+def key_above(figure: Figure, scene: xr.Dataset) -> None:
+    """Add a legend of the symbols and bands of extrema above the panels, if they have any."""
+    entries = [*drawing.key_of_marks(scene, "extrema"), *backdrop.key_of_bands(scene)]
+    if entries:
+        marks.put(figure.axes[0], entries)
+        handles = figure.axes[0].get_legend_handles_labels()[0][-len(entries) :]
+        figure.legend(handles=handles, loc="outside upper right", ncols=len(entries), fontsize=8)
 
 
 def attractors(
@@ -75,9 +83,9 @@ def attractors(
     """
 
     def peaks(axes: Axes, one: xr.Dataset) -> None:
-        backdrop.walls(axes, found, along, of_peaks=True)
+        marks.put(axes, backdrop.walls(found, along, of_peaks=True))
         branch_lines.behind(axes, continued, one, along, ("x_max",))
-        drawing.attractor_peaks(axes, one, along)
+        marks.put(axes, drawing.attractor_peaks(one, along))
 
     return _grid(found, along, axis_label(found["x_max"], "peak"), peaks)
 
@@ -88,7 +96,7 @@ def special_curves(curves: xr.Dataset, here: xr.Dataset, along: str, second: str
     def lines(axes: Axes, one: xr.Dataset) -> None:
         shown = branch_lines.of_scene(curves, one, along, second)
         if shown is not None:
-            branch_lines.draw(axes, shown, along, [second])
+            marks.put(axes, branch_lines.orbits(shown, along, [second]))
             branch_lines.name_points(axes, shown, along, second)
             axes.set_yscale("log" if branch_lines.is_log(shown[second]) else "linear")
             axes.legend(fontsize=7)
@@ -114,10 +122,10 @@ def compared_with_exact(scene: xr.Dataset, exact: str, titles: Mapping[str, str]
     low, high = drawing.frame(scene, "x_max", exact)
     sizes = (7.0, 3.2) if scene.sizes["omega"] <= drawing.FEW else (3.4, 1.6)
     for axes, (label, title) in zip(panels, titles.items(), strict=True):
-        backdrop.walls(axes, scene, of_peaks=True)
+        marks.put(axes, backdrop.walls(scene, of_peaks=True))
         law = scene.sel(representation=label)
         for one, size in zip((_where_asked(law, scene, exact), law), sizes, strict=True):
-            drawing.peaks(axes, one, size, low, high)
+            marks.put(axes, drawing.peaks(one, size, low, high))
         axes.set_title(title, fontsize=9, loc="left")
         _axis(axes, scene["omega"])
     panels[0].set_ylim(low, high)

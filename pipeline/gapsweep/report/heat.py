@@ -12,12 +12,12 @@ cost
 
 from collections.abc import Iterable, Sequence
 from itertools import groupby
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 
-from gapsweep.report.answer import SIGNS, Contact, Judged
 from gapsweep.report.tables import number
+from gapsweep.report.verdicts import SIGNS, Contact, Judged
 
 GROUPS = {
     "error": "Amplitude error of paired attractors [%], 95th percentile",
@@ -41,6 +41,29 @@ def heat(found: Sequence[Contact]) -> list[tuple[str, list[Judged | None]]]:
     here = [{one.law: one for one in contact.laws} for contact in found]
     rows = {law: [judged.get(law) for judged in here] for judged in here for law in judged}
     return sorted(rows.items(), key=lambda row: _rank([one for one in row[1] if one]))
+
+
+def cells(found: Sequence[Contact]) -> list[tuple[str, dict[str, list[dict[str, Any] | None]]]]:
+    """Rows of the heat map as texts: each law with the cells of every group."""
+    return [
+        (law, {group: [_texts(*pair, group) for pair in zip(row, found, strict=True)]
+               for group in GROUPS})
+        for law, row in heat(found)
+    ]  # fmt: skip
+
+
+def _texts(one: Judged | None, contact: Contact, group: str) -> dict[str, Any] | None:
+    if one is None:
+        return None
+    text, shade = cell(one, group)
+    return {
+        "text": text,
+        "shade": round(100.0 * shade),
+        "sign": SIGNS[one.verdict],
+        "is_firm": one.is_firm,
+        "anchor": contact.anchor,
+        "about": f"{contact.place}: {one.said} Cost {one.cost}",
+    }
 
 
 def cell(one: Judged, group: str) -> tuple[str, float]:

@@ -9,28 +9,26 @@ import xarray as xr
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Inputs:
-    """Datasets, claims and user sections as stored in a run's folder.
+    """Files of a run by name without suffix: datasets, and the contents of JSON files.
 
     Attributes
     ----------
+    responses, timing : Dataset
     agreement : Dataset, optional
         None if the exact law was not computed.
     attractors : Dataset, optional
-        Drawn at points with several initial conditions.
     advice : Dataset, optional
         Present if ``auto`` is a representation.
     static : Dataset, optional
-        Gives the parameter of tanh from which on it has no false well.
+        Force errors, and the parameter of tanh from which on it has no false well.
     work_precision, stability : Dataset, optional
-        For the sections of the benchmark.
-    branches : Dataset, optional
-        Drawn behind extrema and attractors.
-    curves : Dataset, optional
-        ``curves.nc``, the curves of special points of the branches.
+        Of the benchmark.
+    branches, curves : Dataset, optional
+        Branches of periodic orbits, and curves of their special points.
     claims : mapping, optional
         ``claims.json``.
-    own_parts : sequence of mapping
-        The sections in ``sections.json``.
+    sections : sequence of mapping, optional
+        The study's own sections of the report, as in ``sections.json``.
     """
 
     responses: xr.Dataset
@@ -44,4 +42,4 @@ class Inputs:
     branches: xr.Dataset | None = None
     curves: xr.Dataset | None = None
     claims: Mapping[str, Any] | None = None
-    own_parts: Sequence[Mapping[str, Any]] = ()
+    sections: Sequence[Mapping[str, Any]] | None = None

@@ -30,6 +30,12 @@ def axes_of(ax: "Axes | None") -> "Axes":
     return plt.subplots(layout="constrained")[1]
 
 
+def loglog(axes: "Axes") -> None:
+    """Make both axes logarithmic, with a grid of decades."""
+    axes.set(xscale="log", yscale="log")
+    axes.grid(which="minor", visible=False)
+
+
 def axis_of(dataset: xr.Dataset, along: str | None, wanted: Mapping[str, Any]) -> str:
     """Name of the horizontal axis: `along`, or else omega or the only swept number."""
     if along is not None or "omega" in dataset.coords:

@@ -13,7 +13,8 @@ from gapsweep.analysis.spectra import spectrum
 from gapsweep.errors import ModelError
 from gapsweep.integrate.trajectory import SystemTrajectory, Trajectory
 from gapsweep.model.contact import ContactLaw
-from gapsweep.report.style import CLASS_COLOURS, MATPLOTLIB, WALL
+from gapsweep.report import marks
+from gapsweep.report.style import MATPLOTLIB, NOT_PERIODIC, WALL
 
 _PER_PERIOD = 512  # samples per period: resolves harmonics up to the 256th
 _MOST_PERIODS = 256
@@ -23,7 +24,6 @@ _FLOOR = 1e-6  # smallest amplitude shown, relative to the largest
 _WORTH = 1e-3  # relative amplitude; the axis ends at twice the highest frequency with it
 _MM = 1e3
 _SECTIONS = {True: "Stroboscopic section", False: "Section at maxima of the first coordinate"}
-_SECTION = CLASS_COLOURS["chaotic"]
 
 
 class _Picture(Figure):
@@ -88,30 +88,29 @@ def plot(run: Trajectory, coordinate: str | None = None, *, start: float | None 
     with rc_context(MATPLOTLIB):
         figure = _Picture(figsize=(9.0, 6.0))
         (history, phase), (section, lines) = figure.subplots(2, 2)
-        history.plot(t[at_end], x[at_end], color="black", linewidth=0.8)
+        marks.put(history, [marks.line(x=t[at_end], y=x[at_end], size=0.8)])
         ended = "" if t[at_end][0] <= run.t_0 else " (end)"
         history.set(xlabel="time [s]", ylabel=labels[0], title=f"Time history{ended}")
-        phase.plot(x, v, color="black", linewidth=0.5)
+        marks.put(phase, [marks.line(x=x, y=v, size=0.5)])
         phase.set(xlabel=labels[0], ylabel=labels[1], title="Phase portrait")
-        section.plot(*_section(run, float(t[0]), scale * along), ".", color=_SECTION, markersize=4)
+        points = dict(zip("xy", _section(run, float(t[0]), scale * along), strict=True))
+        marks.put(section, [marks.points(colour=NOT_PERIODIC, size=2.0, **points)])
         section.set(xlabel=labels[0], ylabel=labels[1], title=_SECTIONS[_is_forced(run)])
         for axes in (phase, section):
             axes.locator_params(nbins=5)
         section.set(xlim=phase.get_xlim(), ylim=phase.get_ylim())  # same axes as the phase portrait
         amplitude, frequency = spectrum(x), np.fft.rfftfreq(x.size, period / per_period)
-        lines.plot(frequency, amplitude, color="black", linewidth=0.8)
+        marks.put(lines, [marks.line(x=frequency, y=amplitude, size=0.8)])
         lines.set(xlabel="frequency [Hz]", ylabel=f"amplitude{unit}", title="Amplitude spectrum")
         if (largest := float(amplitude.max())) > 0.0:
             highest = 2.0 * frequency[amplitude > _WORTH * largest].max()
             lines.set(yscale="log", ylim=(_FLOOR * largest, 2.0 * largest))
             lines.set_xlim(0.0, min(max(highest, 10.0 * frequency[1]), frequency[-1]))
-        for axes in (history, phase, section):
-            axes.autoscale_view()
-            axes.autoscale(enable=False)  # walls set no axis: they may be far away
-        for wall in _walls(run, along):
-            history.axhline(scale * wall, **WALL)
-            phase.axvline(scale * wall, **WALL)
-            section.axvline(scale * wall, **WALL)
+        for wall in _walls(run, along):  # they set no axis: they may be far away
+            look = {"sets": False, **WALL}
+            marks.put(history, [marks.level(y=scale * wall, **look)])
+            for axes in (phase, section):
+                marks.put(axes, [marks.level(x=scale * wall, **look)])
     return figure
 
 
@@ -139,8 +138,8 @@ def _quantity(run: Trajectory, coordinate: str | None) -> tuple[Array, str, floa
     if name not in known:
         names = f"coordinates {', '.join(own)}, contacts {', '.join(run.system.contacts) or 'none'}"
         raise ModelError(f"coordinate = {coordinate!r}: must be one of {names}")
-    # Without unit: only the user knows whether it is a length or an angle.
-    return np.asarray(known[name]), name, 1.0, ""
+    # Only the user knows whether it is a length or an angle.
+    return np.asarray(known[name]), name, 1.0, f" [unit of {name}]"
 
 
 def _walls(run: Trajectory, along: Array) -> list[float]:

@@ -1,38 +1,36 @@
-"""Sections of the report: their contents, and their rendering to texts and pictures.
+"""Parts of the report: their contents, and their rendering to texts and pictures.
 
-Benchmarks and the ``[report] module`` of a study give the same `Part`. A rendered part has texts
-and pictures for JSON: the report shows stored parts without running the code that made them.
+gapsweep's sections and the ``[report] module`` of a study give the same `Part`. A rendered part has
+texts and pictures for JSON: the report shows stored parts without running the code that made them.
 """
 
 import re
-import sys
-import zlib
-from collections.abc import Iterable, Mapping
-from contextlib import suppress
-from dataclasses import asdict, dataclass
-from itertools import chain, count
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field
 from typing import Any
 
 import matplotlib
 from matplotlib.figure import Figure
 
-from gapsweep.report.pictures import PACKED, is_picture, pictures, size, unpacked
+from gapsweep.report.pictures import pictures
 from gapsweep.report.style import MATPLOTLIB
-
-_LONGEST = 64  # characters of an id
-HERO = "figure-hero"  # id of the first figure of the report
 
 
 @dataclass(frozen=True, slots=True)
 class Table:
-    """A table of texts; every row has as many cells as the header."""
+    """A table of texts; every row has as many cells as the header.
+
+    `notes` define the words of its header; a page shows each note once, below its last table.
+    """
 
     title: str
     header: list[str]
     rows: list[list[str]]
+    notes: Sequence[str] = ()
 
     def __post_init__(self) -> None:
         _check_text("title", self.title)
+        _check_texts("notes", self.notes)
         for i, row in enumerate([self.header, *self.rows]):
             where = f"row {i}" if i else "header"
             _check_texts(where, row)
@@ -63,7 +61,7 @@ class Figured:
 
 @dataclass(frozen=True, slots=True)
 class Part:
-    """A section of the report.
+    """A section of the report, or a part of one.
 
     Attributes
     ----------
@@ -72,15 +70,19 @@ class Part:
     title : str
     sentences : list of str
     tables : iterable of Table
-    figures : iterable of Figured
-        Iterated once: with a generator, one figure at a time is in memory.
+    figures : iterable of Figured or mapping
+        Iterated once: with a generator, one figure at a time is in memory. A mapping is a rendered
+        figure, as `pictured` returns it.
+    content : mapping
+        Values for the template of a section of gapsweep; the sections of a study have none.
     """
 
     anchor: str
     title: str
     sentences: list[str]
     tables: Iterable[Table] = ()
-    figures: Iterable[Figured] = ()
+    figures: Iterable[Figured | Mapping[str, str]] = ()
+    content: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         if not isinstance(self.anchor, str) or not re.fullmatch("[a-z][a-z0-9-]*", self.anchor):
@@ -111,7 +113,8 @@ def rendered(parts: Iterable[Part]) -> list[dict[str, Any]]:
     for anchor in anchors:
         if anchors.count(anchor) > 1:
             raise ValueError(f"anchor {anchor!r}: stands for more than one section")
-    return [part for part in made if part["sentences"] or part["tables"] or part["figures"]]
+    contents = ("sentences", "tables", "figures", "content")
+    return [part for part in made if any(part[name] for name in contents)]
 
 
 def _rendered(part: Part) -> dict[str, Any]:
@@ -122,7 +125,10 @@ def _rendered(part: Part) -> dict[str, Any]:
         "title": part.title,
         "sentences": list(part.sentences),
         "tables": [asdict(table) for table in part.tables],
-        "figures": [pictured(each) for each in part.figures],
+        "figures": [
+            pictured(each) if isinstance(each, Figured) else dict(each) for each in part.figures
+        ],
+        "content": dict(part.content),
     }
 
 
@@ -131,63 +137,3 @@ def pictured(figured: Figured) -> dict[str, str]:
     names = ("name", "caption", "description")
     words = {name: getattr(figured, name) for name in names}
     return {**words, **pictures(figured.figure)}
-
-
-def for_page(
-    parts: Iterable[Mapping[str, Any]], most: int = sys.maxsize, folder: str = ""
-) -> list[dict[str, Any]]:
-    """Stored parts with ids, links and addresses of pictures.
-
-    Parameters
-    ----------
-    parts : iterable of mapping
-    most : int
-        Figures on one page; with more, every part has its own page in the folder.
-    folder : str
-
-    Returns
-    -------
-    list of dict
-        Every part also has the name of its page as ``file`` (empty: the report's page) and a link
-        to it from the report as ``href``; every figure has an ``id`` and a ``href``.
-    """
-    made: list[dict[str, Any]] = []
-    used = {HERO}
-    for part in parts:
-        figures = [shown(each) for each in part["figures"] if _is_sound(each)]
-        for figure in figures:
-            name = (figure.get("name") or part["anchor"]).removeprefix("Fig. ")
-            figure["id"] = _unused("figure", name, used)
-        made.append({**part, "figures": figures})
-    is_long = sum(len(part["figures"]) for part in made) > most
-    for part in made:
-        part["file"] = f"{_unused('section', part['anchor'], used)}.html" if is_long else ""
-        page = f"{folder}/{part['file']}" if is_long else ""
-        part["href"] = page or f"#{part['anchor']}"
-        for figure in part["figures"]:
-            figure["href"] = f"{page}#{figure['id']}"
-    return made
-
-
-def _unused(kind: str, name: str, used: set[str]) -> str:
-    """A new id of letters, digits and hyphens, also for file names; it is added to `used`."""
-    slug = f"{kind}-{re.sub('[^a-z0-9]+', '-', name.lower())[:_LONGEST]}"
-    found = next(
-        each for each in chain([slug], (f"{slug}-{n}" for n in count(2))) if each not in used
-    )
-    used.add(found)
-    return found
-
-
-def shown(figure: Mapping[str, str]) -> dict[str, Any]:
-    """A stored figure with its size, its files, and the data of its page (may be empty)."""
-    files = {"svg": figure["svg"].encode()}
-    for kind in PACKED:
-        with suppress(KeyError, ValueError, zlib.error):  # absent, or not in packed form
-            files[kind] = unpacked(figure[kind])
-    data = files.pop("json", b"").decode()
-    return {**figure, **size(figure["svg"]), "data": data, "files": files}
-
-
-def _is_sound(figure: Mapping[str, str]) -> bool:
-    return is_picture(figure.get("svg", ""))

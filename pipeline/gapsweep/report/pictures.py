@@ -15,7 +15,7 @@ from matplotlib import rc_context
 from matplotlib.figure import Figure
 from matplotlib.text import Text
 
-from gapsweep.report.figure_marks import as_csv, as_json
+from gapsweep.report.figure_data import as_csv, as_json
 
 PACKED = "csv", "json"
 # Elements that matplotlib uses. Others could run scripts, link elsewhere or change the page.

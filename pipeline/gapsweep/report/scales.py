@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from gapsweep.study.axis_selection import is_numeric
 from gapsweep.study.grid import CONTACT, COORDINATE
-from gapsweep.study.schema import PARAMETER, parts_of, written
+from gapsweep.study.schema import PARAMETER, VARIABLES, parts_of, written
 
 _WIDE = 30.0  # smallest ratio of largest to smallest value for a logarithmic axis
 _APART = 1.05  # smallest ratio of neighbouring values in a geometric series
@@ -38,13 +38,17 @@ def long_name(variable: xr.DataArray) -> str:
 def axis_label(variable: xr.DataArray, words: str = "") -> str:
     """Label of an axis: `words` or else the variable's long name, and its drawn unit.
 
-    The name of a selected coordinate or contact of a system comes first.
+    The name of a selected coordinate or contact of a system comes first. Only the user knows
+    whether it is a length or an angle: its unit is "unit of" that name.
     """
-    words = words or long_name(variable)
+    words, unit, own = words or long_name(variable), shown_unit(variable)[1], "displacement"
     for part in (COORDINATE, CONTACT):
         if part in variable.coords and parts_of(str(variable.name), [part]):
-            words = f"{variable[part].item()}: {words}"
-    unit = shown_unit(variable)[1]
+            own = str(variable[part].item())
+            words = f"{own}: {words}"
+    if "units" not in variable.attrs and variable.name in VARIABLES:
+        known = {"m": f"unit of {own}", "m s-1": f"unit of {own}/s", "N": "unit of force"}
+        unit = known.get(VARIABLES[str(variable.name)].units, "")
     return f"{words} [{unit}]" if unit else words
 
 

@@ -31,7 +31,8 @@ CLASS_COLOURS = {
 }
 # Backgrounds by class: light enough for every point colour, distinguished by lightness.
 BANDS = {"chaotic": "#fbd9d3", "quasiperiodic": "#e6d6ee", "unresolved": "#c8d8e6"}
-WALL: dict[str, Any] = {"color": GREY, "linewidth": 0.8, "linestyle": "--", "zorder": 1.6}
+# Marks of walls.
+WALL: dict[str, Any] = {"colour": GREY, "size": 0.8, "dashes": "--", "zorder": 1.6}
 # Attractors and branches, which have numbers: hues without an order.
 NUMBERED = (
     *("#0072b2", "#d55e00", "#00976d", "#8a3ffc"),
@@ -101,7 +102,7 @@ def looks(labels: Iterable[str]) -> dict[str, Look]:
     used: Counter[str] = Counter()
     found = {}
     for label in labels:
-        law = Representation(label).law
+        law = _law_of(label)
         (shade, n), more = _law(law), used[law]
         used[law] += 1
         dashes, marker = _LINES[(n + more) % len(_LINES)], _MARKERS[(n - more) % len(_MARKERS)]
@@ -111,7 +112,12 @@ def looks(labels: Iterable[str]) -> dict[str, Look]:
 
 def colour(label: str) -> str:
     """Colour of the law of a representation, or of a family."""
-    return _law(Representation(label).law)[0]
+    return _law(_law_of(label))[0]
+
+
+def _law_of(label: str) -> Representation:
+    """Law of a representation, which a figure may name with swept values after a comma."""
+    return Representation(label.partition(", ")[0]).law
 
 
 def _law(law: Representation) -> tuple[str, int]:

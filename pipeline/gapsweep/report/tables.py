@@ -1,8 +1,7 @@
 """Tables of the report: rows of texts, from the datasets of a run."""
 
 import warnings
-from collections.abc import Iterator, Mapping, Sequence
-from typing import Any
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 import xarray as xr
@@ -23,8 +22,6 @@ from gapsweep.report.branch_lines import (
 from gapsweep.report.branch_lines import label as of_axis
 from gapsweep.report.parts import Table
 from gapsweep.report.scales import drawn
-
-Row = dict[str, Any]
 
 _COUNTS = ("nfev", "n_steps", "n_rejected", "n_contacts")
 _MOST_ROWS = 40  # rows of special points
@@ -64,11 +61,14 @@ def scene_tables(
                 for law, *numbers in _agreement_rows(part.isel(at), labels)
             ]
             title = f"Agreement with the exact law{suffix}{'' if apart else over}"
-            tables.append(Table(title, _AGREEMENT, rows))
-    rows = list(_timing_rows(timing, labels))
-    tables.append(
-        Table(f"Cost per sweep point (medians over the points of each law){over}", _TIMING, rows)
-    )
+            tables.append(Table(title, _AGREEMENT, rows, _OF_AGREEMENT))
+    title = f"Cost per sweep point (medians over the points of each law){over}"
+    notes = [
+        _OF_COST,
+        *([_OF_PROTOCOLS] if any(Representation(label).protocol for label in labels) else []),
+    ]
+    notes.append(f"Processor times were measured on {timing.attrs['measured_on'] or 'no machine'}.")
+    tables.append(Table(title, _TIMING, list(_timing_rows(timing, labels)), notes))
     return [table for table in tables if table.rows]
 
 
@@ -97,6 +97,15 @@ _AGREEMENT = [
     "Basin distance",
     "Points compared",
 ]
+_OF_AGREEMENT = [
+    "Amplitude error, for equal initial conditions: |A − A_exact| / max(A_exact, G/2). G is the "
+    "width of the gap, at most the largest range of the exact law (for systems, its median range). "
+    "The answer compares paired attractors instead.",
+    "Attractors found: share of the exact law's attractors with a match; correct: share of the "
+    "law's attractors with a match.",
+    "Same class: both responses have the same period multiple, or both are chaotic, unresolved or "
+    "failed. Basin distance: half the sum of the differences of the basin shares, 0 to 1.",
+]
 _TIMING = [
     "Representation",
     "Processor time [ms]",
@@ -106,6 +115,13 @@ _TIMING = [
     "Contacts",
     "Points",
 ]
+_OF_COST = (
+    "Processor time: of a whole sweep point, transients included; costs in the answer are per "
+    "forcing period."
+)
+_OF_PROTOCOLS = (
+    "A label with @ marks a law with other solver settings or initial conditions; see provenance."
+)
 _POOLED = (
     "amplitude_error_median",
     "amplitude_error_p95",
@@ -250,52 +266,6 @@ def condensed(dataset: xr.Dataset) -> xr.Dataset:
         warnings.simplefilter("ignore", RuntimeWarning)
         middle = measured.median(dims)
     return middle.assign(dataset[counted].sum(dims))
-
-
-def claim_rows(decided: Mapping[str, Any]) -> Iterator[Row]:
-    """Rows of the claims table from ``claims.json``, with tests as texts."""
-    for claim in decided["claims"]:
-        tests = [
-            {
-                "says": test["says"],
-                "outcome": outcome(test),
-                "floor": number(test["floor"]) if test["floor"] else "–",
-                "n": test["n"],
-            }
-            for test in claim["tests"]
-        ]
-        yield {
-            **claim,
-            "sign": _SIGNS[claim["verdict"]],
-            "open": _open(claim["tests"]),
-            "tests": tests,
-        }
-
-
-def _open(tests: Sequence[Mapping[str, Any]]) -> str:
-    """Text on undecided tests of a claim, if all other tests hold; else empty."""
-    outcomes = [test["holds"] for test in tests]
-    if {None, True} != set(outcomes):
-        return ""
-    return f"{outcomes.count(None)} of {len(outcomes)} tests undecided, none failed"
-
-
-def outcome(test: Mapping[str, Any]) -> str:
-    """The outcome of a test of ``claims.json``, in a few words."""
-    value, threshold = (
-        "no finite number" if test[name] is None else number(test[name])
-        for name in ("value", "threshold")
-    )
-    wanted = f"{_SHOWN_AS.get(test['op'], test['op'])} {threshold}"
-    if test["holds"] is not None:
-        return f"{value} {wanted} holds" if test["holds"] else f"{value}, not {wanted}"
-    if None in (test["value"], test["threshold"]):
-        return f"undecided: {value}, required {wanted}"
-    return f"undecided: {value} is within its uncertainty of {wanted}"
-
-
-_SHOWN_AS = {"<=": "≤", ">=": "≥"}
-_SIGNS = {"confirmed": "✓", "refuted": "✗", "partly": "◐", "undecidable": "?"}
 
 
 def number(value: float) -> str:

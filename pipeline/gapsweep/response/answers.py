@@ -325,7 +325,11 @@ def _section(
 def _read_off(
     points: Numbers, windows: RecordedWindows, found: Classification, steady: Steady
 ) -> tuple[dict[str, Array | Counts], dict[str, tuple[Array | Counts, Counts]]]:
-    """Columns and lists that follow from the recorded extrema of some points."""
+    """Return columns and lists computed from the recorded extrema of some points.
+
+    Also sets `windows.reach` to the reach of the extrema, and the state of points with a contact or
+    spring that is hidden by errors to `State.HIDDEN`.
+    """
     ensemble, is_orbit = windows.ensemble, found.has_orbit[points]
     n_q, place = ensemble.n_coordinates, ensemble.turning(points, windows.y[:, points])
     x, counts = windows.extrema.of(windows.rows(points))

@@ -319,11 +319,15 @@ def _order(leaders: Responses, scene: Numbers) -> Numbers:
 
 
 def _mirrors(rows: Numbers, found: Responses, scene: Numbers, number: Numbers) -> Numbers:
-    """Return the numbers of the mirror images of attractors: same class, extrema negated.
+    """Return the number of the mirror image of each attractor in `rows`, within the same case.
+
+    The image has the same class and period multiple. All extrema of an orbit are negated; of a
+    chaotic attractor only the largest and smallest displacements are compared. `NONE`: no image.
 
     Parameters
     ----------
     rows : ndarray of int, shape (m,)
+        Attractors of symmetric models.
     found : Responses
         The first responses of all attractors.
     scene, number : ndarray of int

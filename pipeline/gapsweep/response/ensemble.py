@@ -36,7 +36,7 @@ _Costs = list[tuple[NDArray[np.intp], Array]]
 
 # In addition to `Status` values: the motion has come to rest, or never returns to its section.
 AT_REST, ASTRAY = -1, -2
-_STEPS_AT_A_TIME = 10_000.0  # some five milliseconds of a lane
+STEPS_AT_A_TIME = 10_000.0  # some five milliseconds of a lane
 _UNKNOWN = 1e-100  # steps a second: any number of periods then takes one call
 
 
@@ -180,7 +180,7 @@ class Ensemble:
         A single lane with a long motion costs as much as all lanes. All calls for one motion get
         about equal numbers of periods.
         """
-        n_calls = np.maximum(np.ceil(n_periods * self._pace[scenes] / _STEPS_AT_A_TIME), 1.0)
+        n_calls = np.maximum(np.ceil(n_periods * self._pace[scenes] / STEPS_AT_A_TIME), 1.0)
         return np.ceil(n_periods / n_calls).astype(np.int64)
 
     def turning(self, scenes: NDArray[np.intp], parts: Array) -> Array:

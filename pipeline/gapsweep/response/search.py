@@ -175,10 +175,14 @@ class Search:
         return np.where(is_last, State.LAST_TRANSIENT, State.RECORD)
 
     def _integrate(self, points: Numbers) -> States:
-        """Integrate transients and the windows after them in one call, so that no lane waits."""
+        """Integrate the next part of each point's transient and window; return the next states.
+
+        A long motion takes several calls and keeps its state until the last of them. If a transient
+        and the window after it cannot be chained, the window begins with the next call.
+        """
         state, windows = self.state[points], self._windows
         transient, recording = self._transient[points], self._recording[points]
-        # A long motion continues in the next call, so that others need not wait for it.
+        # At most so many periods a call, so that other points need not wait for a long motion.
         n = self._ensemble.at_a_time(points, transient + recording)
         passed = np.minimum(transient, n)
         recorded = n - passed
@@ -309,7 +313,19 @@ class Search:
     def _accept(
         self, points: Numbers, *, is_noisy: Mask | bool = False, y: Array | None = None
     ) -> State:
-        """Accept orbits, confirm them from states `y`; clear exponents of those not noisy."""
+        """Return the next state of points with a found orbit: periodic, or confirmation first.
+
+        Shooting at tight tolerances, which confirms orbits, is started.
+
+        Parameters
+        ----------
+        points : ndarray of int, shape (m,)
+        is_noisy : bool or ndarray of bool, shape (m,)
+            Whether an orbit keeps its measured Lyapunov exponent, which decides its class if it is
+            not confirmed; the exponents of all others become NaN.
+        y : ndarray, shape (n_states, m), optional
+            States in which shooting starts; None: those of the found orbits.
+        """
         forgets = points[np.broadcast_to(~np.asarray(is_noisy), len(points))]
         self._found.lyapunov[forgets] = self._found.lyapunov_error[forgets] = np.nan
         if self._exact is self._ensemble:

@@ -142,7 +142,8 @@ class NewtonShooting:
         Returns
         -------
         is_found, is_lost : ndarray of bool, shape (m,)
-            Points whose orbit is closed; points that went too far, did not converge, or failed.
+            Points that have found their orbit, and points without one: their iteration went too
+            far, did not converge or approached an equilibrium, or the motion failed.
         """
         y, is_ok = self.y[:, points], call.is_ok
         goal = self._goal[points]

@@ -99,7 +99,7 @@ class RecordedWindows:
         return self.section[:, point, : self.length[point]]
 
     def clear(self, points: Numbers) -> None:
-        """Start empty windows at the present states."""
+        """Discard section points; `reach` becomes that of the present states. Extrema are kept."""
         self.length[points], self._extent[points] = 0, 0.0
         self.reach[points] = self._place(points)
 

@@ -99,7 +99,7 @@ class Kind:
     @property
     def identity(self) -> str:
         """All fields, fingerprint of the numerics, and library versions, as canonical JSON."""
-        return _identity(self)
+        return identity_of(self)
 
     @classmethod
     def of(cls, identity: str) -> "Kind":
@@ -125,7 +125,8 @@ class Kind:
 
 # All tables of a study share a few kinds.
 @lru_cache(maxsize=256)
-def _identity(kind: Kind) -> str:
+def identity_of(kind: Kind) -> str:
+    """Return `Kind.identity`, kept until the process ends."""
     values = asdict(replace(kind, own=None))
     values["law"] = values.pop("law_code")
     del values["own"]

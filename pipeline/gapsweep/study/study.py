@@ -141,25 +141,26 @@ class Study:
         return replace(study) if study.names_code else study
 
     def _checked(self) -> "Study":
-        for table, read_off in (("solver", lambda: self._protocols), ("sweep", lambda: self._axes)):
-            try:
-                read_off()
-            except ModelError as error:
-                raise StudyError([f"{self.source}: {table}: {error}"]) from None
+        assert self._protocols  # made now, to refuse wrong settings
+        try:
+            axes = self._axes
+        except ModelError as error:
+            raise StudyError([f"{self.source}: sweep: {error}"]) from None
         self._check_modules()
         self.model.check()
         known = {**self.spec.model, **self.spec.parameters}
-        lines: Iterator[str] = chain.from_iterable(
-            table.undecided(f"history[{i}]", known, self._axes)
-            for i, table in enumerate(self.spec.history)
+        histories = enumerate(self.spec.history)
+        lines = chain(
+            self._problems_of_solvers(),
+            *(table.undecided(f"history[{i}]", known, axes) for i, table in histories),
         )
         if self.spec.branches:
-            of_branches = self.spec.branches.problems(self._axes, known, self.spec.contact)
+            of_branches = self.spec.branches.problems(axes, known, self.spec.contact)
             lines = chain(lines, of_branches, self._problems_of_range())
         problems = [f"{self.source}: {line}" for line in lines]
         if problems:
             raise StudyError(problems)
-        cells = math.prod(map(len, self._axes.values()))
+        cells = math.prod(map(len, axes.values()))
         if cells > MAX_POINTS:
             raise StudyError(
                 [
@@ -168,6 +169,20 @@ class Study:
                 ]
             )
         return self
+
+    def _problems_of_solvers(self) -> Iterator[str]:
+        """Representations with solver settings with which the engine cannot locate contacts."""
+        swept = {name: axis for name, axis in self._axes.items() if name in self.spec.model}
+        ends = [{name: end(axis) for name, axis in swept.items()} for end in (min, max)]
+        models = [self.model.at(some) for some in (ends if self.model.is_oscillator else [{}])]
+        is_classic = all(isinstance(one, Oscillator) and one.is_classic for one in models)
+        for one in self._axes["representation"]:
+            laws = self.model.laws(one.law)
+            n_located = sum(law == EXACT or law.is_auto for law in laws)
+            try:
+                self.solver(one).check_located(n_located, len(laws), is_oscillator=is_classic)
+            except ModelError as error:
+                yield f"{one}: {error}"
 
     def _problems_of_range(self) -> Iterator[str]:
         """Values of the second parameter of [branches] that no model can have."""
@@ -333,7 +348,11 @@ class Study:
         tables = [self.spec.solver] + ([self.spec.protocol[name]] if name else [])
         given = {k: v for table in tables for k, v in _given(table).items()}
         jitter = given.pop("start_jitter", 0.0)
-        return Solver.of(**given), jitter
+        try:
+            return Solver.of(**given), jitter
+        except ModelError as error:
+            table = f"protocol.{name}" if name else "solver"
+            raise StudyError([f"{self.source}: {table}: {error}"]) from None
 
     @cached_property
     def _blocks(self) -> list[Axes]:
@@ -562,7 +581,7 @@ class Study:
 
 
 def _lists(tables: Any) -> Any:
-    """Return tables with Python lists and numbers in place of NumPy arrays and numbers."""
+    """Return tables with Python lists and numbers for those of NumPy; refuse too long lists."""
     if isinstance(tables, dict):
         return {name: _lists(value) for name, value in tables.items()}
     is_list = isinstance(tables, list | tuple)

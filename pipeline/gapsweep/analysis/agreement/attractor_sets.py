@@ -73,7 +73,7 @@ def matching(ours: LawTable, theirs: LawTable, width: float, *, symmetric: bool)
         Whether the gap is symmetric.
     """
     common = ours.requested & theirs.requested
-    classes = [_mirror_classes(table.found) for table in (ours, theirs)]
+    classes = [mirror_classes(table.found) for table in (ours, theirs)]
     present = [_present(*of, common) for of in zip((ours, theirs), classes, strict=True)]
     cost, distance = _costs(ours, theirs, classes, present, width, symmetric=symmetric)
     partner = np.full(classes[0].shape, NONE)
@@ -98,7 +98,7 @@ def matching(ours: LawTable, theirs: LawTable, width: float, *, symmetric: bool)
     )
 
 
-def _mirror_classes(found: AttractorTable) -> Ints:
+def mirror_classes(found: AttractorTable) -> Ints:
     """Smallest number of every attractor and its mirror images, shape (n_omega, n_attractors)."""
     classes = np.broadcast_to(np.arange(found.size), found.mirror_of.shape).copy()
     w, a = np.nonzero(found.mirror_of != NONE)

@@ -59,7 +59,7 @@ def quantiles(values: Array, block: Ints, q: tuple[float, ...]) -> tuple[Array, 
     if used.size < FEWEST_BLOCKS:
         return estimates, np.full((len(q), 2), np.nan)
     # Number of drawn values up to each value: positions in the drawn, sorted sample.
-    upto = np.cumsum(_draws(used.size)[:, block], axis=1, dtype=np.int32)
+    upto = np.cumsum(draws(used.size)[:, block], axis=1, dtype=np.int32)
     intervals = [
         _interval(_drawn_quantile(values, upto, share))
         if used.size * (1.0 - share) > 1.0 - _ROUNDING
@@ -101,7 +101,7 @@ def pooled(sums: Array, block: Ints) -> tuple[float, Array]:
     if len(by_block) < FEWEST_BLOCKS:
         return estimate, _NO_INTERVAL
     # No matrix product: for so few numbers its threads take longer than the sum.
-    drawn = np.einsum("db,bk->dk", _draws(len(by_block)), by_block)
+    drawn = np.einsum("db,bk->dk", draws(len(by_block)), by_block)
     return estimate, _interval(ratio(drawn))
 
 
@@ -118,7 +118,7 @@ def ratio(sums: Array) -> Array:
 
 
 @lru_cache(maxsize=64)
-def _draws(n: int) -> NDArray[np.int32]:
+def draws(n: int) -> NDArray[np.int32]:
     """Number of times that each of `n` blocks is drawn, shape (N_DRAWS, n)."""
     counts = np.random.default_rng(_SEED).multinomial(n, np.full(n, 1.0 / n), size=N_DRAWS)
     return np.asarray(counts, dtype=np.int32)

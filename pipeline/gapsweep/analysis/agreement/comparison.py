@@ -99,12 +99,12 @@ def _agreement(responses: xr.Dataset, attractors: xr.Dataset) -> xr.Dataset:
         exact = law_table(responses, attractors, {**at, REPRESENTATION: labels.index(EXACT)})
         walls = responses[[name for name in _WALLS if name in responses.coords]]
         walls = walls.isel(at, missing_dims="ignore")
-        width, is_symmetric = _width(0.0, exact), False
+        width, is_symmetric = length_scale(0.0, exact), False
         if in_metres(responses):  # then the walls bound the displacement
             j_1, j_2 = float(walls["j_1"]), float(walls["j_2"])
             is_symmetric = j_1 == j_2 and float(walls.get("K_ratio", 1.0)) == 1.0
             is_symmetric &= float(walls.get("mean_load", mean_load)) == 0.0
-            width = _width(j_1 + j_2, exact)
+            width = length_scale(j_1 + j_2, exact)
         for r in swept:
             here = {**at, REPRESENTATION: r}
             ours = exact if labels[r] == EXACT else law_table(responses, attractors, here)
@@ -117,7 +117,7 @@ def _agreement(responses: xr.Dataset, attractors: xr.Dataset) -> xr.Dataset:
     return _dataset(tables, responses, floors)
 
 
-def _width(gap: float, exact: LawTable) -> float:
+def length_scale(gap: float, exact: LawTable) -> float:
     """Scale of lengths [m]: the width of the gap, at most the largest range of a motion.
 
     Distant walls do not affect the scale of errors. Without a gap: the median range of motions;

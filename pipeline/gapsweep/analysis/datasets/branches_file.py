@@ -86,8 +86,7 @@ def branches(
     connect: Callable[[], AbstractContextManager[Any]],
     timeout: float,
     say: Callable[[str], None],
-    *,
-    is_curves: bool = False,
+    followed_branches: xr.Dataset | None = None,
 ) -> xr.Dataset:
     """Branches of all cases of a study, or the curves of their special points.
 
@@ -105,10 +104,16 @@ def branches(
         CPU time limit of a case with user code [s].
     say : callable
         Called with the progress.
-    is_curves : bool
-        Whether the curves are returned; missing branches are recomputed.
+    followed_branches : Dataset, optional
+        ``branches.nc`` of the study, to return the curves of its special points. Cases that failed
+        in it have none; branches missing in the cache are recomputed.
     """
-    parts = [part for part in _parts(study, attractors) if part.scene.attractors]
+    parts = [part for part in cases(study, attractors) if part.scene.attractors]
+    is_curves = followed_branches is not None
+    if followed_branches is not None:
+        first = np.cumsum([0, *(len(part.numbers) for part in parts)])[:-1]
+        status = followed_branches["attractor_status"].values[first]
+        parts = [part for part, one in zip(parts, status, strict=True) if not Status(one).failed]
     for file in ("branches.nc", "curves.nc")[: 1 + is_curves]:
         if file == "curves.nc":
             parts = [part for part in map(_with_points, parts) if part.scene.points]
@@ -141,8 +146,8 @@ def _with_points(part: _SceneBranches) -> _SceneBranches:
     return replace(part, scene=replace(part.scene, points=points), found=Followed(Status.OK))
 
 
-def _parts(study: Study, attractors: xr.Dataset) -> Iterator[_SceneBranches]:
-    """The computed cases of a study whose branches can be followed, with their attractors."""
+def cases(study: Study, attractors: xr.Dataset) -> Iterator[_SceneBranches]:
+    """Yield the requested cases that can be continued, each with its periodic attractors."""
     table, grid = study.spec.branches, study.grid
     assert table is not None
     along, axes = table.along, grid.axes

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gapsweep.errors import ModelError
-from gapsweep.model.contact import FIT_RANGE, ContactLaw, Tanh, checked_law
+from gapsweep.model.contact import FIT_RANGE, ContactLaw, checked_law
 from gapsweep.model.equilibria import (
     linear_stiffness,
     panels,
@@ -22,6 +22,7 @@ from gapsweep.model.equilibria import (
     sign_changes,
 )
 from gapsweep.model.fit import MAX_DEGREE
+from gapsweep.model.laws.tanh import Tanh
 from gapsweep.model.oscillator import Gap, Oscillator, called_as, checked
 
 Array = NDArray[np.float64]
@@ -135,13 +136,12 @@ def needed(
 ) -> float:
     """Smallest adequate parameter of the law's family, as in `StaticError`."""
     limit = allowed_error(share) * forcing
-    name = next((n for n in ("epsilon", "gamma", "degree") if hasattr(law, n)), None)
-    if name is None or not law.K_c or not forcing:
+    if not law.symbol or not law.K_c or not forcing:
         return math.nan
-    several: Sequence[float] = range(1, MAX_DEGREE + 1) if name == "degree" else _TWO_DIGITS
+    several: Sequence[float] = _TWO_DIGITS if law.is_sharpened else range(1, MAX_DEGREE + 1)
 
     def is_adequate(value: float) -> bool:
-        changed: Any = {name: value}
+        changed: Any = {law.symbol: value}
         return rms_error(replace(law, **changed), *visited) <= limit
 
     at = bisect_left(several, True, key=is_adequate)

@@ -3,7 +3,7 @@
 `gapsweep.study.least_model` derives it; smooth laws are chosen by `contact_errors.ADEQUATE`.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from dataclasses import replace
 from functools import partial
@@ -21,7 +21,8 @@ from gapsweep.analysis.datasets.contact_errors import (
 )
 from gapsweep.errors import ModelError, StudyError
 from gapsweep.model.contact import ContactLaw, Piecewise
-from gapsweep.model.labels import FAMILIES, Representation, canonical_label, contact_law
+from gapsweep.model.labels import Representation, canonical_label, contact_law
+from gapsweep.model.laws import LAWS
 from gapsweep.model.oscillator import OSCILLATOR, Gap, Oscillator
 from gapsweep.study.grid import START
 from gapsweep.study.least_model import Model
@@ -45,9 +46,9 @@ SCREENED = {
     ),
 }
 # Per family any law of it, to find the smallest parameter; the last only for studies with fits.
-_SEEDS = {name: f"{name}-1e4" for name, law in FAMILIES.items() if law.is_sharpened}
-_FITTED = {"poly": "poly-13"}
-_SYMBOLS = {"tanh": "epsilon", "arctan": "epsilon", "logarctan": "gamma", "poly": "degree"}
+_SEEDS = {law.family: law.examples[0] for law in LAWS if law.is_sharpened}
+_FITTED = {law.family: law.examples[0] for law in LAWS if law.symbol and not law.is_sharpened}
+_NOT_REACHED = "no wall is reached, so that no contact law has an effect"
 _MOST_STARTS = 3  # initial conditions that are named one by one
 _PART = 65_536  # points whose numbers are in memory at a time
 
@@ -175,7 +176,8 @@ def sentences(found: xr.Dataset) -> list[dict[str, Any]]:
     list of dict
         ``K_c``, ``gap``, further swept parameters by name, ``starts``, a list of ``start``, the
         initial conditions that need the same models, and ``advice``, a list of ``from``,
-        ``to`` [Hz], ``model`` and ``reason``; ``approximations``, a sentence.
+        ``to`` [Hz], ``model`` and ``reason``; ``approximations``, a sentence; ``laws``, the smooth
+        laws with their force errors, none if no wall is reached.
     """
     scenes = []
     dims = found["force_error"].dims[:-1]
@@ -184,6 +186,8 @@ def sentences(found: xr.Dataset) -> list[dict[str, Any]]:
         if not (here["model"] >= 0).any():
             continue
         j_1, j_2 = (float(here[name]) for name in ("j_1", "j_2"))
+        may_reach = bool((here["model"] == Model.EXACT).any())
+        rows = _assessed(here) if may_reach else {}
         scenes.append(
             {
                 **{str(dim): float(here[dim]) for dim in dims if dim != "gap"},
@@ -191,10 +195,10 @@ def sentences(found: xr.Dataset) -> list[dict[str, Any]]:
                 "starts": [
                     {"start": _starts(some), "advice": _ranges(some)} for some in _alike(here)
                 ],
-                "approximations": _approximations(here),
+                "approximations": _approximations(here, rows) if may_reach else _NOT_REACHED,
                 "laws": [
                     {"law": label, "force_error": error, "is_adequate": is_adequate}
-                    for label, (error, is_adequate) in _assessed(here).items()
+                    for label, (error, is_adequate) in rows.items()
                     if np.isfinite(error)  # a fit that could be made
                 ],
             }
@@ -270,17 +274,17 @@ def _assessed(here: xr.Dataset) -> dict[Representation, tuple[float, bool]]:
     }
 
 
-def _approximations(here: xr.Dataset) -> str:
-    rows = _assessed(here)
+def _approximations(here: xr.Dataset, rows: Mapping[Representation, tuple[float, bool]]) -> str:
     if not rows:
         return "smooth laws are judged by their force error over the forcing, which is 0"
-    least: dict[str, float] = {}
+    least: dict[type[ContactLaw], float] = {}
     for law, (_, is_adequate) in rows.items():
-        if is_adequate and law.family in _SYMBOLS:
-            least[law.family] = min(float(law.parameter), least.get(law.family, np.inf))
+        if is_adequate and law.law_type is not None and law.law_type.symbol:
+            known = least.get(law.law_type, np.inf)
+            least[law.law_type] = min(float(law.parameter), known)
     good = "; ".join(
-        f"{name}: {_SYMBOLS[name]} >= {value:g}{'' if name == 'poly' else ' /m'}"
-        for name, value in least.items()
+        f"{law.family}: {law.symbol} >= {value:g}{' /m' if law.is_sharpened else ''}"
+        for law, value in least.items()
     )
     limit = float(here.attrs["allowed_force_error"])
     text = (

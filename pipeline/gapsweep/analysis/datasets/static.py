@@ -29,9 +29,10 @@ from gapsweep.analysis.datasets.contact_errors import (
 )
 from gapsweep.analysis.dimensions import Array
 from gapsweep.errors import ModelError
-from gapsweep.model.contact import ContactLaw, Piecewise, Tanh
+from gapsweep.model.contact import ContactLaw, Piecewise
 from gapsweep.model.equilibria import equilibria, linear_stiffness, restoring_slope
 from gapsweep.model.labels import EXACT, Representation
+from gapsweep.model.laws.tanh import Tanh
 from gapsweep.model.oscillator import Gap, Oscillator
 from gapsweep.study.schema import COORDINATES
 from gapsweep.study.study import Study

@@ -33,8 +33,10 @@ from gapsweep.integrate.simd import WIDTH
 
 from .parameters import N_PARAMETERS
 
-# Lanes of a table with at most so many rows: one point takes half the time of one in a wide vector.
-NARROW = 4
+# Degrees of Taylor polynomials for loose and for tight tolerances, and the relative tolerance below
+# which these are tight: the cheapest pair measured. A step is compiled once for both degrees.
+_DEGREES, _TIGHT = (12, 16), 2e-8
+_TANH_DEGREES, _TANH_TIGHT = (8, 12), 2e-5
 
 # Names of the blocks of rows and, by the counts of a `RowLayout`, how many rows each has.
 _ONE = (
@@ -82,11 +84,9 @@ class RowLayout:
     is_taylor : bool
         Whether steps are those of a Taylor series; a Runge-Kutta method needs more rows.
     order : int
-        Degree of the polynomials of a step.
+        Degree of the polynomials of a step; no constant of the code.
     tangent : int
-        1 if the variational equation is integrated too, else 0.
-    width : int
-        Lanes.
+        1 if the variational equation is integrated too, else 0; a constant of the code for tanh.
     """
 
     n: int = 1
@@ -103,17 +103,38 @@ class RowLayout:
     is_taylor: bool = True
     order: int = 12
     tangent: int = 0
-    width: int = WIDTH
 
     derived: ClassVar[tuple[str, ...]] = (
         *("n_states", "all_lanes", "n_terms", "n_series", "first_gap", "n_turning", "n_rows"),
-        "n_rates",
+        *("n_rates", "width"),
     )
 
     @property
     def n_states(self) -> int:
         """Length of a state (q, v, z)."""
         return 2 * self.n + self.m
+
+    @property
+    def degrees(self) -> tuple[int, ...]:
+        """Degrees for which the code of a step is compiled."""
+        if not self.is_taylor:
+            return (self.order,)
+        return _TANH_DEGREES if self.is_tanh else _DEGREES
+
+    @property
+    def tight(self) -> float:
+        """Relative tolerance below which a Taylor step has the larger degree."""
+        return _TANH_TIGHT if self.is_tanh else _TIGHT
+
+    def with_degree(self, rtol: float) -> "RowLayout":
+        """Return the layout with the degree of the Taylor polynomials at a tolerance."""
+        return known(replace(self, order=self.degrees[rtol < self.tight]))
+
+    @cached_property
+    def of_code(self) -> "RowLayout":
+        """The layout that stands for all those with the same code."""
+        tangent = self.tangent if self.is_tanh else 0
+        return known(replace(self, order=self.degrees[-1], tangent=tangent))
 
     @cached_property
     def of_motion(self) -> "RowLayout":
@@ -126,14 +147,19 @@ class RowLayout:
         return known(replace(self, tangent=1))
 
     @property
+    def width(self) -> int:
+        """Number of lanes."""
+        return WIDTH
+
+    @property
     def all_lanes(self) -> int:
         """All lanes as a mask."""
         return (1 << self.width) - 1
 
     @property
     def n_terms(self) -> int:
-        """Number of coefficients of a series."""
-        return self.order + 1
+        """Number of coefficients of a series for which there are rows."""
+        return self.degrees[-1] + 1
 
     @property
     def n_series(self) -> int:
@@ -255,20 +281,6 @@ def known(layout: RowLayout) -> RowLayout:
     return _KNOWN.setdefault(layout, layout)
 
 
-# Layouts whose machine code this process has loaded.
-LOADED: set[RowLayout] = set()
-
-
-def of_width(n: int, layout: RowLayout) -> RowLayout:
-    """Return a layout for n models: narrow for few, unless only the wide one's code is loaded.
-
-    Loading or compiling machine code takes longer than stepping a thousand idle lanes, and results
-    do not depend on the number of lanes.
-    """
-    wide, narrow = (known(replace(layout, width=width)) for width in (WIDTH, NARROW))
-    return narrow if n <= NARROW and (narrow in LOADED or wide not in LOADED) else wide
-
-
 def aligned(*shape: int) -> NDArray[np.float64]:
     """Return an array of zeros whose rows of one vector start on cache lines."""
     size = math.prod(shape)
@@ -293,7 +305,7 @@ _typed = cache(LayoutType)  # needed in every call from Python
 
 @typeof_impl.register(RowLayout)
 def _typeof(layout: RowLayout, context: Any) -> LayoutType:
-    return _typed(layout)
+    return _typed(layout.of_code)
 
 
 @unbox(LayoutType)

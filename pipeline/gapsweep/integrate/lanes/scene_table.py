@@ -8,14 +8,11 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from .row_layout import RowLayout, of_width
+from .row_layout import RowLayout
 from .start_rows import FLOOR_SHARE
 
 Array = NDArray[np.float64]
 
-# Degree of the Taylor polynomial by relative tolerance: the cheapest measured in the
-# benchmark. (smallest rtol it is used for, degree)
-ORDERS = ((2e-5, 8), (2e-8, 12), (2e-11, 16), (0.0, 20))
 # Shortest step that makes progress, in rad of the natural or forcing frequency: a stiffness of 1e9
 # N/m takes steps a million times longer, and a run of shorter ones would never end.
 MIN_STEP = 1e-10
@@ -23,11 +20,6 @@ _MIN_STEP_IN_LAYERS = 1e-15  # a layer of 1e-11 m is passed in a few steps of 1e
 # The force that is left out beyond a layer, K |y| exp(-2 eps |y|): within exp(-6) of the tolerance.
 _TAIL = 6.0
 _STRONGEST = 0.2785  # largest s / (1 + exp(s)): pull of a smoothed wall before it is met
-
-
-def order_for(rtol: float) -> int:
-    """Degree of the Taylor polynomial used at a relative tolerance."""
-    return next(order for smallest, order in ORDERS if rtol >= smallest)
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,7 +80,7 @@ def scenes(
     check(zeta=zeta, omega_n=omega_n, mass=mass, alpha=alpha, forcing=forcing, omega=omega)
     check(K_c=K_c, K_ratio=K_ratio, j_1=j_1, j_2=j_2)
     n_rad = 2 * np.pi * omega_n
-    at = of_width(len(zeta), RowLayout(order=order_for(rtol), is_tanh=epsilon is not None))
+    at = RowLayout(is_tanh=epsilon is not None).with_degree(rtol)
     points, table = empty_table(at, len(zeta))
     table[at.stiffness], table[at.damping] = n_rad**2, 2 * zeta * n_rad
     table[at.cubic], table[at.push] = alpha / mass, forcing / mass

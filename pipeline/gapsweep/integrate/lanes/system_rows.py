@@ -1,21 +1,20 @@
 """Rows of systems for the kernel: their matrices per unit mass, and the scales of step errors."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gapsweep.model.system import System, fraction
 
-from .row_layout import RowLayout, known
+from .row_layout import RowLayout
 from .scene_table import (
     MIN_STEP,
     SceneTable,
     check,
     check_tolerances,
     empty_table,
-    order_for,
     set_clock,
 )
 
@@ -90,7 +89,7 @@ def system_scenes(
     check_tolerances(rtol, atol)
     check(K_c=walls.K_c, K_ratio=walls.K_ratio, j_1=walls.j_1, j_2=walls.j_2)
     (layout,) = {layout_of(system) for system in systems}
-    at = known(replace(layout, order=order_for(rtol)))
+    at = layout.with_degree(rtol)
     points, table = empty_table(at, len(which))
     stiffnesses = walls.K_ratio * walls.K_c, walls.K_c
     for number, system in enumerate(systems):

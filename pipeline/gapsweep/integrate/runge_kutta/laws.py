@@ -9,6 +9,7 @@ Numbers that differ between points are in the rows of a parameter block `q` of e
 (N_PARAMETERS, WIDTH); numbers that a batch shares (fit coefficients) are in the named tuple.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -19,8 +20,11 @@ from gapsweep.integrate import simd
 from gapsweep.integrate.jit import chosen_by_type, inlined
 from gapsweep.integrate.lanes.parameters import N_PARAMETERS, STIFFNESS
 from gapsweep.integrate.simd import load
+from gapsweep.model.contact import Piecewise
+from gapsweep.model.laws import LAWS
 
 from . import formulas
+from .formulas import vectorised
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,9 +41,11 @@ class Law:
         return rows
 
 
-# Numbers of the formulas. PIECEWISE chooses its branch at every stage: a step does not know that it
-# crosses a wall. LOCATED is one contact mode, frozen inside a step: the loop ends steps at walls.
-TANH, ARCTAN, LOG_ARCTAN, PIECEWISE, LOCATED, POLYNOMIAL, RATIONAL, TABLE = range(8)
+# Numbers of the formulas: places in `LAWS`, then the two without a label. PIECEWISE chooses its
+# branch at every stage: a step does not know that it crosses a wall. LOCATED is one contact mode,
+# frozen inside a step: the loop ends steps at walls.
+PIECEWISE = LAWS.index(Piecewise)
+LOCATED, TABLE = len(LAWS), len(LAWS) + 1
 _NONE = np.zeros(1)
 
 
@@ -49,7 +55,7 @@ class Formula(NamedTuple):
     Attributes
     ----------
     number : int
-        Number of the formula, as `TANH`.
+        Number of the formula, as `LOCATED`.
     numerator, denominator : ndarray
         Fits: Chebyshev series in x / range [N]; the denominator is positive in the range.
     points, pieces : ndarray
@@ -88,48 +94,35 @@ def denominator(law, q, x):
 # --- which function belongs to which law ----------------------------------------------------------
 
 
-def _by_number(tanh, arctan, log_arctan, piecewise, located, polynomial, rational, table):
+def _by_number(functions: Sequence[Any], number: int = 0) -> Any:
     """Return a compiled function that calls the one of these that belongs to the law's number."""
+    function = functions[number]
+    if number == len(functions) - 1:
+        return function
+    others = _by_number(functions, number + 1)
 
     @inlined
     def chosen(law, q, x):
-        number = law.number
-        if number == TANH:
-            return tanh(q, x)
-        if number == ARCTAN:
-            return arctan(q, x)
-        if number == LOG_ARCTAN:
-            return log_arctan(q, x)
-        if number == PIECEWISE:
-            return piecewise(q, x)
-        if number == LOCATED:
-            return located(q, x)
-        if number == POLYNOMIAL:
-            return polynomial(law, q, x)
-        if number == RATIONAL:
-            return rational(law, q, x)
-        return table(law, q, x)
+        if law.number == number:
+            return function(law, q, x)
+        return others(law, q, x)
 
     return chosen
 
 
-_force_by_number = _by_number(
-    formulas.tanh_force, formulas.arctan_force, formulas.logarctan_force, formulas.piecewise_force,
-    formulas.located_force, formulas.polynomial_force, formulas.rational_force,
-    formulas.table_force,
-)  # fmt: skip
-_slope_by_number = _by_number(
-    formulas.tanh_slope, formulas.arctan_slope, formulas.logarctan_slope, formulas.piecewise_slope,
-    formulas.located_slope, formulas.polynomial_slope, formulas.rational_slope,
-    formulas.table_slope,
-)  # fmt: skip
-
-
 @inlined
-def _denominator_by_number(law, q, x):
-    if law.number == RATIONAL:
-        return formulas.rational_denominator(law, q, x)
+def _one(law, q, x):
     return simd.splat(1.0)
+
+
+_forces = [vectorised(law.formulas.force, law) for law in LAWS]
+_slopes = [vectorised(law.formulas.slope, law) for law in LAWS]
+_denominators = [
+    vectorised(law.formulas.denominator, law) if law.formulas.denominator else _one for law in LAWS
+]
+_force_by_number = _by_number([*_forces, formulas.located_force, formulas.table_force])
+_slope_by_number = _by_number([*_slopes, formulas.located_slope, formulas.table_slope])
+_denominator_by_number = _by_number([*_denominators, _one])
 
 
 def _is_users(law):
@@ -150,9 +143,8 @@ def _slope(law, q, x):
 
 @chosen_by_type(denominator)
 def _denominator(law, q, x):
-    if _is_users(law):
-        return lambda law, q, x: simd.splat(1.0)
-    return lambda law, q, x: _denominator_by_number(law, q, x)
+    function = _one if _is_users(law) else _denominator_by_number
+    return lambda law, q, x: function(law, q, x)
 
 
 def _of_every_contact(one):

@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Sequence
 from functools import lru_cache
-from types import CellType, FunctionType
 from typing import Any
 
 import numpy as np
@@ -12,9 +11,12 @@ from numba.core.types import Number
 from numpy.typing import ArrayLike, NDArray
 
 from gapsweep.integrate.lanes import parameters
+from gapsweep.model.contact import ContactLaw
+from gapsweep.model.laws import LAWS
 from gapsweep.model.user_law import SLOPE_LENGTH, SLOPE_STEP
 
 from . import laws
+from .formulas import rows_of, with_callees
 from .laws import Formula, Law
 
 Array = NDArray[np.float64]
@@ -41,82 +43,46 @@ def _rows(
     return q.reshape(-1, parameters.N_PARAMETERS), [each.ravel() for each in others]
 
 
-def tanh(
-    K_c: ArrayLike, j_1: ArrayLike, j_2: ArrayLike, epsilon: ArrayLike, K_ratio: ArrayLike = 1.0
-) -> Law:
-    """Freeplay smoothed with tanh; K_c [N/m], j_1, j_2 [m], epsilon [1/m], K_ratio [-]."""
-    q, (sharpness,) = _rows(K_c, j_1, j_2, K_ratio, epsilon=epsilon)
-    high = q[..., parameters.WALL_HIGH]
-    # A lower wall without stiffness is far away: the gap's centre would lose digits with it.
-    low = np.where(q[..., parameters.RATIO] == 0.0, high, q[..., parameters.WALL_LOW])
-    half_gap = 0.5 * (high - low)
-    q[..., parameters.SHARPNESS], q[..., parameters.HALF_GAP] = sharpness, half_gap
-    q[..., parameters.CENTRE] = 0.5 * (high + low)
-    q[..., parameters.DECAY] = np.exp(-4.0 * sharpness * half_gap)
-    layer = parameters.TANH_SATURATION / sharpness
-    q[..., parameters.LAYER] = q[..., parameters.SATURATION] = layer
-    return Law(Formula(laws.TANH), q)
-
-
-def arctan(
-    K_c: ArrayLike, j_1: ArrayLike, j_2: ArrayLike, epsilon: ArrayLike, K_ratio: ArrayLike = 1.0
-) -> Law:
-    """Freeplay smoothed with (2/pi) arctan; epsilon [1/m]."""
-    q, (sharpness,) = _rows(K_c, j_1, j_2, K_ratio, epsilon=epsilon)
-    q[..., parameters.SHARPNESS] = sharpness
-    q[..., parameters.LAYER] = parameters.ARCTAN_LAYER / q[..., parameters.SHARPNESS]
-    return Law(Formula(laws.ARCTAN), q)
-
-
-def log_arctan(
-    K_c: ArrayLike, j_1: ArrayLike, j_2: ArrayLike, gamma: ArrayLike, K_ratio: ArrayLike = 1.0
-) -> Law:
-    """Integral of the arctan-smoothed stiffness, anchored at F_c(0) = 0; gamma [1/m]."""
-    q, (sharpness,) = _rows(K_c, j_1, j_2, K_ratio, gamma=gamma)
-    below, above = -q[..., parameters.WALL_LOW], -q[..., parameters.WALL_HIGH]  # x - wall at x = 0
-    ratio, square = q[..., parameters.RATIO], 1.0 + (sharpness * below) ** 2
-    logarithm = np.log(square / (1.0 + (sharpness * above) ** 2)) + (ratio - 1.0) * np.log(square)
-    at_zero = (
-        above * np.arctan(sharpness * above)
-        - ratio * below * np.arctan(sharpness * below)
-        + logarithm / (2.0 * sharpness)
-    )
-    q[..., parameters.SHARPNESS], q[..., parameters.OFFSET] = sharpness, -at_zero
-    q[..., parameters.LAYER] = parameters.ARCTAN_LAYER / sharpness
-    return Law(Formula(laws.LOG_ARCTAN), q)
-
-
-def piecewise(
+def of_numbers(
+    law: type[ContactLaw],
     K_c: ArrayLike,
     j_1: ArrayLike,
     j_2: ArrayLike,
-    K_ratio: ArrayLike = 1.0,
-    *,
-    located: bool = False,
+    K_ratio: ArrayLike,
+    sharpness: ArrayLike,
 ) -> Law:
-    """Exact freeplay; with `located` steps end at its contacts."""
-    q, _ = _rows(K_c, j_1, j_2, K_ratio)
-    return Law(Formula(laws.LOCATED if located else laws.PIECEWISE), q)
+    """Compiled law of a class of laws that differ in numbers only, from the numbers of n laws.
+
+    K_c [N/m], j_1, j_2 [m], K_ratio [-] and the field `ContactLaw.symbol`, each of shape (n,).
+    """
+    q, (sharpness,) = _rows(K_c, j_1, j_2, K_ratio, sharpness=sharpness)
+    rows = rows_of(law)
+    low, high, ratio = (q[..., rows[name]] for name in ("low", "high", "ratio"))
+    for name, values in law.rows(low, high, ratio, sharpness).items():
+        q[..., rows[name]] = values
+    return Law(Formula(LAWS.index(law)), q)
 
 
-def polynomial(coefficients: ArrayLike, fit_range: float, j_1: float, j_2: float) -> Law:
-    """Polynomial of Chebyshev coefficients [N] in x / fit_range; walls only count contacts."""
-    q, _ = _rows(1.0, j_1, j_2)
-    q[parameters.RANGE] = fit_range
-    series = np.ascontiguousarray(coefficients, dtype=float)
-    return Law(Formula(laws.POLYNOMIAL, numerator=series), q)
+def located(K_c: ArrayLike, j_1: ArrayLike, j_2: ArrayLike, K_ratio: ArrayLike) -> Law:
+    """Exact law whose contacts are located: steps end there."""
+    return Law(Formula(laws.LOCATED), _rows(K_c, j_1, j_2, K_ratio)[0])
 
 
-def rational_polynomial(
-    numerator: ArrayLike, denominator: ArrayLike, fit_range: float, j_1: float, j_2: float
+def fitted(
+    law: type[ContactLaw],
+    numerator: ArrayLike,
+    denominator: ArrayLike,
+    fit_range: float,
+    j_1: float,
+    j_2: float,
 ) -> Law:
-    """Quotient of Chebyshev series in x / fit_range, numerator in N."""
+    """Quotient of Chebyshev series in x / fit_range, numerator in N; walls only count contacts."""
     q, _ = _rows(1.0, j_1, j_2)
     q[parameters.RANGE] = fit_range
     top, bottom = np.array(numerator, dtype=float), np.array(denominator, dtype=float)
     # To the loop a denominator that is not positive means that a pole was passed.
     sign = np.sign(np.polynomial.chebyshev.chebval(0.0, bottom))
-    return Law(Formula(laws.RATIONAL, numerator=sign * top, denominator=sign * bottom), q)
+    return Law(Formula(LAWS.index(law), numerator=sign * top, denominator=sign * bottom), q)
 
 
 def table(points: ArrayLike, pieces: ArrayLike, j_1: float, j_2: float) -> Law:
@@ -153,7 +119,8 @@ def user(
 # that numba refuses is not cached: the user may correct it.
 @lru_cache(maxsize=64)
 def _user_kind(function: Any, n: int) -> laws.User:
-    called = _compiled(function, {})
+    # As in NumPy, x / 0.0 is infinite: no exception.
+    called = with_callees(function, {}, njit(error_model="numpy"))
 
     @njit
     def force(x: float, a: float, b: float, c: float, d: float) -> Any:
@@ -169,20 +136,3 @@ def _user_kind(function: Any, n: int) -> laws.User:
     if not isinstance(returned, Number):
         raise TypingError(f"it returns {returned}, not a number")
     return laws.User(force, slope)
-
-
-def _compiled(function: Any, known: dict[Any, Any]) -> Any:
-    """Compile a function, and the plain Python functions that it calls by name."""
-    if not isinstance(function, FunctionType):
-        return function
-    if function not in known:
-        names, code = dict(function.__globals__), function.__code__
-        cells = [CellType(cell.cell_contents) for cell in function.__closure__ or ()]
-        defaults = function.__defaults__
-        copy = FunctionType(code, names, function.__name__, defaults, tuple(cells))
-        known[function] = njit(copy)  # before its callees: it may call itself
-        for name in names.keys() & {*code.co_names}:
-            names[name] = _compiled(names[name], known)
-        for cell in cells:
-            cell.cell_contents = _compiled(cell.cell_contents, known)
-    return known[function]

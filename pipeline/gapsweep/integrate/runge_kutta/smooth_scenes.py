@@ -6,12 +6,12 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from gapsweep.integrate import simd
 from gapsweep.integrate.lanes import parameters
 from gapsweep.integrate.lanes.outcome import AT_START
 from gapsweep.integrate.lanes.row_layout import known
 from gapsweep.integrate.lanes.scene_table import SceneTable
 from gapsweep.integrate.problem import Solver
+from gapsweep.model.laws.tanh import SATURATION
 
 from . import laws, tableaux
 from .laws import Formula, Law
@@ -52,7 +52,6 @@ def runge_kutta_scenes(
             is_taylor=False,
             order=tableaux.DEGREE,
             tangent=0,
-            width=simd.WIDTH,
         )
     )
     table = np.zeros((len(exact.table), at.n_rows))
@@ -61,7 +60,7 @@ def runge_kutta_scenes(
     for i, law in enumerate(kernel_laws):
         rows = law.rows(mass, len(points))
         # Where the tail of tanh, exp(-2 |z|), is far below the tolerance, its layer has no edge.
-        reach = (3.0 - 0.5 * np.log(exact.rtol)) / parameters.TANH_SATURATION
+        reach = (3.0 - 0.5 * np.log(exact.rtol)) / SATURATION
         rows[rows[:, parameters.SATURATION] > 0.0, parameters.LAYER] *= min(1.0, max(0.1, reach))
         has_layer |= bool((rows[:, parameters.LAYER] > 0.0).any())
         has_range |= bool((rows[:, parameters.RANGE] > 0.0).any())

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from gapsweep.integrate.lanes.method import Method
 from gapsweep.integrate.lanes.outcome import CLOCK_SLACK
-from gapsweep.integrate.lanes.row_layout import LOADED, RowLayout, aligned
+from gapsweep.integrate.lanes.row_layout import RowLayout, aligned
 from gapsweep.integrate.lanes.scene_table import SceneTable, check, set_modes_on_walls
 from gapsweep.integrate.lanes.start_rows import BACKWARD, NOT_FINITE, ON_WALL, set_starts
 from gapsweep.integrate.problem import is_late
@@ -37,9 +37,9 @@ from .sample import sample_steps
 Array = NDArray[np.float64]
 
 # Crossings in a row, each within 1e-6 rad of the fastest oscillation, that end a point as chatter.
-_MOST_SHORT = 100.0
+MOST_SHORT = 100.0
 _LOG_VALUES = 1 << 16  # of a log: it stays in the cache until it is emptied
-_MOST_PLACED = 1 << 22  # section points for which rows are reserved before the motions begin
+MOST_PLACED = 1 << 22  # section points for which rows are reserved before the motions begin
 # Outcomes that become OUT_OF_FIT_RANGE if the motion has left the range of a fit.
 _OF_MOTIONS = (Status.OK, Status.DIVERGED, Status.STEP_UNDERFLOW)
 # Vector steps per call of the kernel, about 20 ms, between which time limits and Ctrl-C are
@@ -192,7 +192,7 @@ def run(
             np.inf
         )  # no layer is crossed in one step: the motion within it is recorded
     statuses = np.full(len(which), RUNNING)
-    limits = prepared.rtol, DIVERGED_AT, _MOST_SHORT
+    limits = prepared.rtol, DIVERGED_AT, MOST_SHORT
     queue = np.flatnonzero(~follows[:-1]) if queue is None else queue
     is_recording = bool(np.isfinite(record_from).any())
     # The section of an unforced motion is at extrema, which are then always searched for.
@@ -202,10 +202,8 @@ def run(
         points[:-1, first : first + at.contacts] for first in (at.mode, at.contact_time)
     )
     contact_time[:] = np.where(mode != 0.0, -t_0[:, None], 0.0)
-    # The code of a Runge-Kutta step is the same with the tangent and without.
-    layout = at if at.is_taylor else at.of_motion
     *events, steps = _drained(
-        layout, at, method, lanes, points, queue, follows, statuses, limits, kept, not section_only
+        at, method, lanes, points, queue, follows, statuses, limits, kept, not section_only
     )
     ended = points[:-1]
     if not at.is_taylor:
@@ -223,7 +221,6 @@ def run(
 
 
 def _drained(
-    layout: RowLayout,
     at: RowLayout,
     method: Method,
     lanes: Array,
@@ -268,12 +265,11 @@ def _drained(
         contacts=bool(kept[record.CONTACTS]),
     )
     pieces: list[list[Array]] = [[] for _ in kept]
-    LOADED.add(at.of_motion)
     users, ours = (advance_users, _USERS_BUDGET), (advance, _BUDGET)
     outcome, (step_on, budget) = BUDGET_SPENT, users if method.is_users else ours
     while outcome != FINISHED:
         began = time.monotonic()
-        outcome = step_on(layout, run, limits, budget)
+        outcome = step_on(at, run, limits, budget)
         if time.monotonic() - began < _SHORT_CALL:
             budget = min(2 * budget, _BUDGET)
         if outcome != FINISHED and is_late():
@@ -307,7 +303,7 @@ def _section_rows(at: RowLayout, points: Array) -> NDArray[np.int64]:
     """
     first = np.maximum(1.0, np.ceil(points[:, at.record_clock] - CLOCK_SLACK))  # `first_section`
     counts = np.maximum(points[:, at.end_cycle] - first + 1.0, 0.0)
-    if at.is_free or not counts.sum() <= _MOST_PLACED:
+    if at.is_free or not counts.sum() <= MOST_PLACED:
         return np.empty((0, 2), np.int64)
     end = np.cumsum(counts.astype(np.int64))
     return np.stack([end - counts.astype(np.int64), end], axis=1)

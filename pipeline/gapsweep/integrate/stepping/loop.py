@@ -47,7 +47,7 @@ def _interval(at, lanes, k, contact):
 
 @internal
 def _commit_clock(at, lanes, k, step, is_done):
-    """Advance the clock of one lane."""
+    """Advance the clock of one lane by a step, or set it to the end of the motion if `is_done`."""
     if is_done:
         tau_1, low_1, cycle_1 = lanes[at.end_tau, k], 0.0, lanes[at.end_cycle, k]
     else:

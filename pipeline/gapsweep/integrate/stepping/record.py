@@ -155,7 +155,7 @@ def _record_section(at, run, k, whole):
 
 @internal
 def _noise(degree, step, work):
-    """Expected rounding error of the velocity polynomial."""
+    """Value below which the velocity polynomial of a step may be zero up to rounding."""
     size, power = 0.0, 1.0
     for n in range(degree + 1):
         size += abs(work.reduced[n]) * power
@@ -344,7 +344,11 @@ def _write_turns(at, run, events, which, series):
 
 @internal
 def record_steps(layout, among, run):
-    """Record the last step of the lanes in the bits `among`, from their clocks on."""
+    """Write what happened in the last step of the lanes with a bit in `among` to the logs of `run`.
+
+    Section points of forced motions first; then, if a log of extrema is kept, extrema, contact
+    times and, for dense output, the step itself, if it ends after the lane has begun to record.
+    """
     at = run.at
     if not at.is_free:
         _record_sections(at, among, run)
@@ -355,11 +359,15 @@ def record_steps(layout, among, run):
     all_events = (passed >> at.width) & at.all_lanes
     if all_events != 0 and (run.turns or at.is_free):
         for i in range(at.n if run.turns else 1):
-            events = find_coordinate_turns(layout, run.lanes, run.coefficients, i, i, all_events)
+            events = find_coordinate_turns(
+                layout, run.lanes, run.coefficients, i, i, all_events, at.order
+            )
             _write_turns(at, run, events, i, i)
         for i in range(at.n_turning - at.n if run.turns else 0):
             series = at.first_gap + i
-            events = find_gap_turns(layout, run.lanes, run.coefficients, i, series, all_events)
+            events = find_gap_turns(
+                layout, run.lanes, run.coefficients, i, series, all_events, at.order
+            )
             _write_turns(at, run, events, at.n + i, series)
     while contacts != 0:
         k = lowest_bit(contacts)

@@ -10,7 +10,7 @@ from numba import types
 from numba.extending import intrinsic
 
 from gapsweep.integrate.lanes.rows import LaneRows, dot, pointers, value_and_slope
-from gapsweep.integrate.vectors import I64, absolute, copysign, is_nonzero, where
+from gapsweep.integrate.vectors import I64, absolute, branch, copysign, is_nonzero, where
 
 TOUCH = 1e-12  # of the velocity: a closer approach to zero is a touch, by the same measure
 _NEWTON_STEPS = 3
@@ -113,27 +113,37 @@ def _turns_of(speed):
     Returns
     -------
     intrinsic
-        Function of ``at, lanes, coefficients, number, series, among``, called after `find_passed`:
-        numbers of the velocity and of its series. Sets `turn_time`, `turn_x` and `turn_v`.
-        Returns two masks of `at.width` bits, lowest first: lanes with a single zero; lanes whose
-        zeros need `isolate`.
+        Function of ``at, lanes, coefficients, number, series, among, order``, called after
+        `find_passed`: numbers of the velocity and of its series, degree of the series. Sets
+        `turn_time`, `turn_x` and `turn_v`. Returns two masks of `at.width` bits, lowest first:
+        lanes with a single zero; lanes whose zeros need `isolate`.
     """
 
-    def find_turns(typingctx, at, lanes, coefficients, number, series, among):
+    def find_turns(typingctx, at, lanes, coefficients, number, series, among, order):
         layout = at.layout
-        signature = types.int64(at, lanes, coefficients, types.int64, types.int64, types.int64)
+        signature = types.int64(at, lanes, coefficients, *[types.int64] * 4)
 
         def codegen(context, builder, signature, args):
             state, kept = (
                 LaneRows(builder, p, layout) for p in pointers(context, builder, signature, args)
             )
-            number, series, among = args[3:]
+            number, series, among, order = args[3:]
             terms = kept.below(series, layout.n_terms)
             v_1 = speed(state, number)
             if v_1 is None:
                 return ir.Constant(I64, 0)
             x = [terms[n] for n in range(layout.n_terms)]
-            is_single, is_none, t, turn = _emit_turns(builder, x, state["step"], v_1, among)
+            h, (low, *high) = state["step"], layout.degrees
+
+            def turns(degree):
+                return _emit_turns(builder, x[: degree + 1], h, v_1, among)
+
+            is_high = builder.icmp_signed(">", order, ir.Constant(I64, low))
+            is_single, is_none, t, turn = (
+                branch(builder, is_high, lambda: turns(*high), lambda: turns(low))
+                if high
+                else turns(low)
+            )
             # recording may begin within the step
             begun = (state["event_clock"] - (state["cycle_0"] + state["tau_0"])) * state["period"]
             state["turn_time"], state["turn_x"] = state["start_time"] + t, turn

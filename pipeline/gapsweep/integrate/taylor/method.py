@@ -9,22 +9,34 @@ from gapsweep.integrate.lanes.method import implement_step
 from gapsweep.integrate.lanes.outcome import StepOutcome
 from gapsweep.integrate.lanes.row_layout import RowLayout
 
+from .tangent import tangent_step
 from .taylor_step import taylor_step
 
 
 class Taylor(NamedTuple):
-    """The Taylor series method; its degree is the `order` of the `RowLayout`."""
+    """The Taylor series method; its degree is the `order` of the `RowLayout`.
+
+    Attributes
+    ----------
+    is_users : bool
+        Always False, see `Method`.
+    tangent : bool
+        Whether the variational equation is integrated too.
+    """
 
     is_users: bool = False
+    tangent: bool = False
 
     @property
     def n_stages(self) -> int:
         """Return 0: each step is one expansion."""
         return 0
 
-    def with_work_space(self, at: RowLayout, lanes: np.ndarray, **_options: bool) -> "Taylor":
-        """Return the method itself: its only work space are the coefficients of the loop."""
-        return self
+    def with_work_space(
+        self, at: RowLayout, lanes: np.ndarray, *, tangent: bool, **_options: bool
+    ) -> "Taylor":
+        """Return the method for a run; its only work space are the coefficients of the loop."""
+        return self._replace(tangent=tangent)
 
 
 @inlined
@@ -32,6 +44,8 @@ def _step(layout: Any, method: Any, lanes: Any, coefficients: Any, limits: Any) 
     rtol, x_bound, max_short = limits
     packed = taylor_step(layout, lanes, coefficients, rtol, x_bound, max_short)
     every, width = layout.all_lanes, layout.width
+    if method.tangent:
+        tangent_step(layout, lanes, coefficients, rtol, packed & every)
     return StepOutcome(
         packed & every,
         (packed >> width) & every,

@@ -20,6 +20,7 @@ from functools import reduce
 
 from gapsweep.integrate.lanes.rows import dot
 from gapsweep.integrate.vectors import (
+    branch,
     floor,
     fma,
     nearest,
@@ -65,17 +66,19 @@ def _harmonic(amplitudes, rate, turn, n_terms):
     return series
 
 
-def _harmonics(lanes, amplitudes, names, n_terms):
+def _harmonics(lanes, tau, amplitudes, names, n_terms):
     """Sum over harmonics of `_harmonic`; an empty list without harmonics.
 
     Parameters
     ----------
+    tau : Vec
+        Phase of the clock at the beginning of the step.
     amplitudes : list of list of Vec
         Amplitudes of each harmonic.
     names : (str, str)
         Blocks of the multiples and phases; empty ones: frequency and phase of the clock.
     """
-    omega_rad, tau, total = lanes["omega_rad"], lanes["tau"], []
+    omega_rad, total = lanes["omega_rad"], []
     multiples, phases = map(lanes.rows, names)
     for i, given in enumerate(amplitudes):
         rate, turn = omega_rad, tau
@@ -114,6 +117,40 @@ def product_term(a, b, n):
     return fma(a[n], b[0], total)
 
 
+def extend(equation, series, to):
+    """Extend series to the degree of the step; the terms beyond it, up to the last row, are zero.
+
+    Parameters
+    ----------
+    series : list of list of Vec
+        All series that code after this reads.
+    to : callable
+        Function of a degree that emits the next terms of all series up to it.
+    """
+    low, *high = equation.degrees
+    to(low)
+    if not high:
+        return
+    sizes = [len(each) for each in series]
+
+    def terms():
+        return [term for each, size in zip(series, sizes, strict=True) for term in each[size:]]
+
+    def further():
+        to(*high)
+        return terms()
+
+    merged = branch(
+        equation.zero.builder,
+        equation.is_tight,
+        further,
+        lambda: [equation.zero] * len(terms()),
+    )
+    for each, size in zip(series, sizes, strict=True):
+        n = len(each) - size
+        each[size:], merged = merged[:n], merged[n:]
+
+
 class Modes:
     """Contact modes at the beginning of a step: lists with an entry for every contact.
 
@@ -128,9 +165,9 @@ class Modes:
         Stiffness of the wall in contact; 0 if none is.
     """
 
-    def __init__(self, lanes):
+    def __init__(self, lanes, mode="mode"):
         self.touching, self.wall, self.lo, self.hi, self.stiffness = [], [], [], [], []
-        names = "mode", "lower", "upper", "lower_stiffness", "upper_stiffness"
+        names = mode, "lower", "upper", "lower_stiffness", "upper_stiffness"
         for mode, lower, upper, *stiffness in zip(*map(lanes.rows, names), strict=True):
             above, below = mode > 0.0, mode < 0.0
             self.touching.append(above | below)
@@ -158,10 +195,14 @@ class Equation:
         Factors of speeds, coordinates and first-order states, by first-order state.
     rates : list of list of Vec
         Series of the contacts' stiffness where it is periodic, empty where it is constant.
+    is_tight : value
+        Condition of the larger one of the `degrees`.
     """
 
-    def __init__(self, lanes, modes):
+    def __init__(self, lanes, modes, is_tight, clock="tau"):
         layout = lanes.layout
+        self._lanes, self._clock = lanes, clock
+        self.is_tight, self.degrees = is_tight, layout.degrees
         n, m = layout.n, layout.m
         self.zero = lanes["tau"].constant(0.0)
         self.damping, self.stiffness = lanes.matrix("damping", n), lanes.matrix("stiffness", n)
@@ -175,11 +216,17 @@ class Equation:
         self.along = [] if self.is_plain else lanes.matrix("along", layout.cubics)
         self.pull = lanes.matrix("pull", n)
         self.contact = modes.stiffness
-        self.forcing = _harmonics(
-            lanes, lanes.matrix("push", layout.harmonics), ("multiple", "phase"), layout.order - 1
-        )
         self.rates = self._rates(lanes)
         self.springs = self.stiffness if self.rates else self._springs()
+
+    def forcing(self):
+        """Series of the forcing, by coordinate; empty without any."""
+        push = self._lanes.matrix("push", self._lanes.layout.harmonics)
+        return self._harmonics(push, ("multiple", "phase"))
+
+    def _harmonics(self, amplitudes, names):
+        lanes = self._lanes
+        return _harmonics(lanes, lanes[self._clock], amplitudes, names, lanes.layout.n_terms - 2)
 
     def _rates(self, lanes):
         layout = lanes.layout
@@ -188,7 +235,7 @@ class Equation:
         depths = lanes.matrix("depth", layout.modulations)
         scaled = [[k * d for k, d in zip(self.contact, row, strict=True)] for row in depths]
         names = ("depth_multiple", "depth_phase")
-        rates = _harmonics(lanes, scaled, names, layout.order - 1)
+        rates = self._harmonics(scaled, names)
         return [
             [k + first, *others] for k, (first, *others) in zip(self.contact, rates, strict=True)
         ]
@@ -224,28 +271,33 @@ class StepSeries:
     Attributes
     ----------
     q, z : list of list of Vec
-        Series of every coordinate and every first-order state, up to degree `order`.
+        Series of every coordinate and every first-order state, up to the largest degree.
     gaps : list of list of Vec
         Series of every contact's b.q; for a plain oscillator, of the coordinate.
     depths : list of list of Vec
         Series of every contact's b.q less the wall in contact.
     squares : list of list of Vec
-        Series of (a.q)^2 of every cubic spring, up to degree order - 2.
+        Series of (a.q)^2 of every cubic spring, up to two degrees less.
     """
 
     def __init__(self, lanes, modes, equation):
         layout = lanes.layout
-        self.equation, order = equation, layout.order
+        self.equation, self.forcing = equation, equation.forcing()
         self.q = [[x, v] for x, v in zip(lanes.rows("q"), lanes.rows("v"), strict=True)]
         self.z = [[z] for z in lanes.rows("z")]
         self.gaps = [self.q[0]] if layout.is_plain else [[g] for g in lanes.rows("gap")]
         self.depths = [[g[0] - w] for g, w in zip(self.gaps, modes.wall, strict=True)]
         self.along, self.squares = ([[] for _ in range(layout.cubics)] for _ in range(2))
-        for n in range(order - 1):
+        gaps = [] if layout.is_plain else self.gaps
+        extend(equation, [*self.q, *self.z, *gaps, *self.squares], self._to)
+
+    def _to(self, order):
+        """Extend all series to a degree."""
+        for n in range(len(self.q[0]) - 2, order - 1):
             self._project_gaps(n)
             self._extend(n, self._cubes(n))
-            extend_lags(equation, self.q, self.z, n)
-        extend_lags(equation, self.q, self.z, order - 1)
+            extend_lags(self.equation, self.q, self.z, n)
+        extend_lags(self.equation, self.q, self.z, order - 1)
         for n in (order - 1, order):
             self._project_gaps(n)
 
@@ -254,7 +306,7 @@ class StepSeries:
         return dot(direction, [q[n] for q in self.q], self.equation.zero)
 
     def _project_gaps(self, n):
-        if n == 0:
+        if len(self.depths[0] if self.depths else ()) > n:
             return
         for k, direction in enumerate(self.equation.direction):
             self.gaps[k].append(self._across(direction, n))
@@ -278,7 +330,7 @@ class StepSeries:
         others = [z[n] for z in self.z] + cubes
         new = []
         for i, springs in enumerate(one.springs if n else one.stiffness):
-            total = one.pulled(i, forces, one.forcing[i][n] if one.forcing else one.zero)
+            total = one.pulled(i, forces, self.forcing[i][n] if self.forcing else one.zero)
             for k, q in zip(springs, self.q, strict=True):
                 total = fma(-k, q[n], total)
             for c, q in zip(one.damping[i], self.q, strict=True):
@@ -292,50 +344,9 @@ class StepSeries:
 
 def extend_lags(equation, q, z, n):
     """Append coefficient n + 1 to the series of the first-order states."""
-    if not z:
+    if not z or len(z[0]) > n + 1:
         return
     state = [x[n + 1] * float(n + 1) for x in q] + [x[n] for x in q] + [x[n] for x in z]
     new = [dot(row, state, equation.zero) * (1.0 / (n + 1)) for row in equation.lags]
     for series, term in zip(z, new, strict=True):
         series.append(term)
-
-
-def variation(lanes, motion, column):
-    """Series of one solution of the variational equation along a motion.
-
-    Returns
-    -------
-    y, z : list of list of Vec
-        Series of the coordinates and of the first-order states.
-    """
-    layout, one = lanes.layout, motion.equation
-    first = layout.tangent_state + column * layout.n_states
-    state = [lanes[first + i] for i in range(layout.n_states)]
-    y = [[state[i], state[layout.n + i]] for i in range(layout.n)]
-    z = [[value] for value in state[2 * layout.n :]]
-    gaps, along = [[] for _ in range(layout.contacts)], [[] for _ in range(layout.cubics)]
-    for n in range(layout.order - 1):
-        for series, directions in ((gaps, one.direction), (along, one.along)):
-            for k, terms in enumerate(series):
-                place = [x[n] for x in y]
-                terms.append(dot(directions[k], place, one.zero) if directions else place[0])
-        bends = [product_term(*pair, n) for pair in zip(motion.squares, along, strict=True)]
-        forces = one.contact_forces(n, gaps) if one.rates else []
-        new = []
-        for i, springs in enumerate(one.springs):
-            total = None
-            for k, x in zip(springs, y, strict=True):
-                total = k * x[n] if total is None else fma(k, x[n], total)
-            for a, bend in zip(one.cubic[i], bends, strict=True):
-                total = fma(a * 3.0, bend, total)
-            for c, x in zip(one.damping[i], y, strict=True):
-                total = fma(c * float(n + 1), x[n + 1], total)
-            for a, x in zip(one.others[i], z, strict=False):
-                total = fma(a, x[n], total)
-            total = one.pulled(i, forces, -total)
-            new.append(total * (1.0 / ((n + 1) * (n + 2))))
-        extend_lags(one, y, z, n)
-        for series, term in zip(y, new, strict=True):
-            series.append(term)
-    extend_lags(one, y, z, layout.order - 1)
-    return y, z

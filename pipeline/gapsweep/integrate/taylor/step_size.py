@@ -115,7 +115,7 @@ def _off_grid(logarithm):
     return (math.floor(logarithm * 2**20) + 0.25) * 2.0**-20
 
 
-def step_size(lanes, motion, sizes, rtol):
+def step_size(lanes, motion, sizes, rtol, order):
     """Largest h [s] (to about 6 %) for which the motion and the growth of errors are accurate.
 
     The last two terms of the velocity stay below `rtol` of the speed; within an oscillation an
@@ -123,8 +123,8 @@ def step_size(lanes, motion, sizes, rtol):
     vanish:
 
     - A disturbance (an earlier step's error, the tangent) oscillates and decays no faster than the
-      larger of ``sqrt(springs)`` and `damping`, and h is no longer than a series of this degree can
-      follow it. Where x itself is slow or straight, disturbances would be wrong otherwise.
+      larger of ``sqrt(springs)`` and `damping`, and h is no longer than a series of degree `order`
+      can follow it. Where x itself is slow or straight, disturbances would be wrong otherwise.
     - A cubic spring swings like an elliptic cosine, whose poles lie `_POLE` over the root of
       `hardening` from the real axis: terms fall no faster than powers of h over that.
 
@@ -134,7 +134,6 @@ def step_size(lanes, motion, sizes, rtol):
 
     Errors of first-order states stay below `rtol` of their size, or of their change in a radian.
     """
-    order = lanes.layout.order
     log_error = rough_log2(rtol * SAFETY)
     log_scale = rough_log2(fma(sizes.speed, rtol, lanes["floor"]) * SAFETY)
     log_tangent = log_error - math.log2(_STEPS_PER_PERIOD)

@@ -41,7 +41,7 @@ from gapsweep.integrate.vectors import (
     where,
 )
 
-from .series import StepSeries, product_term, square_term
+from .series import StepSeries, extend, product_term, square_term
 
 # With w(y), the integral of s / (1 + exp(2 s)) from y to infinity, and integrals over y from 0 on:
 # I = 2 int(y w), and of the delay k^2 / (eps v)^5: 3/2 int(y^2 w - pi^2/12 w + 2 w^2).
@@ -112,7 +112,7 @@ class TanhMotion(StepSeries):
     """
 
     def __init__(self, lanes, modes, equation):
-        self.equation, self.z, self.order = equation, [], lanes.layout.order
+        self.equation, self.forcing, self.z = equation, equation.forcing(), []
         self.is_near = lanes["is_near"] > 0.0
         x = [lanes["q"], lanes["v"]]
         self.q, self.gaps, self.depths = [x], [x], [[x[0] - modes.wall[0]]]
@@ -151,29 +151,34 @@ class TanhMotion(StepSeries):
         one, x = self.equation, list(self.q[0][:2])
         (contact,), ((depth, *_),), cubic = one.contact, self.depths, one.cubic[0][0]
         speed, bend, self.square = [], [], []
-        for n in range(self.order - 1):
-            speed.append(x[n + 1] * float(n + 1))
-            self.square.append(square_term(x, n))
-            bend.append(cubic * self.square[n])
-            total = fma(-one.damping[0][0], speed[n], one.forcing[0][n])
-            if n == 0:
-                # K (x - wall), not the difference of two large products
-                total = fma(-contact, depth, total)
-                total = fma(-one.stiffness[0][0], x[0], fma(-bend[0], x[0], total))
-            else:
-                total = fma(-one.springs[0][0], x[n], total)
-            if shares:
-                bend[n] = bend[n] - _both(share.force * share.p[n] for share in shares)
+
+        def to(order):
+            for n in range(len(x) - 2, order - 1):
+                speed.append(x[n + 1] * float(n + 1))
+                self.square.append(square_term(x, n))
+                bend.append(cubic * self.square[n])
+                total = fma(-one.damping[0][0], speed[n], self.forcing[0][n])
                 if n == 0:
-                    total = total + _both(
-                        share.force * share.p[0] * share.depth for share in shares
-                    )
+                    # K (x - wall), not the difference of two large products
+                    total = fma(-contact, depth, total)
+                    total = fma(-one.stiffness[0][0], x[0], fma(-bend[0], x[0], total))
                 else:
-                    total = total - _both(share.offset * share.p[n] for share in shares)
-                for share in shares:
-                    share.extend(n, speed)
-            total = total - product_term(bend, x, n) if n else total
-            x.append(total * (1.0 / ((n + 1) * (n + 2))))
+                    total = fma(-one.springs[0][0], x[n], total)
+                if shares:
+                    bend[n] = bend[n] - _both(share.force * share.p[n] for share in shares)
+                    if n == 0:
+                        total = total + _both(
+                            share.force * share.p[0] * share.depth for share in shares
+                        )
+                    else:
+                        total = total - _both(share.offset * share.p[n] for share in shares)
+                    for share in shares:
+                        share.extend(n, speed)
+                total = total - product_term(bend, x, n) if n else total
+                x.append(total * (1.0 / ((n + 1) * (n + 2))))
+
+        parts = [part for share in shares for part in (share.p, share.slope)]
+        extend(one, [x, self.square, *parts], to)
         return x[2:]
 
     def _slope(self, shares):
@@ -188,16 +193,19 @@ class TanhMotion(StepSeries):
         return terms
 
 
-def variation(lanes, motion, column):
-    """Series of a solution of the variational equation along a `TanhMotion`."""
-    layout, one = lanes.layout, motion.equation
-    first = layout.tangent_state + column * layout.n_states
+def variation(lanes, motion):
+    """Series of the solution in the tangent's first rows, along a `TanhMotion`."""
+    one, first = motion.equation, lanes.layout.tangent_state
     y, slope = [lanes[first], lanes[first + 1]], motion.slope
     springs, damping = one.springs[0][0], one.damping[0][0]
-    for n in range(layout.order - 1):
-        total = fma(springs, y[n], product_term(slope, y, n))
-        total = -fma(damping * float(n + 1), y[n + 1], total)
-        y.append(total * (1.0 / ((n + 1) * (n + 2))))
+
+    def to(order):
+        for n in range(len(y) - 2, order - 1):
+            total = fma(springs, y[n], product_term(slope, y, n))
+            total = -fma(damping * float(n + 1), y[n + 1], total)
+            y.append(total * (1.0 / ((n + 1) * (n + 2))))
+
+    extend(one, [y], to)
     return [y], []
 
 

@@ -22,8 +22,8 @@ from numba.extending import intrinsic
 
 from gapsweep.integrate.lanes.outcome import CLOCK_SLACK, MAX_HALVINGS, SHORT_STEP
 from gapsweep.integrate.lanes.rows import LaneRows, dot, pointers, value_and_slope
-from gapsweep.integrate.motions import VANISHED
 from gapsweep.integrate.vectors import (
+    F64,
     I64,
     Vec,
     absolute,
@@ -38,10 +38,10 @@ from gapsweep.integrate.vectors import (
     where,
 )
 
-from .series import Equation, Modes, StepSeries, variation
+from .series import Equation, Modes, StepSeries
 from .step_size import Sizes, step_size
-from .tanh import Layers, TanhMotion
-from .tanh import variation as tanh_variation
+from .tangent import commit_solution, solution_rows
+from .tanh import Layers, TanhMotion, variation
 
 # A step spans at most this part of a forcing period, so that it holds at most one section point.
 MAX_PERIODS_PER_STEP = 0.5
@@ -266,27 +266,6 @@ def _commit_contacts(lanes, modes, motion, exits, state):
     return n_walls
 
 
-def _emit_tangents(lanes, coefficients, motion, step, keeps, layers):
-    """Advance the solutions of the variational equation, and keep their series."""
-    layout = lanes.layout
-    kept = layout.n_series * layout.n_terms
-    for column in range(layout.n_states):
-        y, z = (tanh_variation if layers else variation)(lanes, motion, column)
-        for number, series in enumerate(y + z):
-            for n, term in enumerate(series):
-                coefficients[kept + number * layout.n_terms + n] = term
-        kept += (layout.n + layout.m) * layout.n_terms
-        pairs = [value_and_slope(series, step) for series in y]
-        ends = [a for a, _ in pairs] + [b for _, b in pairs]
-        ends += [value_and_slope(series, step)[0] for series in z]
-        ends = layers.jump(*ends) if layers else ends
-        starts = [s[0] for s in y] + [s[1] for s in y] + [s[0] for s in z]
-        first = layout.tangent_state + column * layout.n_states
-        for i, (start, end) in enumerate(zip(starts, ends, strict=True)):
-            end = where(absolute(end) < VANISHED, 0.0, end)
-            lanes[first + i] = where(keeps, start, end)
-
-
 def _emit_step(builder, layout, arrays, scalars):
     """Emit the whole step; returns the packed masks (see `taylor_step`).
 
@@ -297,7 +276,9 @@ def _emit_step(builder, layout, arrays, scalars):
 
     # 1. series and step size
     modes = Modes(lanes)
-    motion = (TanhMotion if layout.is_tanh else StepSeries)(lanes, modes, Equation(lanes, modes))
+    is_tight = builder.fcmp_ordered("<", scalars[0], ir.Constant(F64, layout.tight))
+    equation = Equation(lanes, modes, is_tight)
+    motion = (TanhMotion if layout.is_tanh else StepSeries)(lanes, modes, equation)
     kept = motion.q if layout.is_plain else motion.q + motion.z + motion.gaps
     for number, series in enumerate(kept):
         for n, term in enumerate(series):
@@ -305,7 +286,11 @@ def _emit_step(builder, layout, arrays, scalars):
     sizes, layers = Sizes(lanes, modes, motion), None
     if layout.is_tanh and layout.tangent:
         sizes.springs = sizes.springs + motion.stiffening
-    free_step = step_size(lanes, motion, sizes, rtol)
+    (free_step,) = branch(
+        builder,
+        is_tight,
+        *(lambda n=n: [step_size(lanes, motion, sizes, rtol, n)] for n in layout.degrees[::-1]),
+    )
     if layout.is_tanh:
         layers = Layers(lanes, modes, motion)
         free_step = minimum(free_step, layers.longest)
@@ -328,8 +313,10 @@ def _emit_step(builder, layout, arrays, scalars):
     state = list(exits.ends[0]) if layout.is_plain else _state_at(motion, step)
 
     # 4. commit
-    if layout.tangent:
-        _emit_tangents(lanes, coefficients, motion, step, keeps, layers)
+    if layers and layout.tangent:
+        for number in range(layout.n_states):
+            rows, kept = solution_rows(lanes, coefficients, ir.Constant(I64, number))
+            commit_solution(rows, kept, variation(rows, motion), step, keeps, layers.jump)
     step = step + layers.delay if layers else step
     is_done = is_last & ~crosses & ~keeps
     tau_1, low_1 = compensated_sum(tau, fma(lanes["omega"], step, tau_low))

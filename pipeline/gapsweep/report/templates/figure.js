@@ -5,6 +5,15 @@
   const NEAR = 20; // pixels from a point at which it is meant
   const SAME = 1; // pixels within which points have one place on an axis
   const SQUARES = 3000; // points from which on circles would take too long
+  // Corners of symbols as shares of their radius; other symbols are circles.
+  const CORNERS = {
+    "^": [[0, -1], [1, 1], [-1, 1]],
+    v: [[0, 1], [1, -1], [-1, -1]],
+    s: [[-1, -1], [1, -1], [1, 1], [-1, 1]],
+    D: [[0, -1], [1, 0], [0, 1], [-1, 0]],
+    "|": [[0, -1], [0, 1]],
+  };
+  const SIGNS = { sweep_up: "\u25b2", sweep_down: "\u25bc", "not periodic": "\u25cb" };
   const numbers = (text) => new Float32Array(Uint8Array.from(atob(text), (c) => c.charCodeAt(0)).buffer);
   const law = (mark) => mark.series.split(", ")[0];
   const off = new Set();
@@ -192,7 +201,7 @@
         on = true;
       });
       pen.stroke();
-      if (mark.dots) this.point(pen, { ...mark, size: [mark.dots / 2] }); // a dot is half of its mark
+      if (mark.dots) this.point(pen, { ...mark, size: [mark.dots] });
     }
     point(pen, mark) {
       this.look(pen, mark);
@@ -203,8 +212,11 @@
         const r = ((mark.size[n] ?? mark.size[0]) * 2) / 3;
         if (mark.x.length > SQUARES) return pen.fillRect(x - r, y - r, 2 * r, 2 * r);
         pen.beginPath();
-        pen.arc(x, y, Math.max(r, 1), 0, 2 * Math.PI);
-        mark.hollow ? pen.stroke() : pen.fill();
+        const corners = CORNERS[mark.marker];
+        if (corners) corners.forEach(([a, b]) => pen.lineTo(x + a * Math.max(r, 1), y + b * Math.max(r, 1)));
+        else pen.arc(x, y, Math.max(r, 1), 0, 2 * Math.PI);
+        pen.closePath();
+        mark.hollow || mark.marker === "|" ? pen.stroke() : pen.fill();
       });
     }
     tick(pen, mark) {
@@ -359,6 +371,8 @@
   const laws = new Map();
   for (const { marks } of panels) for (const mark of marks) if (law(mark) && !laws.has(law(mark))) laws.set(law(mark), mark);
   if (laws.size > 1) for (const [name, mark] of laws) option(name, true, mark, (on) => (on ? off.delete(name) : off.add(name)));
+  const words = new Set(panels.flatMap(({ marks }) => marks.flatMap((mark) => mark.series.split(", ").slice(1))));
+  form.append(...Object.entries(SIGNS).filter(([name]) => words.has(name)).map(([name, sign]) => `${sign} ${name}\u2003`));
   for (const which of ["x", "y"]) {
     const axes = [...new Set(panels.map((panel) => panel[which]))];
     const drawn = panels.flatMap((panel) => panel.marks.filter((mark) => mark.kind === "point" || mark.kind === "line"));

@@ -11,11 +11,19 @@ from numpy.typing import NDArray
 
 from gapsweep.analysis.dimensions import REPRESENTATION, in_metres
 from gapsweep.model.labels import EXACT
-from gapsweep.report.answer import COLUMNS, SHOWN, Contact, consequence, verdict, worst
 from gapsweep.report.drawing import labels_of
-from gapsweep.report.inputs import Inputs
+from gapsweep.report.parts import Part
 from gapsweep.report.scales import drawn, shown_unit
 from gapsweep.report.tables import VERDICTS, condensed, percent
+from gapsweep.report.verdicts import (
+    COLUMNS,
+    SHOWN,
+    Contact,
+    consequence,
+    contacts,
+    verdict,
+    worst,
+)
 from gapsweep.response.result import ResponseClass
 from gapsweep.status import Status
 from gapsweep.study.grid import CONTACT, COORDINATE, START
@@ -24,32 +32,30 @@ from gapsweep.study.study import Study
 from gapsweep.study.unit_check import doubts_of, never_reached
 
 
-def findings(inputs: Inputs, found: Sequence[Contact]) -> list[str]:
-    """The main findings of a run.
-
-    Parameters
-    ----------
-    inputs : Inputs
-    found : sequence of Contact
-        The verdicts of every contact; empty without the exact law, and for systems, of which the
-        agreement is stated in numbers.
-    """
-    responses = inputs.responses
+def sections(
+    responses: xr.Dataset,
+    agreement: xr.Dataset | None = None,
+    attractors: xr.Dataset | None = None,
+    advice: xr.Dataset | None = None,
+    claims: Mapping[str, Any] | None = None,
+) -> Iterator[Part]:
+    """The main findings of a run, in sentences."""
     # First, because without contacts all other findings are about the linear system.
     far = unreached_walls(responses)
     sentences = [*_doubtful(responses), *filter(None, [far])]
     sentences += [outcomes(responses), _tried(responses)]
     sentences += _along(responses)
-    if inputs.attractors is not None:
-        sentences += _coexisting(inputs.attractors)
-    if inputs.agreement is not None and not in_metres(responses):
-        sentences += _agreeing(inputs.agreement)
-    sentences += _judged(found)
-    if inputs.advice is not None:
-        sentences.append(_choices(inputs.advice))
-    if inputs.claims is not None:
-        sentences.append(_verdicts(inputs.claims))
-    return sentences
+    if attractors is not None:
+        sentences += _coexisting(attractors)
+    if agreement is not None:
+        # The rules of verdicts are for one displacement between two walls.
+        judged = in_metres(responses)
+        sentences += counted(contacts(agreement)) if judged else _agreeing(agreement)
+    if advice is not None:
+        sentences.append(_choices(advice))
+    if claims is not None:
+        sentences.append(_verdicts(claims))
+    yield Part("findings", "Findings", sentences)
 
 
 def _doubtful(responses: xr.Dataset) -> list[str]:
@@ -167,7 +173,7 @@ def _along(responses: xr.Dataset) -> Iterator[str]:
 
 
 def _ranges(is_so: NDArray[np.bool_], x: NDArray[np.float64]) -> str:
-    """Text with the 3 widest intervals of a grid on which a condition holds."""
+    """Return intervals of a grid on which a condition holds: the 3 widest, ascending, as text."""
     edges = np.flatnonzero(np.diff(is_so, prepend=False, append=False)).reshape(-1, 2) - (0, 1)
     widest = sorted(sorted(edges.tolist(), key=lambda edge: edge[0] - edge[1])[:_LISTED])
     words = [f"{x[a]:.4g}{f' to {x[b]:.4g}' if b > a else ''}" for a, b in widest]
@@ -220,7 +226,7 @@ def _agreeing(agreement: xr.Dataset) -> Iterator[str]:
         yield consequence(label, verdict(values, floors)[0], p95, found) + over
 
 
-def _judged(found: Sequence[Contact]) -> Iterator[str]:
+def counted(found: Sequence[Contact]) -> Iterator[str]:
     """Counts of approximations by verdict; no cost, since costs differ from run to run."""
     laws = [one for contact in found for one in contact.laws if one.is_approximation]
     counts = Counter(one.column for one in laws)

@@ -10,6 +10,7 @@ import xarray as xr
 from gapsweep.analysis.dimensions import in_metres
 from gapsweep.model.labels import Representation
 from gapsweep.report.drawing import labels_of
+from gapsweep.report.parts import Part
 from gapsweep.report.scales import plain, shortened
 
 _EQUATION = (
@@ -28,18 +29,6 @@ _NUMBERS = {
     "K_ratio": ("r", "(stiffness of the lower wall / K_c)"),
     "omega": ("ω", "Hz"),
 }
-_FORCES = {
-    "piecewise": "K_c (x − j₂) for x > j₂, r K_c (x + j₁) for x < −j₁, 0 between; also of "
-    "piecewise-noevents, which does not locate contacts",
-    "poly": "polynomial of the degree in its name, a least-squares fit",
-    "ratpoly": "quotient of polynomials of the degrees in its name, a least-squares fit",
-    "tanh": "½ K_c [r (1 − s₁) (x + j₁) + (1 + s₂) (x − j₂)], s₁ = tanh ε(x + j₁), "
-    "s₂ = tanh ε(x − j₂), ε [1/m] in its name",
-    "arctan": "½ K_c [r (1 − s₁) (x + j₁) + (1 + s₂) (x − j₂)], s₁ = (2/π) arctan ε(x + j₁), "
-    "s₂ = (2/π) arctan ε(x − j₂), ε [1/m] in its name",
-    "logarctan": "0 at x = 0, of slope ½ K_c [r (1 − s₁) + 1 + s₂], s₁ = (2/π) arctan γ(x + j₁), "
-    "s₂ = (2/π) arctan γ(x − j₂), γ [1/m] in its name",
-}
 _RATIO = _NUMBERS["K_ratio"]
 # Settings that a contact may have separately.
 _OWN = {"representation": "", "K_c": "K_c", "gap": "j₁/j₂", "K_ratio": "r"}
@@ -50,16 +39,14 @@ _OF_LAGS = {"force": "D", "of_speed": "E", "of_place": "G", "of_lags": "H"}
 _MANY = 5  # values of a parameter; of more, the first and the last are shown
 
 
-def model(responses: xr.Dataset) -> list[tuple[str, str]]:
-    """The equation of a run, its parameters and its contact laws, as pairs of name and text.
+def sections(responses: xr.Dataset) -> Iterator[Part]:
+    """The equation of a run, its parameters and its contact laws, as pairs of name and text."""
+    of_model = _system if "system_json" in responses.attrs else _oscillator
+    yield Part("model", "Model", [], content={"pairs": of_model(responses)})
 
-    Parameters
-    ----------
-    responses : Dataset
-        As stored in ``responses.nc``.
-    """
-    if "system_json" in responses.attrs:
-        return _system(responses)
+
+def _oscillator(responses: xr.Dataset) -> list[tuple[str, str]]:
+    """Equation, numbers and contact laws of an oscillator."""
     study = json.loads(responses.attrs["study_json"])
     fixed = {"K_ratio": 1.0} | study["oscillator"]
     held = {n: responses[n].values if n in responses else fixed[n] for n in _NUMBERS}
@@ -179,14 +166,14 @@ def _laws(responses: xr.Dataset, labels: Iterable[Representation]) -> list[tuple
     is_length = in_metres(responses)
     found = {}
     for label in labels:
-        if not label.family:
+        if label.law_type is None:
             table = tables.get(label.law)
             formula = _table(table, is_length) if table else "user-defined"
             found[f"F of {label.law}"] = formula
         else:
             # The length unit of a system is the user's choice.
             unit = "[1/m]" if is_length else "[1/unit of x]"
-            found[f"F of {label.family}"] = _FORCES[label.family].replace("[1/m]", unit)
+            found[f"F of {label.family}"] = label.law_type.words.replace("[1/m]", unit)
     return list(found.items())
 
 

@@ -1,32 +1,27 @@
 """Provenance of a run for its report: study, solver, machine, CPU time."""
 
 import json
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import asdict, fields
 from typing import Any
 
 import xarray as xr
 
 from gapsweep.integrate.problem import Solver
+from gapsweep.report.parts import Part
 from gapsweep.report.scales import plain
 from gapsweep.status import Status
 
 
-def provenance(responses: xr.Dataset) -> list[tuple[str, str]]:
-    """Provenance of a run, as pairs of name and text.
-
-    Parameters
-    ----------
-    responses : Dataset
-        As stored in ``responses.nc``.
-    """
+def sections(responses: xr.Dataset) -> Iterator[Part]:
+    """The provenance of a run as pairs of name and text, its settings, and how to cite it."""
     attributes = responses.attrs
     asked = responses["status"].values != Status.NOT_REQUESTED
     seconds = float(responses["cpu_time"].where(asked).sum())
-    versions = json.loads(attributes["versions"]).items()
+    versions = json.loads(attributes["versions"])
     study = json.loads(attributes["study_json"])
     usual, protocols = study.get("solver", {}), study.get("protocol", {})
-    return [
+    pairs = [
         ("Study", attributes["study"]),
         ("Solver", _solver(usual)),
         *((f"Solver of @{name}", _solver(usual, own)) for name, own in protocols.items()),
@@ -34,8 +29,16 @@ def provenance(responses: xr.Dataset) -> list[tuple[str, str]]:
         ("Processor time", f"{seconds / 60.0:.3g} min for {asked.sum()} sweep points"),
         ("Numerics fingerprint", attributes["numerics_fingerprint"]),
         ("Machine", f"{attributes['host']} ({attributes['machine']})"),
-        ("Versions", ", ".join(f"{name} {number}" for name, number in versions)),
+        ("Versions", ", ".join(f"{name} {number}" for name, number in versions.items())),
     ]
+    cited = (
+        f"gapsweep {versions.get('gapsweep', '')}, study {attributes['study']}, numerics "
+        f"fingerprint {attributes['numerics_fingerprint']}: parameter studies of oscillators with "
+        "freeplay."
+    )
+    settings = json.dumps(study, indent=2, ensure_ascii=False)
+    content = {"pairs": pairs, "settings": settings, "cited": cited}
+    yield Part("provenance", "Provenance", [], content=content)
 
 
 def _solver(*tables: Mapping[str, Any]) -> str:

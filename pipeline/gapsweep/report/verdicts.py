@@ -1,4 +1,4 @@
-"""Verdicts on approximations by case, and their cost: the head of the report.
+"""Verdicts on approximations by case, and their cost.
 
 A case is a stiffness and a gap. Verdicts follow from ``agreement.nc``:
 
@@ -141,10 +141,15 @@ class Contact:
         return ", ".join(map(str, self.swept))
 
     @property
+    def stiffness(self) -> str:
+        """The stiffness [N/m] as text."""
+        return plain(self.K_c)
+
+    @property
     def place(self) -> str:
         """The parameters of the case, in words."""
         others = f", {self.others}" if self.others else ""
-        return f"{plain(self.K_c)} N/m, {self.gap} mm{others}"
+        return f"{self.stiffness} N/m, {self.gap} mm{others}"
 
     @property
     def anchor(self) -> str:
@@ -235,8 +240,8 @@ def contacts(agreement: xr.Dataset, static: xr.Dataset | None = None) -> list[Co
         can_be = [] if unjudged else [law for law in here_too if _is_judged(law, where[law])]
         if not (here_too if unjudged else can_be):
             continue
-        floors = worst([_values(where[label]) for label in exact])
-        judged = [_judged(law, where[law], floors, noise) for law in can_be]
+        floors = worst([shown_values(where[label]) for label in exact])
+        judged = [judged_law(law, where[law], floors, noise) for law in can_be]
         here = pooled.coords.to_dataset().isel(at)
         gap, swept = gap_label(here), [NamedValue.of(here[name]) for name in other_parameters(here)]
         known = _threshold(static, here), swept, _floor_cost_ratio(where, exact), at, unjudged
@@ -263,7 +268,8 @@ def verdict(values: Values, floors: Values) -> list[str]:
     return best
 
 
-def _values(row: Row) -> Values:
+def shown_values(row: Row) -> Values:
+    """Median, 95th percentile and attractors found of a law: value and ends of the interval."""
     values = {}
     for name, long in SHOWN.items():
         low, high = row[f"{long}_ci"]
@@ -300,8 +306,9 @@ def _is_judged(law: Representation, row: Row) -> bool:
     return not is_broken and bool(np.isfinite(row[SHOWN["found"]]))
 
 
-def _judged(law: Representation, row: Row, floors: Values, noise: float) -> Judged:
-    values = _values(row)
+def judged_law(law: Representation, row: Row, floors: Values, noise: float) -> Judged:
+    """Verdict of a law in a case, every verdict possible within its intervals, and its cost."""
+    values = shown_values(row)
     # The best end of a law with the worst end of the exact law's limit, and the worst with the
     # best: their intervals are independent.
     ends = verdict(values, {name: floor[[0, 2, 1]] for name, floor in floors.items()})
@@ -371,7 +378,7 @@ def _picked(found: Sequence[Contact]) -> str:
 def _pick(laws: tuple[str, ...], some: Sequence[Contact]) -> str:
     gaps: dict[tuple[str, str], list[str]] = {}
     for contact in some:
-        gaps.setdefault((plain(contact.K_c), contact.others), []).append(contact.gap)
+        gaps.setdefault((contact.stiffness, contact.others), []).append(contact.gap)
     places = " and ".join(
         f"{K_c} N/m with {', '.join(mm)} mm{f' at {others}' if others else ''}"
         for (K_c, others), mm in gaps.items()

@@ -10,11 +10,60 @@ from numpy.polynomial import chebyshev
 from numpy.typing import ArrayLike, NDArray
 
 from gapsweep.errors import ModelError
-from gapsweep.model.contact import FIT_RANGE, ContactLaw
+from gapsweep.model.arithmetic import fma, splat
+from gapsweep.model.contact import FIT_RANGE, ContactLaw, Formulas
 from gapsweep.model.fit import MAX_DEGREE, MAX_RATIONAL_DEGREE, Fit, polynomial_fit, rational_fit
 from gapsweep.model.oscillator import called_as, checked
 
 Array = NDArray[np.float64]
+
+
+def _series(c, u):
+    """Chebyshev series `c` at `u`, by Clenshaw's recurrence."""
+    b1, b2 = splat(0.0), splat(0.0)
+    two_u = 2.0 * u
+    for k in range(c.size - 1, 0, -1):
+        b1, b2 = fma(two_u, b1, c[k] - b2), b1
+    return fma(u, b1, c[0] - b2)
+
+
+def _series_and_slope(c, u):
+    """Chebyshev series `c` at `u`, and its derivative with respect to `u`.
+
+    The derivative is by Clenshaw's recurrence, differentiated.
+    """
+    b1, b2, d1, d2 = splat(0.0), splat(0.0), splat(0.0), splat(0.0)
+    two_u = 2.0 * u
+    for k in range(c.size - 1, 0, -1):
+        d1, d2 = fma(two_u, d1, fma(2.0, b1, -d2)), d1
+        b1, b2 = fma(two_u, b1, c[k] - b2), b1
+    return fma(u, b1, c[0] - b2), fma(u, d1, b1 - d2)
+
+
+# Polynomials have a denominator, too, which they do not use: all fits have the same arguments.
+
+
+def _polynomial_force(x, numerator, denominator, stiffness, fit_range):
+    return stiffness * _series(numerator, x / fit_range)
+
+
+def _polynomial_slope(x, numerator, denominator, stiffness, fit_range):
+    return stiffness * _series_and_slope(numerator, x / fit_range)[1] / fit_range
+
+
+def _rational_force(x, numerator, denominator, stiffness, fit_range):
+    u = x / fit_range
+    return stiffness * (_series(numerator, u) / _series(denominator, u))
+
+
+def _rational_slope(x, numerator, denominator, stiffness, fit_range):
+    n, dn = _series_and_slope(numerator, x / fit_range)
+    d, dd = _series_and_slope(denominator, x / fit_range)
+    return stiffness * (dn * d - n * dd) / (d * d) / fit_range
+
+
+def _rational_denominator(x, numerator, denominator, fit_range):
+    return _series(denominator, x / fit_range)
 
 
 @dataclass(frozen=True)
@@ -111,6 +160,10 @@ class Polynomial(Fitted):
     """
 
     family: ClassVar[str] = "poly"
+    symbol: ClassVar[str] = "degree"
+    examples: ClassVar[tuple[str, ...]] = ("poly-13",)
+    words: ClassVar[str] = "polynomial of the degree in its name, a least-squares fit"
+    formulas: ClassVar[Formulas] = Formulas(_polynomial_force, _polynomial_slope)
 
     degree: int
     fit_range: float = FIT_RANGE
@@ -154,6 +207,9 @@ class RationalPolynomial(Fitted):
     """
 
     family: ClassVar[str] = "ratpoly"
+    examples: ClassVar[tuple[str, ...]] = ("ratpoly-5/3",)
+    words: ClassVar[str] = "quotient of polynomials of the degrees in its name, a least-squares fit"
+    formulas: ClassVar[Formulas] = Formulas(_rational_force, _rational_slope, _rational_denominator)
 
     numerator: int
     denominator: int

@@ -40,14 +40,6 @@ class Conclusions:
     numbers: dict[str, Any]
 
 
-def bench_parts(work_precision: xr.Dataset | None, stability: xr.Dataset | None) -> Iterator[Part]:
-    """Sections of the report on the given benchmark datasets."""
-    if work_precision is not None:
-        yield _work_precision_part(work_precision.load())
-    if stability is not None:
-        yield _stability_part(stability.load())
-
-
 def conclusions(dataset: xr.Dataset) -> Conclusions:
     """Sentences and numbers that summarize a dataset of ``gapsweep bench``."""
     dataset = dataset.load()
@@ -161,7 +153,9 @@ def _cheapest_table(bench: xr.Dataset) -> Table:
     )
 
 
-def _work_precision_part(bench: xr.Dataset) -> Part:
+def work_precision(work_precision: xr.Dataset) -> Iterator[Part]:
+    """The section on costs and errors of methods."""
+    bench = work_precision.load()
     figures = [
         Figured(
             work_precision_figure(bench.isel(scene=bench["K_c"].values == K_c)),
@@ -190,7 +184,7 @@ def _work_precision_part(bench: xr.Dataset) -> Part:
         f"{bench.attrs['n_repeats']} rounds, methods interleaved. First calls, which compile or "
         f"load code, took up to {float(bench['first_call_time'].max()):.2g} s and are left out."
     )
-    return Part(
+    yield Part(
         "work-precision",
         "Work-precision diagrams",
         [*_on_front(bench, beaten(bench)), machine],
@@ -238,7 +232,9 @@ def _where(stability: xr.Dataset, outcome: CellOutcome) -> Iterator[tuple[str, s
         )
 
 
-def _stability_part(stability: xr.Dataset) -> Part:
+def stability(stability: xr.Dataset) -> Iterator[Part]:
+    """The section on failures of methods."""
+    stability = stability.load()
     letters = ", ".join(f"{letter} {name}" for name, letter in STATUS_LETTERS.items())
     legend = (
         "R: correct. M: model error; the law is solved accurately, but differs from the exact law. "
@@ -255,7 +251,7 @@ def _stability_part(stability: xr.Dataset) -> Part:
         for tight in (True, False)
         if worst(stability, tight=tight).max() > CellOutcome.NOT_REQUESTED
     ]
-    return Part(
+    yield Part(
         "stability",
         "Failures of methods",
         _atlas_conclusions(stability).sentences,

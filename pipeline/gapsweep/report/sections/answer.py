@@ -1,0 +1,144 @@
+"""The section at the head of the report: which contact law to use, and its cost.
+
+The answer in words, as a map of all laws in all cases, as one figure, and the numbers behind it. A
+study's own answer comes before that of the rules.
+"""
+
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from gapsweep.analysis.dimensions import in_metres
+from gapsweep.model.labels import EXACT
+from gapsweep.report.backdrop import caption_of_walls
+from gapsweep.report.drawing import caption_of_marks
+from gapsweep.report.figures import compared_with_exact
+from gapsweep.report.heat import GROUPS, MANY, cells, heads, swept_columns
+from gapsweep.report.parts import Figured, Part
+from gapsweep.report.scenes import Scenes, starts_of, swept
+from gapsweep.report.sections.findings import unreached_walls
+from gapsweep.report.sections.own import answer_of
+from gapsweep.report.tables import percent
+from gapsweep.report.verdicts import (
+    LIMITS,
+    MOST_CONTACTS,
+    SIGNS,
+    Contact,
+    Judged,
+    contacts,
+    how_many,
+    in_words,
+    times,
+)
+
+_VERDICTS = ("confirmed", "partly", "refuted", "undecidable")
+
+
+def sections(
+    responses: xr.Dataset,
+    agreement: xr.Dataset | None = None,
+    static: xr.Dataset | None = None,
+    claims: Mapping[str, Any] | None = None,
+    sections: Sequence[Mapping[str, Any]] | None = None,
+) -> Iterator[Part]:
+    """The study's own answer, and verdicts on the laws of an oscillator that has the exact law."""
+    own = answer_of(sections)
+    # The rules of verdicts are for one displacement between two walls.
+    is_judged = agreement is not None and in_metres(responses)
+    found = contacts(agreement, static) if agreement is not None and is_judged else []
+    if not found and not own.sentences:
+        return
+    said = in_words(found)
+    headline = [*own.sentences] or said[:1]
+    if is_judged and (far := unreached_walls(responses)):
+        headline[0] = f"{far} {headline[0]}"
+    counts = claims["counts"] if claims else {}
+    content = {
+        "counts": {verdict: counts[verdict] for verdict in _VERDICTS if counts.get(verdict)},
+        "map": _map(responses, found) if found else None,
+        "sentences": said if own.sentences else said[1:],
+        "numbers": list(map(_numbers, found[:MOST_CONTACTS])),
+    }
+    figures = [*_compared(responses, found), *own.figures]
+    yield Part("answer", "Answer", headline, own.tables, figures, content)
+
+
+def _map(responses: xr.Dataset, found: Sequence[Contact]) -> dict[str, Any]:
+    """Texts of the map of laws and cases, for its template."""
+    listed = found[:MOST_CONTACTS]
+    return {
+        "cut": f"The first {how_many(len(listed), found)}. " if len(found) > len(listed) else "",
+        "verdicts": [
+            (sign, verdict, [percent(limit) for limit in LIMITS.get(verdict, ())])
+            for verdict, sign in SIGNS.items()
+        ],
+        "has_own_starts": any(len({law.n_exact for law in one.laws}) > 1 for one in listed),
+        "groups": GROUPS,
+        "n_contacts": len(listed),
+        "is_many": len(listed) > MANY,
+        "stiffnesses": heads(one.stiffness for one in listed),
+        "gaps": [(gap.split("/"), n) for (_, gap), n in heads((c.K_c, c.gap) for c in listed)],
+        "swept": swept_columns(listed) if any(one.swept for one in listed) else None,
+        "starts": [starts_of(responses, EXACT, one.at) for one in listed],
+        "rows": cells(listed),
+    }
+
+
+def _numbers(contact: Contact) -> tuple[str, list[list[str]]]:
+    """Heading and rows of a case in the table of numbers behind the map."""
+    rows = [
+        [
+            one.law,
+            f"{SIGNS[one.verdict]} {one.verdict}{' ±' * (not one.is_firm)}",
+            *(percent(one.values[name][0]) for name in ("median", "p95")),
+            f"{percent(one.values['found'][0])} of {one.n_exact}",
+            one.cost,
+            f"{times(one.low)} to {times(one.high)}",
+            times(one.periodic_cost_ratio),
+        ]
+        for one in contact.laws
+    ]
+    if np.isfinite(contact.floors["median"][0]):
+        median, p95, share = (percent(contact.floors[n][0]) for n in ("median", "p95", "found"))
+        cost = times(contact.floor_cost_ratio)
+        rows.append(["exact law, other settings", "", median, p95, share, cost, "", ""])
+    if contact.unjudged:
+        return f"{contact.place}: cannot be judged: {contact.unjudged}", rows
+    least = f"{contact.threshold}, adequate: {contact.least('tanh')}"
+    return f"{contact.place}; tanh has one static equilibrium: {least}", rows
+
+
+def _compared(responses: xr.Dataset, found: Sequence[Contact]) -> Iterator[Figured]:
+    """Laws and the exact law in the case with the most verdicts, if it has a curve."""
+    if not found or responses.sizes["omega"] < 2:
+        return
+    contact = max(found, key=lambda one: (len(list(filter(None, one.columns.values()))), one.K_c))
+    scene = Scenes(responses).at(contact.at)
+    laws: dict[str, str] = {
+        o.law: f"{o.law}: {o.verdict}{' ±' * (not o.is_firm)}" for o in telling(contact)
+    }
+    if scene is None or not laws:
+        return
+    description = (
+        f"Peak displacement at {contact.place}: contact laws (coloured) and the exact law (larger "
+        "dots behind), for the same initial conditions"
+    )
+    figure = compared_with_exact(swept(scene.sel(representation=[EXACT, *laws])), EXACT, laws)
+    looks = f"{caption_of_walls(scene, of_peaks=True)}{caption_of_marks(figure)}"
+    yield Figured(figure, f"{description}.{looks}", description)
+
+
+def telling(contact: Contact) -> list[Judged]:
+    """Approximations for the first figure: one of each verdict, a firm one if any.
+
+    If all have the same verdict, the most and the least accurate.
+    """
+    columns = ([one for one in laws if one.is_approximation] for laws in contact.columns.values())
+    shown = [next((one for one in laws if one.is_firm), laws[0]) for laws in columns if laws]
+    if len(shown) > 1:
+        return shown
+    laws = [one for one in contact.laws if one.is_approximation]
+    laws.sort(key=lambda one: np.nan_to_num(one.values["p95"][0], nan=np.inf))
+    return laws[:1] + laws[1:][-1:]
