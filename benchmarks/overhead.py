@@ -6,9 +6,12 @@ Prints, each from fresh processes:
   imports and final datasets included, and the number of files left;
 * a warm re-run of 10,000 cached points: with its files up to date, and with `responses.nc` and
   `attractors.nc` to be written;
-* the largest resident memory of client and scheduler (one process) at 10,000 and 100,000 points.
+* the largest resident memory of client and scheduler (one process) at 10,000 and 100,000 points;
+* CPU time per point of client and scheduler, and the number of tasks, for 2 to 256 workers: threads
+  of this process that report the cost of a common point without computing it.
 
-Run with ``python benchmarks/overhead.py``; ``--quick`` leaves out the 100,000 points.
+Run with ``python benchmarks/overhead.py``; ``--quick`` leaves out the 100,000 points and more than
+two workers, and ``--clients`` measures the last item only.
 """
 
 import json
@@ -22,6 +25,8 @@ import tempfile
 import time
 from pathlib import Path
 
+import dask
+
 STUDY = """
 oscillator = {{ mass = 3.0, omega_n = 5.0, zeta = 0.03, forcing = 4.0, alpha = 7e8 }}
 [study]
@@ -33,6 +38,8 @@ gap = [[0.4e-3, 0.4e-3]]
 omega = {{ start = 1.0, stop = 30.0, num = {n_omega} }}
 """
 REPEATS = 3
+WORKERS = (2, 16, 64, 256)
+POINT_SECONDS = 180e-6  # CPU time of a common point of the exact law
 
 
 def child(folder: str) -> None:
@@ -51,6 +58,45 @@ def child(folder: str) -> None:
     with gs.open(Path(folder) / "out" / "responses.nc") as responses:
         simulated = float(responses["t_simulated"].sum())
     print(json.dumps({"seconds": seconds, "peak_mb": peak, "t_simulated": simulated}))
+
+
+def client_child(folder: str, n_workers: int) -> None:
+    """One computation by workers in this process; prints the cost to client and scheduler."""
+    from dataclasses import replace
+
+    from distributed import Client, LocalCluster
+
+    import gapsweep as gs
+    from gapsweep import pipeline
+    from gapsweep.execution import execute
+    from gapsweep.execution.cluster import _LOCAL_SETTINGS
+    from gapsweep.execution.task import compute
+    from gapsweep.store.cache import Cache
+
+    done = []
+
+    def costly(task):
+        return replace(compute(task), seconds=POINT_SECONDS * sum(map(len, task.tiles)))
+
+    async def of_loop() -> float:
+        return time.thread_time()
+
+    do_nothing()
+    execute.compute = costly
+    study = gs.Study.load(Path(folder) / "noop.toml")
+    plan = pipeline.plan(study, Path(folder) / "none")
+    options = {"processes": False, "threads_per_worker": 1, "dashboard_address": None}
+    options["memory_limit"] = 0  # all workers are one process
+    with (
+        dask.config.set(_LOCAL_SETTINGS),
+        LocalCluster(n_workers=n_workers, **options) as local,
+        Client(local) as client,
+        Cache(Path(folder) / "cache") as store,
+    ):
+        begin = time.thread_time() + client.sync(of_loop)
+        execute.execute(study, plan, store, client, on_progress=lambda _: done.append(1))
+        spent = time.thread_time() + client.sync(of_loop) - begin
+    print(json.dumps({"us": 1e6 * spent / plan.n_points, "tasks": len(done) - 1}))
 
 
 def do_nothing() -> None:
@@ -76,20 +122,21 @@ def do_nothing() -> None:
         section=(1e-3, 0.0),
         x_end=1e-3,
         v_end=0.0,
-        cpu_time=0.0,
+        cpu_time=1e-5,
     )
     one = Responses.of([same])
     task.respond_models = lambda models, *more: one.take(np.zeros(len(models), int))
     task._warm_up = lambda *kind: None
 
 
-def run(folder: Path, n_points: int) -> dict[str, float]:
+def run(folder: Path, n_points: int, *how: str) -> dict[str, float]:
     """A run of so many points in a fresh process, in slabs of 10,000."""
     slabs = max(1, n_points // 10_000)
     stiffnesses = ", ".join(f"{1e3 + i}" for i in range(slabs))
     text = STUDY.format(stiffnesses=stiffnesses, n_omega=n_points // slabs)
     (folder / "noop.toml").write_text(text)
-    command = [sys.executable, __file__, "child", str(folder), str(time.time())]
+    how = how or ("child", str(folder), str(time.time()))
+    command = [sys.executable, __file__, *how]
     done = subprocess.run(command, capture_output=True, text=True, check=True)
     return json.loads(done.stdout.splitlines()[-1])
 
@@ -102,6 +149,15 @@ def rerun(folder: Path) -> float:
     subprocess.run(command, cwd=folder, check=True, capture_output=True)
     end = os.stat(folder / "out" / "attractors.nc").st_ctime if fresh else time.time()
     return end - begin
+
+
+def clients() -> None:
+    for n_workers in WORKERS[: 1 if "--quick" in sys.argv else None]:
+        with tempfile.TemporaryDirectory() as name:
+            found = run(Path(name), 300_000, "client", name, str(n_workers))
+        print(
+            f"client of {n_workers} workers: {found['us']:.2f} us a point, {found['tasks']} tasks"
+        )
 
 
 def main() -> None:
@@ -131,10 +187,15 @@ def main() -> None:
             f"client and scheduler: {small:.0f} MB at 10,000, {large['peak_mb']:.0f} MB at "
             f"100,000 points ({growth:+.1%}); {large['seconds']:.0f} s"
         )
+    clients()
 
 
 if __name__ == "__main__":
     if sys.argv[1:2] == ["child"]:
         child(sys.argv[2])
+    elif sys.argv[1:2] == ["client"]:
+        client_child(sys.argv[2], int(sys.argv[3]))
+    elif "--clients" in sys.argv:
+        clients()
     else:
         main()

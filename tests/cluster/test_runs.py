@@ -108,6 +108,38 @@ def test_a_task_aims_at_less_than_the_time_that_a_point_may_take(timeout):
     assert 1 < costs.room((0, 0)) <= 0.5 * timeout * 100
 
 
+@pytest.mark.parametrize("n_threads", [2, 64, 256])
+@pytest.mark.parametrize("cost", [180e-6, 0.1])
+def test_the_fewest_points_of_a_task_let_one_client_feed_all_threads(n_threads, cost):
+    costs = Costs("compiled", 600.0, 1)
+    assert costs.least((0, 0), n_threads) == 0
+    costs.add((0, 0), n_points=1000, seconds=1000 * cost, spent=1000 * cost)
+    tasks_per_second = n_threads / ((costs.least((0, 0), n_threads) + 1) * cost)
+    assert tasks_per_second <= 200.0
+    # At most one more point than that, so that all threads end together.
+    assert costs.least((0, 0), n_threads) * cost <= n_threads / 200.0 * 1.001
+
+
+def test_points_without_measured_time_do_not_keep_tasks_small(
+    tables, client, tmp_path, monkeypatch
+):
+    """Refused models take no time, but each task does."""
+    sizes = []
+    keep = execute._Execution._keep
+
+    def watch(run, job, result):
+        sizes.append(len(job.rows))
+        keep(run, job, result)
+
+    monkeypatch.setattr(execute._Execution, "_keep", watch)
+    sweep = tables["sweep"][0]
+    sweep |= {"representation": ["poly-5"], "gap": [2.0, 2.0]}  # beyond the range of the fit
+    sweep |= {"omega": {"start": 5.0, "stop": 9.0, "num": 400}}
+    with run(tables, client, tmp_path) as ds:
+        assert (ds["status"] == gs.Status.MODEL_INVALID).all()
+    assert max(sizes) > portions._FIRST_BATCH["compiled"]
+
+
 def test_the_time_left_is_that_of_what_is_left(monkeypatch):
     """On a machine on which tasks get one second of processor time per second."""
     now = [0.0]

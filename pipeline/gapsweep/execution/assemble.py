@@ -175,8 +175,9 @@ def _point_arrays(
 ) -> Arrays:
     """Values of all variables but ``attractor`` in a piece, for some initial conditions."""
     responses, shape = found.responses, requested.shape
+    sizes = _sizes(layout, responses)
     values = {
-        name: np.full((*shape, *layout.within(v).values()), v.missing, v.dtype)
+        name: np.full((*shape, *(sizes[dim] for dim in layout.within(v))), v.missing, v.dtype)
         for name, v in layout.variables.items()
         if name != "attractor"
     }
@@ -184,7 +185,7 @@ def _point_arrays(
     values["status"][requested] = Status.INTERRUPTED
     values["response_class"][requested] = ResponseClass.FAILED
     scene = np.ravel_multi_index(tuple(at[:-1]), shape[:-1])
-    arrays = responses.arrays(layout.sizes, directions[scene])
+    arrays = responses.arrays(sizes, directions[scene])
     for name in values.keys() & arrays.keys():
         values[name][*at] = arrays[name]
     number = {host: i for i, host in enumerate(hosts)}
@@ -215,14 +216,7 @@ def _attractor_arrays(
     """Values of all variables of `attractors.nc` in a piece of the grid."""
     leaders, most = found.leaders, int(found.number.max(initial=0)) + 1
     place = (*np.unravel_index(found.scene, shape), found.number)
-    longest = {
-        dim: int(leaders.lists[name][1].max(initial=0)) // width
-        for dim, name, width in (
-            (MULTIPLIER, "multipliers", 1),
-            (SECTION_POINT, "section", layout.grid.structure.n_states),
-        )
-    }
-    sizes = {**layout.sizes, **longest, EXTREMUM: 0}
+    sizes = {**_sizes(layout, leaders), EXTREMUM: 0}
     arrays, values = leaders.arrays(sizes, directions[found.scene]), {}
     for name, variable in layout.attractor_variables.items():
         within = [sizes[dim] for dim in layout.within(variable)]
@@ -231,6 +225,17 @@ def _attractor_arrays(
     counts = np.bincount(found.scene, minlength=math.prod(shape))
     values["n_attractors"] = counts.reshape(shape).astype(np.int32)
     return values
+
+
+def _sizes(layout: Layout, responses: Responses) -> dict[str, int]:
+    """Sizes of the dimensions within a point up to the longest lists; the rest is not written."""
+    widths = {MULTIPLIER: ("multipliers", 1), SECTION_POINT: ("section", responses.ends.shape[1])}
+    longest = {
+        dim: int(responses.lists[name][1].max(initial=0)) // width
+        for dim, (name, width) in widths.items()
+    }
+    n_extrema = int(responses.columns["n_extrema"].max(initial=0))
+    return {**layout.sizes, **longest, EXTREMUM: min(n_extrema, layout.sizes[EXTREMUM])}
 
 
 def _sections(

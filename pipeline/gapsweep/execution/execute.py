@@ -230,11 +230,16 @@ class _Execution:
         return drawn, rest
 
     def _room(self, point: np.intp) -> int:
-        """Return the points of a task: `batch`, or so few that all threads end together."""
+        """Return the points of a task: `batch`, or so few that all threads end together.
+
+        They are enough that no thread waits for the client.
+        """
         if self.batch:
             return self.batch
-        share = max(int(_PART_OF_SHARE * self.n_new / self.n_threads), _MIN_BATCH)
-        return min(share, self.costs.room(self._kind(point)), self.largest_batch)
+        kind, of_thread = self._kind(point), self.plan.n_missing // self.n_threads
+        least = min(self.costs.least(kind, self.n_threads), of_thread)
+        share = int(_PART_OF_SHARE * self.n_new / self.n_threads)
+        return min(max(share, least, _MIN_BATCH), self.costs.room(kind), self.largest_batch)
 
     def _kind(self, point: np.intp) -> tuple[int, int]:
         representation, is_swept = self.kinds
@@ -343,10 +348,12 @@ class _Execution:
         self.progress.n_failed += sum(slab.n_failed for slab in result.slabs)
         self._count(job.rows, -1)
         whole = sum(slab.seconds for slab in result.slabs)
-        for is_swept in (False, True) if result.seconds and whole else ():
+        for is_swept in (False, True) if result.seconds else ():
             some = [slab for slab in result.slabs if slab.kind.is_sweep == is_swept]
             if n := sum(slab.n_points for slab in some):
-                share = sum(slab.seconds for slab in some) / whole
+                # Points of refused models take no measured time, but their tasks do.
+                seconds = sum(slab.seconds for slab in some)
+                share = seconds / whole if whole else n / len(job.rows)
                 kind = self._kind(job.rows[0])[0], int(is_swept)
                 self.costs.add(kind, n, share * result.seconds, share * result.spent)
         self.held.append(job.claimed)

@@ -31,6 +31,8 @@ Arrays = dict[str, NDArray[Any]]
 PIECE = 4096
 # Attractors of a parameter set in a chunk: few have more.
 _ATTRACTORS = 4
+# Items of a list in a chunk: chunks behind the longest list of their points are not written.
+_ITEMS = 8
 
 
 # Slices of a variable over the grid: neighbouring parameter sets with all initial conditions.
@@ -211,7 +213,10 @@ def _create(
 ) -> None:
     if chunk:
         within = layout.within(variable)
-        dimensions, chunk = (*dimensions, *within), (*chunk, *within.values())
+        dimensions, chunk = (
+            (*dimensions, *within),
+            (*chunk, *(min(n, _ITEMS) for n in within.values())),
+        )
     created = dataset.createVariable(
         name,
         variable.dtype,

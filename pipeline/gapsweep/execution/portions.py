@@ -13,6 +13,8 @@ from gapsweep.execution.plan import Plan
 # Short enough for progress and for the loss by a kill. The more points share the lanes, the less
 # each costs: in a task of 16,384 a third of the cost in a task of 250.
 _TASK_SECONDS = 4.0
+# Client and scheduler take 200 to 400 tasks a second.
+_CLIENT_SECONDS = 0.005
 # A task has the time limit of one point: it aims at this part of it, since costs differ.
 _PART_OF_TIMEOUT = 0.25
 MAX_BATCH = 16384
@@ -116,10 +118,16 @@ class Costs:
 
     def room(self, kind: tuple[int, int]) -> int:
         """Number of points of a kind that fill a task."""
-        if not self.knows(kind):
-            return self.unknown
+        return max(self._computed_in(self.aim, kind), 1) if self.knows(kind) else self.unknown
+
+    def least(self, kind: tuple[int, int], n_threads: int) -> int:
+        """Number of points of a kind that a thread computes while the client serves all threads."""
+        return self._computed_in(n_threads * _CLIENT_SECONDS, kind) if self.knows(kind) else 0
+
+    def _computed_in(self, seconds: float, kind: tuple[int, int]) -> int:
+        """Number of points that take some CPU time [s], of which a task has room."""
         cost = self.seconds[kind] / self.n_points[kind]
-        return int(min(max(self.aim / max(cost, 1e-9), 1.0), MAX_BATCH))
+        return int(min(seconds / max(cost, 1e-9), MAX_BATCH))
 
 
 def shuffled(plan: Plan, missing: Rows) -> Iterator[Rows]:

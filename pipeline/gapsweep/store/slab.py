@@ -1,4 +1,4 @@
-"""Results of up to 64 points of one kind, in the form in which they are stored.
+"""Results of up to 128 points of one kind, in the form in which they are stored.
 
 Columns and lists of numbers are concatenated and compressed together: values that are equal,
 missing, or both in a column and in a list take almost no space.
@@ -20,7 +20,7 @@ from gapsweep.status import Status
 from gapsweep.study.points import KEY, Kind
 
 # Points in a slab: few, so that damage loses little and reading one point reads little.
-SLAB = 64
+SLAB = 128
 _MOST_BYTES = 2**24  # bytes of a point: 65,536 extrema of 16 coordinates, kinds, the section
 MOST_COLUMNS = SLAB * _MOST_BYTES  # bytes of the columns of a slab
 _LEVEL = 1  # level of compression: higher levels take longer and save little
@@ -28,7 +28,7 @@ _LEVEL = 1  # level of compression: higher levels take longer and save little
 
 @dataclass(frozen=True, slots=True)
 class Slab:
-    """Stored results of up to 64 points of one kind.
+    """Stored results of up to 128 points of one kind.
 
     Attributes
     ----------
@@ -90,7 +90,7 @@ def slabs(
     host: str,
     versions: str,
 ) -> Iterator[Slab]:
-    """Slabs of up to 64 points each with these responses; arguments as in `Slab` and `Stored`."""
+    """Slabs of up to 128 points each with these responses; arguments as in `Slab` and `Stored`."""
     for first in range(0, len(numbers), SLAB):
         rows = np.arange(first, min(first + SLAB, len(numbers)))
         part = responses.take(rows)
