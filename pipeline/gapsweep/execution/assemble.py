@@ -188,8 +188,8 @@ def _point_arrays(
     arrays = responses.arrays(sizes, directions[scene])
     for name in values.keys() & arrays.keys():
         values[name][*at] = arrays[name]
-    number = {host: i for i, host in enumerate(hosts)}
-    values["host"][*at] = [number.get(host, -1) for host in found.host.tolist()]
+    for i, host in enumerate(hosts):
+        values["host"][tuple(of[found.host == host] for of in at)] = i
     return values
 
 

@@ -184,7 +184,9 @@ class _Execution:
             self.n_threads = max(sum(self.client.nthreads().values()), 1)
         except OSError:  # the scheduler left in this very moment
             raise ClusterError(_CLUSTER_LOST) from None
-        while len(self.in_flight) < _WINDOW * self.n_threads:
+        # Tasks are small until a cost is known: a second one in the queue of a worker gains little.
+        window = _WINDOW if self.costs.n_points.any() else 1
+        while len(self.in_flight) < window * self.n_threads:
             job = self.suspects.popleft() if self.suspects else self._next_job()
             if job is None:
                 return
