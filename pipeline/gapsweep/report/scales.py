@@ -35,6 +35,10 @@ def long_name(variable: xr.DataArray) -> str:
     return str(variable.attrs.get("long_name", variable.name)).removeprefix(f"{PARAMETER} ")
 
 
+# Characters of a label with such a unit in one line: a panel is as low as 4 cm.
+_LONGEST = 24
+
+
 def axis_label(variable: xr.DataArray, words: str = "") -> str:
     """Label of an axis: `words` or else the variable's long name, and its drawn unit.
 
@@ -49,6 +53,8 @@ def axis_label(variable: xr.DataArray, words: str = "") -> str:
     if "units" not in variable.attrs and variable.name in VARIABLES:
         known = {"m": f"unit of {own}", "m s-1": f"unit of {own}/s", "N": "unit of force"}
         unit = known.get(VARIABLES[str(variable.name)].units, "")
+        if len(words) + len(unit) > _LONGEST:
+            return f"{words}\n[{unit}]"
     return f"{words} [{unit}]" if unit else words
 
 
