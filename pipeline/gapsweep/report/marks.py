@@ -21,7 +21,7 @@ POINT, LINE, TICK, BAND, LEVEL = "point", "line", "tick", "band", "level"
 TEXT, EDGE = "text", "edge"
 _ORDER = {BAND: 0.0, LEVEL: 1.6, TEXT: 3.0}
 _MANY = 60  # points; more are rasterized, to limit the size of the file
-# What each artist of matplotlib was drawn from: as long as the artist is in its panel.
+# The marks that each artist of matplotlib was drawn from, as long as it is in its panel.
 _DRAWN: "WeakKeyDictionary[Artist, Marks]" = WeakKeyDictionary()
 
 
