@@ -58,9 +58,10 @@ ON_CHORD = 0.1
 SHORTEST_LOOP = 6
 # A cycle that swings by less is near its Hopf point.
 SMALL_CYCLE = 0.02
-# The point is located to this share of the range; its pair of eigenvalues has less growth than this
-# share of its frequency. Derivatives are differences over this share of the size.
-HOPF_LOCATED, HOPF_RATE, EQUILIBRIUM_DIFFERENCE = 1e-12, 1e-9, 1e-5
+# The point is located to this share of the range, not below the rounding of the differences; its
+# pair of eigenvalues has less growth than this share of its frequency. Derivatives are differences
+# over this share of the size.
+HOPF_LOCATED, HOPF_RATE, EQUILIBRIUM_DIFFERENCE = 1e-11, 1e-9, 1e-5
 
 # --- special points -------------------------------------------------------------------------------
 
