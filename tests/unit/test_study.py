@@ -395,6 +395,15 @@ def test_settings_that_cannot_locate_contacts_are_refused_before_a_run(tables, s
         gs.Study.from_dict(tables)
 
 
+def test_settings_that_cannot_locate_the_contacts_of_a_history_are_refused(tables):
+    tables["protocol"] = {"paper": {"controller": "ode45"}}
+    history = {"representation": ["piecewise@paper"], "K_c": 1.4e4, "gap": [4e-4, 4e-4]}
+    history |= {"omega": 9.0, "start": [0.0, 0.0], "t_end": 1.0}
+    gs.Study.from_dict(tables | {"history": [history]})
+    (problem,) = problems(tables | {"history": [history | {"mean_load": 1.0}]})
+    assert "piecewise@paper: controller = " in problem
+
+
 def test_points_carry_canonical_values(tables):
     tables["sweep"][0]["omega"] = [0.1 + 0.2]
     assert gs.Study.from_dict(tables).grid.omega == (0.3,)

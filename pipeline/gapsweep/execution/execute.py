@@ -232,9 +232,10 @@ class _Execution:
         return drawn, rest
 
     def _room(self, point: np.intp) -> int:
-        """Return the points of a task: `batch`, or so few that all threads end together.
+        """Return the points of a task: `batch`, or a share that lets all threads end together.
 
-        They are enough that no thread waits for the client.
+        The share is at least as large as one client can send to all threads in time, but takes
+        no longer than a task may.
         """
         if self.batch:
             return self.batch

@@ -141,7 +141,8 @@ class Study:
         return replace(study) if study.names_code else study
 
     def _checked(self) -> "Study":
-        assert self._protocols  # made now, to refuse wrong settings
+        for name in self.spec.protocol:
+            self._protocol(name)  # to refuse wrong settings now
         try:
             axes = self._axes
         except ModelError as error:
@@ -172,14 +173,17 @@ class Study:
 
     def _problems_of_solvers(self) -> Iterator[str]:
         """Representations with solver settings with which the engine cannot locate contacts."""
-        swept = {name: axis for name, axis in self._axes.items() if name in self.spec.model}
-        ends = [{name: end(axis) for name, axis in swept.items()} for end in (min, max)]
-        models = [self.model.at(some) for some in (ends if self.model.is_oscillator else [{}])]
-        is_classic = all(isinstance(one, Oscillator) and one.is_classic for one in models)
-        for one in self._axes["representation"]:
+        asked = [(one, self._axes) for one in self._axes["representation"]]
+        for table in self.spec.history:
+            asked += [(one, self.history_axes(table)) for one in table.representation]
+        for one, axes in asked:
+            swept = {n: axes[n] for n in self.spec.model if n in axes and self.model.is_oscillator}
+            ends = [{name: end(axis) for name, axis in swept.items()} for end in (min, max)]
             laws = self.model.laws(one.law)
             n_located = sum(law == EXACT or law.is_auto for law in laws)
             try:
+                models = [self.model.at(some) for some in ends]
+                is_classic = all(isinstance(m, Oscillator) and m.is_classic for m in models)
                 self.solver(one).check_located(n_located, len(laws), is_oscillator=is_classic)
             except ModelError as error:
                 yield f"{one}: {error}"
