@@ -15,6 +15,7 @@ from tests.builders import strategies as own
 from tests.builders.studies import LABELS
 
 import gapsweep as gs
+from gapsweep.integrate.runge_kutta.formulas import rows_of
 from gapsweep.model import laws
 from gapsweep.model.contact import FIT_RANGE
 from gapsweep.model.fit import Fit, best_pole_free, poles, rational_candidates, unit_force
@@ -179,6 +180,13 @@ def test_every_law_in_the_folder_is_registered():
     assert [Representation(label).law_type for label in EXAMPLES.split(", ")] == [
         law for law in laws.LAWS for _ in law.examples
     ]
+
+
+@pytest.mark.parametrize("law", laws.LAWS, ids=lambda law: law.family)
+def test_no_two_numbers_of_a_law_share_a_row(law):
+    """Four rows are free: a fifth number of a law would be read as its layer."""
+    rows = rows_of(law)
+    assert len({*rows.values()}) == len(rows)
 
 
 @pytest.mark.parametrize("family", ["tanh", "arctan", "logarctan"])
