@@ -767,8 +767,18 @@ def test_forces_are_told_as_they_are():
 def test_a_claim_leads_to_the_figure_of_its_own_number(place, leads_to):
     names = {"Fig. 10": "10", "Fig. 1a": "1a", "Fig. 11, their solver": "11"}
     figures = [{"name": name, "href": href} for name, href in names.items()]
-    links = Links([{"anchor": "own", "title": "Own", "href": "#own", "figures": figures}])
+    links = Links([ONE_PART | {"figures": figures}])
     assert links.place(place) == leads_to
+
+
+ONE_PART = {"anchor": "own", "title": "Own", "href": "#own", "group": "Results", "figures": []}
+
+
+def test_a_case_without_a_section_leads_to_the_results():
+    """As in an overview, where no parameter set has its own section."""
+    links = Links([ONE_PART | {"anchor": "model", "href": "#model", "group": ""}, ONE_PART])
+    assert links.part("own") == "#own"
+    assert links.part("scene-0-0") == "#results"
 
 
 def test_every_figure_lies_beside_the_page_as_files(page):
