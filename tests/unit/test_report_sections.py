@@ -500,6 +500,18 @@ def test_the_studys_own_answer_needs_no_exact_law(run):
     assert [*answer.sections(run[0])] == []
 
 
+@pytest.mark.parametrize("kind", ["tables", "figures"])
+def test_the_studys_own_answer_needs_no_sentence(run, tmp_path, kind):
+    responses = run[0]
+    table = {"title": "Only table", "header": ["h"], "rows": [["1"]], "notes": []}
+    nothing = {"title": "A", "sentences": [], "tables": [], "figures": [], "content": {}}
+    contents = {"tables": [table], "figures": [NAMED[0]["figures"][0] | {"caption": "Only figure"}]}
+    own = nothing | {"anchor": "own-answer", kind: contents[kind]}
+    inputs = Inputs(responses, timing(responses), sections=[own])
+    text = write_report(tmp_path / "report" / "index.html", inputs).read_text()
+    assert f"Only {kind[:-1]}" in text.partition('id="answer"')[2].partition("</section>")[0]
+
+
 def test_rows_of_laws_have_the_colour_of_the_law_that_they_begin_with(run, tmp_path):
     """Other texts of a study have none."""
     rows = ["tanh-1e4", "tanh-1e4, K_ratio = 0.5", "exact law, other settings", "tanh-soft", "mean"]

@@ -48,12 +48,12 @@ def sections(
     # The rules of verdicts are for one displacement between two walls.
     is_judged = agreement is not None and in_metres(responses)
     found = contacts(agreement, static) if agreement is not None and is_judged else []
-    if not found and not own.sentences:
+    if not (found or own.sentences or own.tables or own.figures):
         return
     said = in_words(found)
     headline = [*own.sentences] or said[:1]
     if is_judged and (far := unreached_walls(responses)):
-        headline[0] = f"{far} {headline[0]}"
+        headline[:1] = [" ".join([far, *headline[:1]])]
     counts = claims["counts"] if claims else {}
     content = {
         "counts": {verdict: counts[verdict] for verdict in _VERDICTS if counts.get(verdict)},
