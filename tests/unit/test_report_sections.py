@@ -500,6 +500,18 @@ def test_the_studys_own_answer_needs_no_exact_law(run):
     assert [*answer.sections(run[0])] == []
 
 
+@pytest.mark.parametrize("law", ["tanh-1e4", "poly-13"])
+def test_numbers_on_tanh_are_shown_only_where_it_was_tried(tmp_path, law):
+    study = tables(["piecewise", "piecewise@half", law], OMEGA, **HALF)
+    responses, attractors = datasets(tmp_path, study, amplitudes(EQUAL))
+    inputs = Inputs(responses, timing(responses), agreement(responses, attractors))
+    text = write_report(tmp_path / "report" / "index.html", inputs).read_text()
+    behind = text.partition("Numbers behind the map")[2].partition("</table>")[0]
+    assert law in behind
+    assert ("tanh" in behind) == (law == "tanh-1e4")
+    assert ("\ntanh: the range" in text) == (law == "tanh-1e4")
+
+
 @pytest.mark.parametrize("kind", ["tables", "figures"])
 def test_the_studys_own_answer_needs_no_sentence(run, tmp_path, kind):
     responses = run[0]

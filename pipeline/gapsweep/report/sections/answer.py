@@ -75,6 +75,7 @@ def _map(responses: xr.Dataset, found: Sequence[Contact]) -> dict[str, Any]:
             for verdict, sign in SIGNS.items()
         ],
         "has_own_starts": any(len({law.n_exact for law in one.laws}) > 1 for one in listed),
+        "has_tanh": any(one.least("tanh") for one in listed),
         "groups": GROUPS,
         "n_contacts": len(listed),
         "is_many": len(listed) > MANY,
@@ -106,8 +107,9 @@ def _numbers(contact: Contact) -> tuple[str, list[list[str]]]:
         rows.append(["exact law, other settings", "", median, p95, share, cost, "", ""])
     if contact.unjudged:
         return f"{contact.place}: cannot be judged: {contact.unjudged}", rows
-    least = f"{contact.threshold}, adequate: {contact.least('tanh')}"
-    return f"{contact.place}; tanh has one static equilibrium: {least}", rows
+    least = contact.least("tanh")
+    of_tanh = f"; tanh has one static equilibrium: {contact.threshold}, adequate: {least}"
+    return f"{contact.place}{of_tanh if least else ''}", rows
 
 
 def _compared(responses: xr.Dataset, found: Sequence[Contact]) -> Iterator[Figured]:
