@@ -130,3 +130,11 @@ def test_a_law_has_one_style_and_the_exact_law_is_black():
     plain, loose = looks(["tanh-1e4", "tanh-1e4@loose"]).values()
     assert plain.dashes != loose.dashes
     assert plain.marker != loose.marker
+
+
+def test_the_plain_law_has_the_laws_style_in_any_order():
+    labels = ["tanh-1e4@loose", "piecewise", "tanh-1e4"]
+    found = looks(labels)
+    assert [*found] == labels
+    assert found == looks(labels[::-1])
+    assert found["tanh-1e4"] == looks(["tanh-1e4"])["tanh-1e4"]
