@@ -1,1 +1,1 @@
-"""The sections of the report: each module makes one, or one for each parameter set."""
+"""The sections of the report, as functions that yield their parts; `contents.SECTIONS` lists them."""
