@@ -20,7 +20,7 @@ from gapsweep.report.parts import Figured, Part
 from gapsweep.report.scenes import Scenes, starts_of, swept
 from gapsweep.report.sections.findings import unreached_walls
 from gapsweep.report.sections.own import answer_of
-from gapsweep.report.tables import percent
+from gapsweep.report.tables import VERDICTS, percent
 from gapsweep.report.verdicts import (
     LIMITS,
     MOST_CONTACTS,
@@ -32,8 +32,6 @@ from gapsweep.report.verdicts import (
     in_words,
     times,
 )
-
-_VERDICTS = ("confirmed", "partly", "refuted", "undecidable")
 
 
 def sections(
@@ -56,7 +54,7 @@ def sections(
         headline[:1] = [" ".join([far, *headline[:1]])]
     counts = claims["counts"] if claims else {}
     content = {
-        "counts": {verdict: counts[verdict] for verdict in _VERDICTS if counts.get(verdict)},
+        "counts": {verdict: counts[verdict] for verdict in VERDICTS if counts.get(verdict)},
         "map": _map(responses, found) if found else None,
         "sentences": said if own.sentences else said[1:],
         "numbers": list(map(_numbers, found[:MOST_CONTACTS])),
