@@ -1,1 +1,1 @@
-"""The sections of the report, as functions that yield their parts; `contents.SECTIONS` lists them."""
+"""Functions that yield the parts of the report's sections; `contents.SECTIONS` lists them."""
