@@ -435,7 +435,7 @@ def long_page(run, tmp_path_factory):
     (figures / "figure-folder.svg").mkdir()
     (folder / "mine.svg").touch()
     (figures / "figure-linked.svg").symlink_to(folder / "mine.svg")
-    many = NAMED[0] | {"anchor": "own-many", "figures": 3 * NAMED[0]["figures"]}
+    many = NAMED[0] | {"anchor": "own-many", "figures": 3 * NAMED[0]["figures"], "sentences": []}
     return written(folder, *run, [*NAMED, PART, many])
 
 
