@@ -435,7 +435,7 @@ def long_page(run, tmp_path_factory):
     (figures / "figure-folder.svg").mkdir()
     (folder / "mine.svg").touch()
     (figures / "figure-linked.svg").symlink_to(folder / "mine.svg")
-    many = NAMED[0] | {"anchor": "own-many", "figures": 3 * NAMED[0]["figures"]}
+    many = NAMED[0] | {"anchor": "own-many", "figures": 3 * NAMED[0]["figures"], "sentences": []}
     return written(folder, *run, [*NAMED, PART, many])
 
 
@@ -498,6 +498,30 @@ def test_the_studys_own_answer_needs_no_exact_law(run):
     assert [one.title for one in part.tables] == ["T"]
     assert part.content["map"] is None
     assert [*answer.sections(run[0])] == []
+
+
+@pytest.mark.parametrize("law", ["tanh-1e4", "poly-13"])
+def test_numbers_on_tanh_are_shown_only_where_it_was_tried(tmp_path, law):
+    study = tables(["piecewise", "piecewise@half", law], OMEGA, **HALF)
+    responses, attractors = datasets(tmp_path, study, amplitudes(EQUAL))
+    inputs = Inputs(responses, timing(responses), agreement(responses, attractors))
+    text = write_report(tmp_path / "report" / "index.html", inputs).read_text()
+    behind = text.partition("Numbers behind the map")[2].partition("</table>")[0]
+    assert law in behind
+    assert ("tanh" in behind) == (law == "tanh-1e4")
+    assert ("\ntanh: the range" in text) == (law == "tanh-1e4")
+
+
+@pytest.mark.parametrize("kind", ["tables", "figures"])
+def test_the_studys_own_answer_needs_no_sentence(run, tmp_path, kind):
+    responses = run[0]
+    table = {"title": "Only table", "header": ["h"], "rows": [["1"]], "notes": []}
+    nothing = {"title": "A", "sentences": [], "tables": [], "figures": [], "content": {}}
+    contents = {"tables": [table], "figures": [NAMED[0]["figures"][0] | {"caption": "Only figure"}]}
+    own = nothing | {"anchor": "own-answer", kind: contents[kind]}
+    inputs = Inputs(responses, timing(responses), sections=[own])
+    text = write_report(tmp_path / "report" / "index.html", inputs).read_text()
+    assert f"Only {kind[:-1]}" in text.partition('id="answer"')[2].partition("</section>")[0]
 
 
 def test_rows_of_laws_have_the_colour_of_the_law_that_they_begin_with(run, tmp_path):
@@ -767,8 +791,18 @@ def test_forces_are_told_as_they_are():
 def test_a_claim_leads_to_the_figure_of_its_own_number(place, leads_to):
     names = {"Fig. 10": "10", "Fig. 1a": "1a", "Fig. 11, their solver": "11"}
     figures = [{"name": name, "href": href} for name, href in names.items()]
-    links = Links([{"anchor": "own", "title": "Own", "href": "#own", "figures": figures}])
+    links = Links([ONE_PART | {"figures": figures}])
     assert links.place(place) == leads_to
+
+
+ONE_PART = {"anchor": "own", "title": "Own", "href": "#own", "group": "Results", "figures": []}
+
+
+def test_a_case_without_a_section_leads_to_the_results():
+    """As in an overview, where no parameter set has its own section."""
+    links = Links([ONE_PART | {"anchor": "model", "href": "#model", "group": ""}, ONE_PART])
+    assert links.part("own") == "#own"
+    assert links.part("scene-0-0") == "#results"
 
 
 def test_every_figure_lies_beside_the_page_as_files(page):

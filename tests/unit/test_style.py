@@ -6,17 +6,21 @@ Oliveira and Fernandes, "A Physiologically-based Model for Simulation of Color V
 IEEE Trans. Vis. Comput. Graph. 15 (2009) 1291-1298, for linear sRGB and a severity of 1.
 """
 
+import re
 import tomllib
+from importlib.resources import files
 from itertools import combinations
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from gapsweep.report.branch_lines import KINDS
 from gapsweep.report.style import (
     GREY,
     NOT_PERIODIC,
     NUMBERED,
+    SWEEPS,
     colour,
     looks,
 )
@@ -130,3 +134,20 @@ def test_a_law_has_one_style_and_the_exact_law_is_black():
     plain, loose = looks(["tanh-1e4", "tanh-1e4@loose"]).values()
     assert plain.dashes != loose.dashes
     assert plain.marker != loose.marker
+
+
+def test_the_page_of_a_figure_draws_every_marker():
+    laws = [f"{name}-1e{n}" for name in ("tanh", "arctan", "logarctan") for n in range(13)]
+    used = {look.marker for look in looks(laws).values()} | {*SWEEPS.values()}
+    used |= {marker for marker, _ in KINDS.values()} | {"|", "x"}  # ends of a frame, failures
+    script = files("gapsweep.report").joinpath("templates", "figure.js").read_text()
+    corners = script.partition("const CORNERS = {")[2].partition("};")[0]
+    assert used - {"o"} == {*re.findall(r'^    "?(.)"?: ', corners, re.MULTILINE)}
+
+
+def test_the_plain_law_has_the_laws_style_in_any_order():
+    labels = ["tanh-1e4@loose", "piecewise", "tanh-1e4"]
+    found = looks(labels)
+    assert [*found] == labels
+    assert found == looks(labels[::-1])
+    assert found["tanh-1e4"] == looks(["tanh-1e4"])["tanh-1e4"]

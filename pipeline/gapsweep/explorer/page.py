@@ -46,6 +46,7 @@ from gapsweep.explorer.question import (
 )
 from gapsweep.explorer.stored import StoredRun
 from gapsweep.model.labels import EXACT, Representation
+from gapsweep.report.style import NOT_PERIODIC
 
 _MM = 1e3
 _SIDE = 300  # pixels
@@ -345,7 +346,7 @@ class Page:
 
     def _refuse(self, _question: Question, problem: str) -> None:
         """Show an error message; the figures do not change."""
-        self._status.text = f'<span style="color:#c00000">{escape(problem)}</span>'
+        self._status.text = f'<span style="color:{NOT_PERIODIC}">{escape(problem)}</span>'
 
 
 def _is_first(answer: Curve | Motion | Plane) -> bool:

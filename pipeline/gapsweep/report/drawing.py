@@ -1,6 +1,6 @@
-"""Functions of a dataset that yield the marks of one panel.
+"""Marks of one panel from a dataset, which `marks.put` draws, and texts that explain them.
 
-Every function takes a dataset that holds the dimensions it names; `marks.put` draws its marks.
+A function that yields marks names the dimensions that it needs.
 """
 
 from collections.abc import Iterator

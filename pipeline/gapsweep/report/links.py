@@ -23,6 +23,8 @@ class Links:
 
     def __init__(self, parts: Sequence[Mapping[str, Any]]) -> None:
         self._parts: dict[str, str] = {part["anchor"]: part["href"] for part in parts}
+        group = next((part["group"] for part in parts if part["group"]), "")
+        self._results = f"#{group.lower()}"
         self._titles: list[tuple[str, str]] = [(part["title"], part["href"]) for part in parts]
         figures = [figure for part in parts for figure in part["figures"]]
         self._figures: dict[str, str] = {
@@ -30,8 +32,8 @@ class Links:
         }
 
     def part(self, anchor: str) -> str:
-        """Address of a part; of the report's page if it has no such part."""
-        return self._parts.get(anchor, "#")
+        """Address of a part; of the first group if there is no such part."""
+        return self._parts.get(anchor, self._results)
 
     def place(self, place: str) -> str:
         """Address of the figure or part that a claim is about, the nearest by name, else empty.

@@ -20,7 +20,8 @@ from gapsweep.report.style import MATPLOTLIB
 class Table:
     """A table of texts; every row has as many cells as the header.
 
-    `notes` define the words of its header; a page shows each note once, below its last table.
+    `notes` define the words of its header; sections of one group on a page show each note once,
+    below their last table.
     """
 
     title: str

@@ -43,7 +43,8 @@ def axis_label(variable: xr.DataArray, words: str = "") -> str:
     """Label of an axis: `words` or else the variable's long name, and its drawn unit.
 
     The name of a selected coordinate or contact of a system comes first. Only the user knows
-    whether it is a length or an angle: its unit is "unit of" that name.
+    whether it is a length or an angle: its unit is "unit of" that name, or "unit of displacement"
+    if none is selected; that of a force is "unit of force".
     """
     words, unit, own = words or long_name(variable), shown_unit(variable)[1], "displacement"
     for part in (COORDINATE, CONTACT):

@@ -94,20 +94,20 @@ class Look:
 
 
 def looks(labels: Iterable[str]) -> dict[str, Look]:
-    """Styles of the representations of a figure.
+    """Styles of the representations of a figure, in their order.
 
-    The first representation of a law has the law's style; further ones, under other protocols,
-    differ from it in line style and marker.
+    The plain law, or else the first representation of a law, has the law's style; further ones,
+    under other protocols, differ from it in line style and marker.
     """
     used: Counter[str] = Counter()
-    found = {}
-    for label in labels:
+    labels, found = list(labels), {}
+    for label in sorted(labels, key=lambda label: Representation(label).protocol != ""):
         law = _law_of(label)
         (shade, n), more = _law(law), used[law]
         used[law] += 1
         dashes, marker = _LINES[(n + more) % len(_LINES)], _MARKERS[(n - more) % len(_MARKERS)]
         found[label] = Look(shade, dashes, marker)
-    return found
+    return {label: found[label] for label in labels}
 
 
 def colour(label: str) -> str:

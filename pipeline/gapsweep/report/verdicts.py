@@ -185,7 +185,7 @@ class Contact:
         """The smallest adequate parameter [1/m] of a family, and what was tried.
 
         ``1e5``: the next smaller parameter is inadequate; ``≤ 1e3``: no smaller one was tried;
-        ``> 1e9 tried``: none is adequate up to this; ``not tried``.
+        ``> 1e9 tried``: none is adequate up to this; empty: none was tried.
         """
         tried = sorted(
             (one for one in self.laws if one.law.family == family),
@@ -193,7 +193,7 @@ class Contact:
         )
         usable = [one for one in tried if one.column == "use"]
         if not tried:
-            return "not tried"
+            return ""
         first = usable[0] if usable else tried[-1]
         value = first.name.removeprefix(f"{family}-")
         return f"{'≤ ' * (first is tried[0])}{value}" if usable else f"> {value} tried"

@@ -1,1 +1,1 @@
-"""The sections of the report: each module makes one, or one for each parameter set."""
+"""Functions that yield the parts of the report's sections; `contents.SECTIONS` lists them."""

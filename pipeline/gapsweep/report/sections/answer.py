@@ -20,7 +20,7 @@ from gapsweep.report.parts import Figured, Part
 from gapsweep.report.scenes import Scenes, starts_of, swept
 from gapsweep.report.sections.findings import unreached_walls
 from gapsweep.report.sections.own import answer_of
-from gapsweep.report.tables import percent
+from gapsweep.report.tables import VERDICTS, percent
 from gapsweep.report.verdicts import (
     LIMITS,
     MOST_CONTACTS,
@@ -32,8 +32,6 @@ from gapsweep.report.verdicts import (
     in_words,
     times,
 )
-
-_VERDICTS = ("confirmed", "partly", "refuted", "undecidable")
 
 
 def sections(
@@ -48,15 +46,15 @@ def sections(
     # The rules of verdicts are for one displacement between two walls.
     is_judged = agreement is not None and in_metres(responses)
     found = contacts(agreement, static) if agreement is not None and is_judged else []
-    if not found and not own.sentences:
+    if not (found or own.sentences or own.tables or own.figures):
         return
     said = in_words(found)
     headline = [*own.sentences] or said[:1]
     if is_judged and (far := unreached_walls(responses)):
-        headline[0] = f"{far} {headline[0]}"
+        headline[:1] = [" ".join([far, *headline[:1]])]
     counts = claims["counts"] if claims else {}
     content = {
-        "counts": {verdict: counts[verdict] for verdict in _VERDICTS if counts.get(verdict)},
+        "counts": {verdict: counts[verdict] for verdict in VERDICTS if counts.get(verdict)},
         "map": _map(responses, found) if found else None,
         "sentences": said if own.sentences else said[1:],
         "numbers": list(map(_numbers, found[:MOST_CONTACTS])),
@@ -75,6 +73,7 @@ def _map(responses: xr.Dataset, found: Sequence[Contact]) -> dict[str, Any]:
             for verdict, sign in SIGNS.items()
         ],
         "has_own_starts": any(len({law.n_exact for law in one.laws}) > 1 for one in listed),
+        "has_tanh": any(one.least("tanh") for one in listed),
         "groups": GROUPS,
         "n_contacts": len(listed),
         "is_many": len(listed) > MANY,
@@ -106,8 +105,9 @@ def _numbers(contact: Contact) -> tuple[str, list[list[str]]]:
         rows.append(["exact law, other settings", "", median, p95, share, cost, "", ""])
     if contact.unjudged:
         return f"{contact.place}: cannot be judged: {contact.unjudged}", rows
-    least = f"{contact.threshold}, adequate: {contact.least('tanh')}"
-    return f"{contact.place}; tanh has one static equilibrium: {least}", rows
+    least = contact.least("tanh")
+    of_tanh = f"; tanh has one static equilibrium: {contact.threshold}, adequate: {least}"
+    return f"{contact.place}{of_tanh if least else ''}", rows
 
 
 def _compared(responses: xr.Dataset, found: Sequence[Contact]) -> Iterator[Figured]:

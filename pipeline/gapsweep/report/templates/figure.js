@@ -5,13 +5,20 @@
   const NEAR = 20; // pixels from a point at which it is meant
   const SAME = 1; // pixels within which points have one place on an axis
   const SQUARES = 3000; // points from which on circles would take too long
-  // Corners of symbols as shares of their radius; other symbols are circles.
+  // Corners of symbols as shares of their radius; other symbols are circles. | and x are strokes.
+  const regular = (n) => Array.from({ length: n }, (_, i) => [Math.sin((2 * Math.PI * i) / n), -Math.cos((2 * Math.PI * i) / n)]);
   const CORNERS = {
     "^": [[0, -1], [1, 1], [-1, 1]],
     v: [[0, 1], [1, -1], [-1, -1]],
     s: [[-1, -1], [1, -1], [1, 1], [-1, 1]],
     D: [[0, -1], [1, 0], [0, 1], [-1, 0]],
+    d: [[0, -1], [0.6, 0], [0, 1], [-0.6, 0]],
+    p: regular(5),
+    h: regular(6),
+    "*": regular(10).map(([a, b], n) => (n % 2 ? [0.382 * a, 0.382 * b] : [a, b])),
+    P: [[-1, -3], [1, -3], [1, -1], [3, -1], [3, 1], [1, 1], [1, 3], [-1, 3], [-1, 1], [-3, 1], [-3, -1], [-1, -1]].map(([a, b]) => [a / 3, b / 3]),
     "|": [[0, -1], [0, 1]],
+    x: [[-1, -1], [1, 1], [0, 0], [-1, 1], [1, -1], [0, 0]],
   };
   const SIGNS = { sweep_up: "\u25b2", sweep_down: "\u25bc", "not periodic": "\u25cb" };
   const numbers = (text) => new Float32Array(Uint8Array.from(atob(text), (c) => c.charCodeAt(0)).buffer);
@@ -216,7 +223,7 @@
         if (corners) corners.forEach(([a, b]) => pen.lineTo(x + a * Math.max(r, 1), y + b * Math.max(r, 1)));
         else pen.arc(x, y, Math.max(r, 1), 0, 2 * Math.PI);
         pen.closePath();
-        mark.hollow || mark.marker === "|" ? pen.stroke() : pen.fill();
+        mark.hollow || ["|", "x"].includes(mark.marker) ? pen.stroke() : pen.fill();
       });
     }
     tick(pen, mark) {
