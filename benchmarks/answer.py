@@ -16,6 +16,7 @@ import numpy as np
 
 import gapsweep as gs
 from gapsweep.analysis.claims import VERDICTS, NotInRunError, Run
+from gapsweep.model.labels import Representation
 from gapsweep.report.scales import plain
 from gapsweep.report.tables import percent
 from gapsweep.report.verdicts import SIGNS, Contact, Judged, contacts, times, verdict
@@ -144,9 +145,10 @@ def in_order(laws: Iterable[Judged]) -> list[Judged]:
     """Laws by family, the smallest parameter first; the exact force without location last."""
 
     def key(one: Judged) -> tuple[int, float, str]:
-        family, _, parameter = one.law.partition("-")
-        place = FAMILIES.index(family) if family in FAMILIES else len(FAMILIES)
-        return place, float(parameter.split("/")[0]) if place < len(FAMILIES) else 0.0, parameter
+        law = Representation(one.law)
+        if law.family not in FAMILIES:
+            return len(FAMILIES), 0.0, law
+        return FAMILIES.index(law.family), float(law.parameter.split("/")[0]), law
 
     return sorted(laws, key=key)
 

@@ -33,6 +33,7 @@ from gapsweep.analysis.datasets.contact_errors import (
     rms_error,
 )
 from gapsweep.model.equilibria import search_points
+from gapsweep.model.labels import Representation
 from gapsweep.report.style import MATPLOTLIB, colour
 from gapsweep.response.result import ResponseClass
 from gapsweep.user_code.package_digest import numerics_fingerprint
@@ -303,15 +304,17 @@ def by_part(cases: Sequence[Case]) -> Iterator[list[str]]:
         yield [name, said(use), said(rest), said(no)]
 
 
+def sharpness(case: Case) -> float:
+    return float(Representation(case["law"]).parameter)
+
+
 def by_sharpness(cases: Sequence[Case]) -> Iterator[list[str]]:
     for name in ("tanh", "arctan", "logarctan"):
         here = parts(cases)[name]
         row = [name]
         for low, high in ((1, 10), (10, 30), (30, 100), (100, 1000), (1000, np.inf)):
             some = [
-                case
-                for case in here
-                if low <= float(case["law"].partition("-")[2]) / case["groups"]["K_c/p"] < high
+                case for case in here if low <= sharpness(case) / case["groups"]["K_c/p"] < high
             ]
             row.append(said(some))
         yield row

@@ -16,8 +16,8 @@ from io import BytesIO
 from pathlib import Path
 
 from PIL import Image
-from tests.browser.test_explorer import Tab, model, tab
-from tests.browser.test_report import OPTIONS
+from tests.browser.conftest import OPTIONS
+from tests.browser.tab import Tab, model, tab
 
 import gapsweep as gs
 
@@ -38,9 +38,9 @@ MOVE = """new Promise(done => {{
   }}));
   {slider}.value += 0.05;
 }})"""
-SETTLED = "Bokeh.documents[0].get_model_by_name('response 0 sweep down').data.omega.length === 200"
-
-WHOLE = "Bokeh.documents[0].get_model_by_name('map 1 peaks').data.image[0]?.shape[0] === 40"
+SHOWN = "globalThis.Bokeh?.documents[0] !== undefined"
+SETTLED = f"{model('response 0 sweep down')}.data.omega.length === 200"
+WHOLE = f"{model('map 1 peaks')}.data.image[0]?.shape[0] === 40"
 
 
 @contextmanager
@@ -76,11 +76,14 @@ async def moved(opened: Tab) -> list[float]:
 
 async def timed(address: str, url: str) -> list[list[float]]:
     async with tab(address, url) as opened:
+        await opened.until(SHOWN)
+        await opened.until(SETTLED)
         return [await moved(opened) for _ in range(N_MOVES)]
 
 
 async def pictured(address: str, url: str) -> None:
     async with tab(address, url, size=(1280, 1680)) as opened:
+        await opened.until(SHOWN)
         await opened.until(SETTLED)
         await opened.ask(f"{model('omega')}.value = {CHAOTIC}")
         await opened.until(f"{model('status')}.text.includes('{CHAOTIC} Hz')")

@@ -9,7 +9,7 @@ import gapsweep
 
 SOURCES = Path(gapsweep.__file__).parent
 FORBIDDEN_MODULES = {"pickle", "cloudpickle", "dill", "marshal", "shelve", "joblib", "yaml"}
-# Machine code is code: read with its checksum, from a folder that is ours (test_compiled_code).
+# Machine code is code: read with its checksum, from a folder that is ours (test_kernel_files).
 # Processes that we start talk with us over private pipes, as Dask's do.
 MAY_READ_CODE = {
     SOURCES / "integrate" / "jit.py": {"pickle"},

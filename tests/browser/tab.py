@@ -60,6 +60,11 @@ class Tab:
         await self.call("Input.dispatchMouseEvent", type=f"mouse{kind}", x=x, y=y, **held)
 
 
+def model(name):
+    """The Bokeh model of a name, in JavaScript."""
+    return f"Bokeh.documents[0].get_model_by_name({name!r})"
+
+
 @asynccontextmanager
 async def tab(address, url, size=(1280, 900), is_phone=False):
     """A page that is loaded, and closed at the end; nothing may have failed in it."""

@@ -8,7 +8,7 @@ import re
 
 import numpy as np
 import pytest
-from tests.browser.tab import tab
+from tests.browser.tab import model, tab
 from tests.builders.datasets import datasets, periodic, tables
 
 import gapsweep as gs
@@ -17,14 +17,7 @@ from gapsweep.explorer.question import EXACT, asked, numbers, of_model
 from gapsweep.explorer.widget import explore_path
 
 pytestmark = pytest.mark.browser
-MODEL = "Bokeh.documents[0].get_model_by_name({name!r})"
-
-
 EXACT_CURVE = "response 0 from rest"
-
-
-def model(name):
-    return MODEL.format(name=name)
 
 
 def source(name):

@@ -16,8 +16,6 @@ from scipy.linalg import expm
 import gapsweep as gs
 from gapsweep.model.system import first_order
 
-pytestmark = pytest.mark.extended
-
 W = 2.0 * math.pi
 EXACT = {"rtol": 1e-12, "atol": 1e-14}
 PLUNGE = [0.01, 0.0, 0.0]
@@ -45,6 +43,7 @@ def growth(speed, copy):
     return rates[rates.imag > 1.0].real.max()
 
 
+@pytest.mark.extended
 @pytest.mark.parametrize(
     ("copy", "flutter", "frequency"),
     [
@@ -60,6 +59,7 @@ def test_linear_flutter(copy, flutter, frequency):
     assert critical.imag / W == pytest.approx(frequency, abs=1e-4)
 
 
+@pytest.mark.extended
 @pytest.mark.parametrize(("speed", "grows"), [(23.85, False), (23.95, True)])
 def test_a_motion_without_freeplay_grows_beyond_flutter_alone(speed, grows):
     law = gs.systems.typical_section_law(freeplay=0.0)
@@ -78,6 +78,7 @@ def test_a_motion_without_freeplay_grows_beyond_flutter_alone(speed, grows):
     assert math.log(last / first) / 28.0 == pytest.approx(growth(speed, "darabseh"), rel=0.1)
 
 
+@pytest.mark.extended
 @pytest.mark.parametrize(
     ("copy", "m", "m_t", "zeta_h", "within"),
     [
@@ -125,6 +126,7 @@ def thin_airfoil(speed, density, a=-0.5, b=0.127, c=0.5, n=1 << 15):
     }
 
 
+@pytest.mark.extended
 def test_the_air_is_that_of_thin_airfoil_theory():
     speed, density = 12.0, 1.225
     air = thin_airfoil(speed, density)
@@ -165,6 +167,7 @@ LIMIT_CYCLES = [
 ]
 
 
+@pytest.mark.extended
 @pytest.mark.parametrize(
     ("copy", "speed", "larger", "smaller", "frequency", "crossings"), LIMIT_CYCLES
 )
@@ -183,6 +186,7 @@ def test_limit_cycles_of_the_section(copy, speed, larger, smaller, frequency, cr
     np.testing.assert_allclose(found, [smaller, larger], rtol=1e-6)
 
 
+@pytest.mark.extended
 def test_the_printed_change_of_limit_cycle():
     """Printed at 12.7778 m/s: one like those at 12.63 m/s gives way to one like that at 13 m/s."""
     law = gs.systems.typical_section_law("conner-scaled")
@@ -201,6 +205,7 @@ def test_the_printed_change_of_limit_cycle():
         assert offset < 1e-3 if is_symmetric else offset > 0.9
 
 
+@pytest.mark.extended
 def test_the_section_comes_to_rest_in_slow_air():
     """Conner's scaled copy has no limit cycle at 4.5 m/s, but one at 4.75 m/s."""
     law = gs.systems.typical_section_law("conner-scaled")
@@ -254,6 +259,7 @@ def grazing_of_soft_impact(zeta=0.01, load=0.9 * 0.8**2 / 1.26):
     return np.sqrt([middle - spread, middle + spread])
 
 
+@pytest.mark.extended
 @pytest.mark.parametrize(
     ("system", "run", "grazing", "expected"),
     [
@@ -283,6 +289,7 @@ def test_grazing_frequencies(system, run, grazing, expected):
                 assert largest == pytest.approx(abs(swing[0]), abs=1e-11)
 
 
+@pytest.mark.extended
 def test_the_response_of_two_masses_at_the_printed_frequencies():
     """Of one period at 0.635, and of none up to 16 at 0.6."""
     settled = [0.9613616, 0.65788321, 0.31679085, 0.08600155]
@@ -324,6 +331,7 @@ BIFURCATIONS = [
 ]
 
 
+@pytest.mark.extended
 @pytest.mark.parametrize(("kind", "rate", "start", "critical"), BIFURCATIONS)
 def test_bifurcations_of_two_masses(kind, rate, start, critical):
     orbit = two_masses(rate, W / rate, q_0=start[:2], v_0=start[2:], tangent=True)
@@ -339,12 +347,14 @@ def test_bifurcations_of_two_masses(kind, rate, start, critical):
 # The soft impact oscillator and the gear pair.
 
 
+@pytest.mark.extended
 def test_a_motion_of_the_soft_impact_oscillator():
     motion = soft_impact(0.8, 50.0)
     assert motion.n_contacts == 6
     np.testing.assert_allclose(state(motion), [-0.208328011543, -0.664315253597], atol=1e-9)
 
 
+@pytest.mark.extended
 @pytest.mark.parametrize(
     ("rate", "periods", "largest", "orbit"),
     [
@@ -363,6 +373,7 @@ def test_responses_of_the_soft_impact_oscillator(rate, periods, largest, orbit):
     assert again.extrema["x"].max() == pytest.approx(largest, abs=1e-6)
 
 
+@pytest.mark.extended
 def test_smooth_laws_of_the_stop_of_two_masses_find_the_exact_periods():
     stop = gs.systems.two_masses_law()
     omega = [0.085, 0.094, 0.098, 0.1011, 0.12]
@@ -373,6 +384,7 @@ def test_smooth_laws_of_the_stop_of_two_masses_find_the_exact_periods():
         assert set(found.response_class) == {gs.ResponseClass.PERIODIC}, label
 
 
+@pytest.mark.extended
 def test_an_arctan_stop_on_one_side_has_the_force_of_its_one_wall():
     for stop in (gs.systems.two_masses_law(), gs.systems.soft_impact_oscillator_law()):
         law = gs.contact_law("arctan-1e3", stop.K_c, stop.gap, K_ratio=stop.K_ratio)
@@ -381,12 +393,14 @@ def test_an_arctan_stop_on_one_side_has_the_force_of_its_one_wall():
         np.testing.assert_allclose(law.force(1.0 + depth), one_wall, rtol=1e-12, atol=0.0)
 
 
+@pytest.mark.extended
 def test_no_motion_reaches_the_other_wall_of_a_one_sided_stop():
     motion = soft_impact(0.8, 10.0, q_0=[-2e3])
     assert gs.Status(motion.status) is gs.Status.DIVERGED
     assert motion.n_contacts == 0
 
 
+@pytest.mark.extended
 @pytest.mark.parametrize(
     ("rate", "n_contacts", "end"),
     [
@@ -403,6 +417,7 @@ def test_motions_of_the_gear_pair(rate, n_contacts, end):
     assert np.linalg.det(motion.monodromy) == pytest.approx(math.exp(-0.1 * 200.0), rel=1e-6)
 
 
+@pytest.mark.extended
 def test_the_module_shows_machines_and_their_laws():
     shown = {name for name in dir(gs.systems) if name.islower()}
     systems = {"gear_pair", "soft_impact_oscillator", "two_masses", "typical_section"}

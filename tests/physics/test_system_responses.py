@@ -11,8 +11,6 @@ from numpy.testing import assert_allclose
 import gapsweep as gs
 from gapsweep.integrate.stepping import batch
 
-pytestmark = pytest.mark.extended
-
 GAP = gs.Gap(4e-4, 6e-4)
 # Damped so that each scene has one attractor: which one a start ends on is another question.
 OSCILLATORS = (
@@ -70,6 +68,7 @@ def two_equal_machines():
     )  # fmt: skip
 
 
+@pytest.mark.extended
 def test_uncoupled_oscillators_respond_each_as_alone():
     omega = np.linspace(4.0, 14.0, 30)
     together = gs.respond(
@@ -88,6 +87,7 @@ def test_uncoupled_oscillators_respond_each_as_alone():
     assert_allclose(together.contact_share[periodic], shares[periodic], atol=1e-5)
 
 
+@pytest.mark.extended
 def test_other_coordinates_change_no_answer():
     change = np.array([[1.0, 0.4], [-0.3, 0.8]])
     omega = np.linspace(4.0, 14.0, 20)
@@ -103,6 +103,7 @@ def test_other_coordinates_change_no_answer():
     assert_allclose(turned.multiplier_abs[periodic], plain.multiplier_abs[periodic], atol=1e-5)
 
 
+@pytest.mark.extended
 @pytest.mark.parametrize("kind", [gs.Piecewise, partial(gs.Tanh, epsilon=3e3)])
 def test_orbits_of_coupled_masses_are_where_brute_force_settles(kind):
     system, laws = coupled()
@@ -120,6 +121,7 @@ def test_orbits_of_coupled_masses_are_where_brute_force_settles(kind):
     assert n_checked > 10
 
 
+@pytest.mark.extended
 def test_a_linear_system_responds_as_its_transfer_function():
     system = gs.System(
         mass=np.diag([1.0, 0.5]),
@@ -165,6 +167,7 @@ def test_no_engine_locates_some_contacts_only(engine, other):
         gs.simulate(system, law, 3.0, t_end=0.1, engine=engine)
 
 
+@pytest.mark.extended
 def test_a_part_too_light_to_be_seen_is_not_judged():
     # Uncoupled parts, so that the heavy one cannot matter: the light one alone is chaotic.
     small, w = 1e-5, 0.9
@@ -187,6 +190,7 @@ def test_a_part_too_light_to_be_seen_is_not_judged():
     assert "within solver error" in found.message
 
 
+@pytest.mark.extended
 @pytest.mark.parametrize(
     ("K_c", "gap", "said"),
     [(87.0, 0.1, gs.Status.UNRESOLVED), (87.0, 0.0, gs.Status.DIVERGED), (0.0, 0.1, gs.Status.OK)],
@@ -204,6 +208,7 @@ def test_nothing_is_claimed_of_a_motion_along_its_wall(K_c, gap, said):
         assert found.status in (said, gs.Status.DIVERGED if K_c and apart else said)
 
 
+@pytest.mark.extended
 def test_contact_that_chatter_ends_is_counted_once(monkeypatch):
     """Whether the last of many passings led into contact or out of it."""
     system = two_equal_machines()
@@ -216,6 +221,7 @@ def test_contact_that_chatter_ends_is_counted_once(monkeypatch):
     assert_allclose(shares, shares[0], rtol=1e-6)
 
 
+@pytest.mark.extended
 @pytest.mark.parametrize(("small", "is_seen"), [(1e-3, True), (1e-7, False)])
 def test_a_cubic_spring_too_light_to_be_seen_is_not_judged(small, is_seen):
     # Ueda's oscillator with two wells, chaotic, beside a linear one as its own.
@@ -235,6 +241,7 @@ def test_a_cubic_spring_too_light_to_be_seen_is_not_judged(small, is_seen):
     assert found.response_class == gs.ResponseClass.PERIODIC
 
 
+@pytest.mark.extended
 def test_a_torus_beside_a_part_that_repeats_is_found():
     # Without loss the first coordinate keeps its own frequency for ever; no contact is reached.
     system = gs.System(
@@ -253,6 +260,7 @@ def test_a_torus_beside_a_part_that_repeats_is_found():
     assert precise.lyapunov_error <= steady.lyapunov_error
 
 
+@pytest.mark.extended
 def test_a_torus_is_not_given_the_slow_orbit_that_it_passes():
     """Every few dozen periods it comes within 1 % of its reach of a stable one (|mu| = .999)."""
     system = gs.System(
@@ -292,6 +300,7 @@ def whirling(growth, driven=1.3):
     return system, gs.Piecewise(1.0, gs.Gap(1e5, 1e5)), w, math.sqrt(w * w - 1.0)
 
 
+@pytest.mark.extended
 def test_a_torus_that_is_settled_on_slowly_is_read_off_its_end():
     """Damping says that this takes 20 s; towards the torus it takes up to 1e5, or too long."""
     systems, laws, w, amplitude = zip(*map(whirling, (0.0015, 0.001, 1e-4)), strict=True)
@@ -305,6 +314,7 @@ def test_a_torus_that_is_settled_on_slowly_is_read_off_its_end():
     assert "allow more time" in found.message[2]
 
 
+@pytest.mark.extended
 def test_a_torus_that_nearly_closes_is_no_period_to_a_loose_solver():
     """After n periods it is back to within what a step may be off by, and creeps on."""
     system, law, w, _ = whirling(0.5)
@@ -314,6 +324,7 @@ def test_a_torus_that_nearly_closes_is_no_period_to_a_loose_solver():
     assert (found.response_class == gs.ResponseClass.QUASIPERIODIC).all()
 
 
+@pytest.mark.extended
 def test_a_torus_beside_a_smooth_solver_s_rattle_is_found():
     """The driven coordinate repeats to 1e-7, which is white: its own means are never even."""
     system, _, _, amplitude = whirling(0.5)
@@ -323,6 +334,7 @@ def test_a_torus_beside_a_smooth_solver_s_rattle_is_found():
     assert_allclose(found.x_max[:, 1:], amplitude, rtol=1e-5)
 
 
+@pytest.mark.extended
 def test_an_orbit_that_is_come_to_while_watched_is_found():
     """A spring of 3e-5 locks the whirl to its drive, over tens of thousands of periods."""
     system, _, w, amplitude = whirling(0.5, driven=2.0)
@@ -337,6 +349,7 @@ def test_an_orbit_that_is_come_to_while_watched_is_found():
     assert_allclose(found.x_end[0], found.x_end[1], atol=1e-6)
 
 
+@pytest.mark.extended
 @pytest.mark.parametrize("alpha", [1e-9, 1.0])
 def test_a_part_that_its_stop_holds_is_not_hidden_by_a_weak_spring(alpha):
     # Pressed on the stop it moves by 1e-7 of the rest, and the cubic spring adds nothing to that.
@@ -370,6 +383,7 @@ def neighbours_part(system, law, omega, found, n_periods):
     return np.linalg.norm(np.diff(np.concatenate([run.q_end, run.v_end], axis=1), axis=0)) / 2e-9
 
 
+@pytest.mark.extended
 def test_a_torus_whose_disturbances_grow_for_a_while_is_not_chaotic():
     """It beats so slowly that a short growth puts its exponent up to five errors above zero."""
     law = gs.Piecewise(9357.2, gs.Gap(9.0356e-3, 9.6202e-3))
@@ -387,6 +401,7 @@ def test_a_torus_whose_disturbances_grow_for_a_while_is_not_chaotic():
         assert neighbours_part(system, law, at, one, 1000) < 1e3  # as time goes by
 
 
+@pytest.mark.extended
 def test_an_exponent_is_measured_as_well_as_asked_for():
     law = gs.Piecewise(8087.68, gs.Gap(5.41548e-3, 16.65218e-3))
     system = fluttering(
@@ -405,6 +420,7 @@ def test_an_exponent_is_measured_as_well_as_asked_for():
     assert abs(precise.lyapunov - found.lyapunov) < 4.0 * found.lyapunov_error
 
 
+@pytest.mark.extended
 def test_the_largest_force_of_a_stiffness_that_changes_is_not_said():
     system = gs.System(
         mass=[[1.0]], stiffness=[[0.0]], damping=[[0.1]], contacts={"mesh": [1.0]},
@@ -423,6 +439,7 @@ def test_basins_of_a_system_are_refused_before_anything_else(omega):
         gs.basins(system, law, **omega, x=[0.0], v=[0.0])
 
 
+@pytest.mark.extended
 def test_what_leaves_an_orbit_slowly_is_not_chaotic():
     """Beside a period doubling: a tiny, steady growth that a sweep comes upon."""
     system, law = gs.systems.two_masses(), gs.systems.two_masses_law()
@@ -433,6 +450,7 @@ def test_what_leaves_an_orbit_slowly_is_not_chaotic():
     assert (settled.response_class, settled.period_multiple) == (gs.ResponseClass.PERIODIC, 2)
 
 
+@pytest.mark.extended
 def test_beyond_its_torus_the_two_masses_are_chaotic():
     system, law = gs.systems.two_masses(), gs.systems.two_masses_law()
     found = gs.respond(system, law, 0.0966, q_0=[0.5, 0.1])
@@ -440,6 +458,7 @@ def test_beyond_its_torus_the_two_masses_are_chaotic():
     assert found.lyapunov > 5.0 * found.lyapunov_error
 
 
+@pytest.mark.extended
 @pytest.mark.parametrize("stiffness", [1.0, 1e-3])
 def test_a_mass_that_walls_hold_has_the_default_tolerance_of_the_same_oscillator(stiffness):
     """A soft spring alone would let it move 4 m and 4 km."""

@@ -406,7 +406,7 @@ def test_what_is_the_exact_law_is_no_approximation(responses, label):
     assert label not in said
 
 
-def test_a_law_of_ones_own_is_a_approximation_whatever_its_module_is_called():
+def test_a_law_of_ones_own_is_an_approximation_whatever_its_module_is_called():
     assert judged("piecewise_fits:spring").is_approximation
 
 

@@ -140,7 +140,7 @@ def test_what_is_no_oscillator_is_refused():
         ("tangent", "unknown representation"),
     ],
 )
-def test_what_cannot_approximation_is_refused(typed, said):
+def test_labels_that_cannot_be_shown_are_refused(typed, said):
     with pytest.raises(ModelError, match=said):
         labels(typed)
 

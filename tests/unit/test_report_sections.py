@@ -848,7 +848,7 @@ def test_the_page_says_how_it_was_made(page):
     assert Study.from_dict(json.loads(unescape(settings)))
 
 
-def test_claims_approximation_the_page_with_their_numbers(page):
+def test_claims_are_on_the_page_with_their_numbers(page):
     text = page.read_text()
     assert [v for v in VERDICTS if f'data-verdict="{v}"' not in text] == []
     assert "1 refuted, 1 partly, 1 confirmed, 1 undecidable" in text

@@ -7,7 +7,7 @@ import xarray as xr
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from gapsweep.model.labels import contact_law
+from gapsweep.model.labels import Representation, contact_law
 from gapsweep.model.oscillator import Gap
 from gapsweep.report import marks
 from gapsweep.report.scales import axis_label, drawn, plain
@@ -35,11 +35,11 @@ def unit_forces(static: xr.Dataset, labels: tuple[str, ...]) -> Forces:
     gap, x = Gap(static["j_1"].item(), static["j_2"].item()), static["x"].values
     found = {}
     for label in (EXACT, *labels):
-        law = label.removesuffix(CONSTRAINED)
+        law = Representation(label.removesuffix(CONSTRAINED))
         if law == label:
             found[label] = contact_law(label, 1.0, gap, x[-1]).force(x)
         else:
-            found[label] = polynomial(gap, int(law.partition("-")[2]), x[-1], 2)(x)
+            found[label] = polynomial(gap, int(law.parameter), x[-1], 2)(x)
     return found
 
 
