@@ -189,6 +189,15 @@ def test_no_two_numbers_of_a_law_share_a_row(law):
     assert len({*rows.values()}) == len(rows)
 
 
+@pytest.mark.parametrize("law", [law for law in laws.LAWS if law.is_sharpened], ids=str)
+def test_a_law_with_layers_says_how_thin_they_are(law):
+    """Steps look for them there; a layer that is not known is stepped over."""
+    sharpness = np.array([1e4, 1e6])
+    rows = law.rows(np.full(2, -4e-4), np.full(2, 4e-4), np.ones(2), sharpness)
+    assert (rows["layer"] > 0.0).all()
+    assert_allclose(rows["layer"][0] / rows["layer"][1], 100.0)
+
+
 @pytest.mark.parametrize("family", ["tanh", "arctan", "logarctan"])
 @pytest.mark.parametrize("gap", [SYMMETRIC, ASYMMETRIC, gs.Gap(0.0, 0.0)])
 def test_smooth_laws_tend_to_the_exact_one(family, gap):
