@@ -336,7 +336,7 @@ def test_users_law_is_measured_and_a_failing_one_is_refused_alone(module):
     expected = math.sqrt(stiffness / 3.0) / (2.0 * math.pi)
     assert_allclose(spring["in_gap_frequency"], expected, rtol=1e-6)
     assert (spring["refusal"].item(), int(spring["n_equilibria"])) == ("", 1)
-    assert "ZeroDivisionError" in broken["refusal"].item()
+    assert "not finite" in broken["refusal"].item()
     assert np.isnan(broken["force"]).all()
     assert int(broken["n_equilibria"]) == 0
 

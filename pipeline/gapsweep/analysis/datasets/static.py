@@ -34,6 +34,7 @@ from gapsweep.model.equilibria import equilibria, linear_stiffness, restoring_sl
 from gapsweep.model.labels import EXACT, Representation
 from gapsweep.model.laws.tanh import Tanh
 from gapsweep.model.oscillator import Gap, Oscillator
+from gapsweep.model.user_law import UserLaw
 from gapsweep.study.schema import COORDINATES
 from gapsweep.study.study import Study
 from gapsweep.user_code.package_digest import numerics_fingerprint
@@ -284,6 +285,9 @@ def _of_walls(x: Array, study: Study, label: str, K_c: float, gap: Gap, K_ratio:
     """The law, and the values that depend on the law only, not on the oscillator."""
     law, x_max = study.law(label, K_c, gap, K_ratio), study.spec.fit.range
     force = law.force(x)
+    if isinstance(law, UserLaw) and not np.isfinite(force).all():
+        nowhere = x[~np.isfinite(force)][0]
+        raise ModelError(f"{label}: its force is not finite at x = {nowhere:g} m")
     return {
         "law": law,
         "force": force,
