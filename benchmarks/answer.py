@@ -190,7 +190,12 @@ def signs(found: Sequence[Contact]) -> str:
     """Verdicts of laws over cases, and the smallest adequate parameters."""
     rows = by_law(found, cell)
     for family in FAMILIES[:2]:
-        rows.append([f"{family}: smallest adequate ε [1/m]", *(one.least(family) for one in found)])
+        rows.append(
+            [
+                f"{family}: smallest adequate ε [1/m]",
+                *(one.least(family) or "not tried" for one in found),
+            ]
+        )
     rows.append(["tanh: one well [1/m]", *(one.threshold for one in found)])
     return table(heads(found), rows)
 
