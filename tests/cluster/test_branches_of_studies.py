@@ -24,8 +24,6 @@ from gapsweep.integrate.problem import Models, Solver
 from gapsweep.model.labels import Representation
 from gapsweep.model.own_law import OwnLaw
 
-pytestmark = pytest.mark.extended
-
 # The oscillator of pyvib: m = 1, c = .05, k = 1, 3 more beyond ±.1745, force .03.
 ONE_RAD = 1.0 / (2.0 * math.pi)
 OSCILLATOR = {"mass": 1.0, "omega_n": ONE_RAD, "zeta": 0.025, "alpha": 0.0, "forcing": 0.03}
@@ -90,12 +88,14 @@ def special(found, kind):
     return np.sort(found["omega"].values[found["special"].values == kind]) / ONE_RAD
 
 
+@pytest.mark.extended
 def test_special_points_are_those_of_the_exact_law(branches):
     exact = of_law(branches, "piecewise")
     np.testing.assert_allclose(special(exact, 1), FOLDS, rtol=1e-11)
     np.testing.assert_allclose(special(exact, 5), GRAZES, rtol=1e-11)
 
 
+@pytest.mark.extended
 def test_folds_are_those_that_the_call_finds(branches):
     law = gs.Tanh(3.0, gs.Gap(0.1745, 0.1745), 1e3)
     called = gs.branches(gs.systems.paper_oscillator(**OSCILLATOR), law, between=(0.1, 0.3))
@@ -104,6 +104,7 @@ def test_folds_are_those_that_the_call_finds(branches):
     np.testing.assert_allclose(ours, special(called, 1), rtol=1e-9)
 
 
+@pytest.mark.extended
 def test_a_special_point_of_the_file_is_continued_in_a_second_parameter(branches):
     """A graze between linear orbits: force over amplitude is the spring's dynamic stiffness."""
     table = branches.gapsweep.special_points()
@@ -118,6 +119,7 @@ def test_a_special_point_of_the_file_is_continued_in_a_second_parameter(branches
     assert "attractors.nc" in branches.attrs["initial_conditions"]
 
 
+@pytest.mark.extended
 def test_every_periodic_attractor_lies_on_a_branch_that_is_stable_there(branches, folder):
     with gs.open(folder / "out" / "attractors.nc") as attractors:
         labels = attractors["representation"] != "piecewise-noevents"
@@ -133,11 +135,13 @@ def test_every_periodic_attractor_lies_on_a_branch_that_is_stable_there(branches
         assert (branch["stable"].values[np.concatenate([passes, passes + 1])] == 1).any()
 
 
+@pytest.mark.extended
 def test_attractors_of_a_loose_solver_start_no_copies(client, tmp_path):
     found = run(gs.Study.from_dict(tables(solver={"rtol": 1e-5, "atol": 1e-8})), client, tmp_path)
     assert found["representation"].values.tolist() == ["piecewise", "tanh-1e3"]
 
 
+@pytest.mark.extended
 def test_scenes_and_settings_stand_in_the_file(branches):
     assert branches["representation"].values.tolist() == ["piecewise", "tanh-1e3"]
     assert (branches["attractor_status"] == 0).all()
@@ -148,6 +152,7 @@ def test_scenes_and_settings_stand_in_the_file(branches):
     assert {"study_json", "made_from", "numerics_fingerprint", "created"} <= set(branches.attrs)
 
 
+@pytest.mark.extended
 def test_attractors_are_those_of_the_other_file(branches, folder):
     with gs.open(folder / "out" / "attractors.nc") as attractors:
         names = [name for name in branches.coords if str(name).startswith("attractor_")]
@@ -168,6 +173,7 @@ def test_attractors_are_those_of_the_other_file(branches, folder):
     assert len(np.unique(heights[exact.values].round(6))) >= 2
 
 
+@pytest.mark.extended
 def test_a_state_of_each_attractor_returns_after_its_period(branches):
     law = gs.contact_law("piecewise", 3.0, gs.Gap(0.1745, 0.1745))
     label = branches["attractor_representation"].values
@@ -180,6 +186,7 @@ def test_a_state_of_each_attractor_returns_after_its_period(branches):
         assert motion.x_end == pytest.approx(x, abs=1e-6)
 
 
+@pytest.mark.extended
 def test_special_points_of_laws_are_compared(branches):
     assert branches["match_kind"].values.tolist() == [1, 1, 5, 5]
     exact, law = branches["match_exact"].values, branches["match_law"].values
@@ -190,6 +197,7 @@ def test_special_points_of_laws_are_compared(branches):
         np.testing.assert_array_equal(here / ONE_RAD, special(of_law(branches, "tanh-1e3"), kind))
 
 
+@pytest.mark.extended
 def test_the_end_of_a_doubled_branch_is_the_point_where_it_leaves():
     """Both rows are at 6 Hz: on the branch of period 1, and at the end of that of period 2."""
     stable, special = [[1, 1, 0], [1, 1, 1]], [[0, 1, 2], [0, 0, 2]]
@@ -203,6 +211,7 @@ def test_the_end_of_a_doubled_branch_is_the_point_where_it_leaves():
     assert table["match_period_multiple"].values.tolist() == [1, 1]
 
 
+@pytest.mark.extended
 def test_a_second_run_makes_nothing_and_a_new_folder_takes_all_from_the_cache(
     branches, client, folder, tmp_path, monkeypatch
 ):
@@ -218,6 +227,7 @@ def test_a_second_run_makes_nothing_and_a_new_folder_takes_all_from_the_cache(
     xr.testing.assert_identical(found.drop_attrs(deep=False), branches.drop_attrs(deep=False))
 
 
+@pytest.mark.extended
 def test_damaged_branches_of_a_scene_are_computed_again(branches, client, folder, tmp_path):
     stored = sorted((folder / "c" / "branches").glob("*/scene.nc"))
     assert len(stored) == 2
@@ -227,6 +237,7 @@ def test_damaged_branches_of_a_scene_are_computed_again(branches, client, folder
     xr.testing.assert_identical(found.drop_attrs(deep=False), branches.drop_attrs(deep=False))
 
 
+@pytest.mark.extended
 @pytest.mark.parametrize(("along", "omega"), [("forcing", 0.2), ("K_c", [0.2, 0.25])])
 def test_branches_along_another_parameter(along, omega, client, tmp_path):
     block = tables()["sweep"][0] | {"omega": omega, along: [2.0, 3.0, 4.0]}
@@ -245,6 +256,7 @@ def test_branches_along_another_parameter(along, omega, client, tmp_path):
     )
 
 
+@pytest.mark.extended
 def test_laws_that_are_fitted_at_every_value_are_refused_in_their_scene(client, tmp_path):
     block = tables()["sweep"][0] | {"representation": ["poly-13", "piecewise"], "omega": 0.2}
     block["K_c"] = [2.0, 3.0]
@@ -257,6 +269,7 @@ def test_laws_that_are_fitted_at_every_value_are_refused_in_their_scene(client, 
     assert (found["attractor_on_branch"].values[~is_fit] >= 0).all()
 
 
+@pytest.mark.extended
 def test_orbits_of_laws_of_several_kinds_are_integrated_each_with_its_own():
     laws = [gs.Tanh(1.4e4, gs.Gap(4e-4, 4e-4), epsilon) for epsilon in (1e3, 1e6, 1e3, 1e6)]
     assert {law.has_thin_layers for law in laws} == {False, True}
@@ -270,6 +283,7 @@ def test_orbits_of_laws_of_several_kinds_are_integrated_each_with_its_own():
     assert len(np.unique(found.state[:, 0])) == 2
 
 
+@pytest.mark.extended
 def test_branches_of_a_system_along_a_parameter_of_its_function(client, tmp_path):
     study = gs.Study.from_dict(
         {
@@ -302,6 +316,7 @@ def scene(folder):
         return next(branches_of_study.cases(study, attractors)).scene
 
 
+@pytest.mark.extended
 def test_what_becomes_of_a_scene_whose_process_ends_or_hangs_is_its_status(
     branches, client, folder
 ):
@@ -318,6 +333,7 @@ def test_what_becomes_of_a_scene_whose_process_ends_or_hangs_is_its_status(
     assert found[2].status == gs.Status.OK
 
 
+@pytest.mark.extended
 def test_failed_scenes_are_in_the_file_and_are_tried_again_if_asked(client, tmp_path, monkeypatch):
     study = gs.Study.from_dict(tables())
     failing = branch_tasks.Followed(gs.Status.ERROR, "lost")
@@ -343,6 +359,7 @@ def test_failed_scenes_are_in_the_file_and_are_tried_again_if_asked(client, tmp_
     assert (found["attractor_on_branch"] >= 0).all()
 
 
+@pytest.mark.extended
 def test_curves_do_not_repeat_failed_branches(client, tmp_path, monkeypatch):
     block = tables()["sweep"][0] | {"representation": ["piecewise", "tanh-1e3"]}
     given = {"second": "forcing", "range": [0.02, 0.04]}
@@ -367,6 +384,7 @@ def of_attractors(found, label):
     return found["attractor_on_branch"].values[found["attractor_representation"].values == label]
 
 
+@pytest.mark.extended
 def test_a_killed_run_computes_only_the_scene_that_it_lacks(branches, run_command, tmp_path):
     (tmp_path / "folds.toml").write_text(STUDY)
     command = ["run", "folds.toml", "--workers", "1", "--out", "out", "--cache", "c"]

@@ -18,8 +18,6 @@ from gapsweep.execution.plan import plan
 from gapsweep.response.result import Responses
 from gapsweep.store.cache import Cache
 
-pytestmark = pytest.mark.extended
-
 WORKFLOWS = Path(__file__).parents[2] / "workflows"
 STUDIES = [str(path.relative_to(WORKFLOWS)) for path in sorted(WORKFLOWS.rglob("*.toml"))]
 
@@ -75,6 +73,7 @@ def reduced(tables):
     return tables | {"sweep": [block]}
 
 
+@pytest.mark.extended
 @pytest.mark.parametrize("name", STUDIES)
 def test_of_our_own_studies(client, tmp_path, name):
     path = WORKFLOWS / name
@@ -90,6 +89,7 @@ def swept(label, omega, **others):
     )
 
 
+@pytest.mark.extended
 def test_of_a_sweep_through_a_polynomial_that_runs_away(client, tmp_path):
     """Its motion leaves the fitted range, which is a result, and has no end state."""
     study = swept("poly-13", {"start": 1.0, "stop": 30.0, "step": 1.0})
@@ -101,6 +101,7 @@ def test_of_a_sweep_through_a_polynomial_that_runs_away(client, tmp_path):
     assert any(np.isfinite(one.x_end) for one in found)
 
 
+@pytest.mark.extended
 @pytest.mark.parametrize("force", ["raising", "undefined"])
 def test_of_a_sweep_through_failures(client, tmp_path, force):
     """The law fails beyond a displacement that is reached at resonance alone."""

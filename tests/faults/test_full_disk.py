@@ -22,8 +22,6 @@ from gapsweep.store.cache import Cache
 from gapsweep.store.maintenance import verify
 from gapsweep.store.state import RunState
 
-pytestmark = pytest.mark.extended
-
 OMEGA = "{ start = 10.0, stop = 20.0, num = 1201 }"
 STUDY = study_text(["piecewise"], OMEGA, name="full")
 SMALL = {
@@ -61,6 +59,7 @@ def one_error(done):
     return error
 
 
+@pytest.mark.extended
 def test_full_disk_while_committing(run, folder):
     (folder / "full.toml").write_text(STUDY.replace("num = 1201", "num = 13"))
     assert run("few").returncode == 0
@@ -80,6 +79,7 @@ def test_full_disk_while_committing(run, folder):
     )
 
 
+@pytest.mark.extended
 def test_full_disk_while_exporting(run, folder):
     whole = run("whole")
     assert whole.returncode == 0, whole.stderr

@@ -12,8 +12,6 @@ import pytest
 
 import gapsweep
 
-pytestmark = pytest.mark.extended
-
 SOURCES = Path(gapsweep.__file__).parent
 RUN = """
 import gapsweep as gs
@@ -66,6 +64,7 @@ def machine_code(tmp_path_factory):
     return SOURCES.parent, folder, printed(start(SOURCES.parent, folder))
 
 
+@pytest.mark.extended
 def test_edited_helper_gives_new_numbers_in_the_next_process(copy, tmp_path):
     before = printed(start(copy, tmp_path / "code"))
     # Sampling enters compiled code in sample.py and evaluates polynomials in roots.py.
@@ -78,6 +77,7 @@ def test_edited_helper_gives_new_numbers_in_the_next_process(copy, tmp_path):
     assert float.fromhex(x_after) == 2.0 * float.fromhex(x_before)
 
 
+@pytest.mark.extended
 def test_processes_that_start_together_on_no_code_agree_and_compile_once(copy, tmp_path):
     together = [start(copy, tmp_path / "code", RUN + COUNTED) for _ in range(3)]
     said = [printed(process).splitlines() for process in together]
@@ -85,6 +85,7 @@ def test_processes_that_start_together_on_no_code_agree_and_compile_once(copy, t
     assert sum(int(count) for _, count in said) == 3
 
 
+@pytest.mark.extended
 def test_a_killed_process_leaves_no_lock_behind(copy, tmp_path):
     first = start(copy, tmp_path / "code")
     while not list(tmp_path.glob("code/gapsweep/compiled-*/*.lock")):
@@ -94,6 +95,7 @@ def test_a_killed_process_leaves_no_lock_behind(copy, tmp_path):
     assert printed(start(copy, tmp_path / "code"))
 
 
+@pytest.mark.extended
 @pytest.mark.parametrize("damage", [lambda code: b"", lambda code: code[:-9] + b"x" * 9])
 def test_damaged_machine_code_is_made_again(machine_code, damage):
     package, folder, numbers = machine_code
@@ -104,6 +106,7 @@ def test_damaged_machine_code_is_made_again(machine_code, damage):
     assert found[:32] == hashlib.sha256(found[32:]).digest()
 
 
+@pytest.mark.extended
 def test_machine_code_under_anothers_name_is_not_run(machine_code):
     """As a race could leave it, or a name that stands for two signatures."""
     package, folder, numbers = machine_code
@@ -128,6 +131,7 @@ def test_code_in_a_folder_of_somebody_else_is_not_run(copy, tmp_path):
     assert not private.stat().st_mode & 0o077
 
 
+@pytest.mark.extended
 def test_unwritable_folders_fall_back_to_the_next(copy, tmp_path):
     blocked = tmp_path / "file"
     blocked.write_text("no folder can be made below a file")
@@ -150,6 +154,7 @@ print(numerics_fingerprint())
 """
 
 
+@pytest.mark.extended
 def test_importing_leaves_byte_code_as_it_is(copy, tmp_path):
     """Also where it is older than its source, as in an image or a restored copy."""
     compileall.compile_dir(copy / "gapsweep" / "model", quiet=1)
