@@ -145,7 +145,11 @@ def test_orbits_are_those_of_the_equation(case):
             turns = truth.extrema[i]
             if case.omega:
                 assert np.ravel(found.n_extrema)[i] == len(turns)
-            elif i == 0:  # a section point is a maximum: that at an end may be on either side
+            elif (
+                i == 0
+            ):  # a section point is a maximum: that at an end may be on either side, or both
+                if np.isclose(turns[0], turns[-1], rtol=1e-9):
+                    turns = turns[:-1]
                 n_maxima = np.sum(np.diff(np.append(turns, turns[:2])) < 0.0)
                 assert abs(n_maxima - found.period_multiple) <= 1
             assert_allclose(np.ravel(found.x_max)[i], turns.max(), atol=1e-7 * size[i])
