@@ -206,7 +206,7 @@ def test_a_figure_of_a_system_names_the_coordinate_and_what_is_fixed():
     )
     for number, said in enumerate(("initial_condition = sweep_up", "initial_condition = 1")):
         axes = shown.gapsweep.bifurcation(initial_condition=number, ax=Figure().subplots())
-        assert axes.get_ylabel() == "arm: steady extrema [unit of arm]"
+        assert axes.get_ylabel() == "arm: steady extrema\n[unit of arm]"
         assert axes.get_xlabel() == "forcing frequency [Hz]"
         title = axes.get_title(loc="left")
         assert title.startswith("tanh-10000, ")

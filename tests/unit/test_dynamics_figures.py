@@ -294,7 +294,7 @@ def test_of_systems_the_relative_displacement_is_the_difference_of_two_coordinat
     ax.clear()
     ds.gapsweep.poincare(omega=0.16, n_points=50, coordinate="x_2", ax=ax)
     assert_allclose(ax.lines[0].get_data(), [q_2, v_2])
-    assert ax.get_xlabel() == "x_2: section displacement [unit of x_2]"
+    assert ax.get_xlabel() == "x_2: section displacement\n[unit of x_2]"
     history = gs.plot(run, "between", start=0.0).axes[0]
     (line, *walls) = history.lines
     t, drawn = line.get_data()
