@@ -107,6 +107,25 @@ def test_where_arithmetic_has_no_result_the_model_is_invalid(function, engine, a
     assert "force" in found.message
 
 
+def at_rest_only(x):
+    return 0.0 if x == 0.0 else 1.0 / 0.0
+
+
+def below_rest_only(x):
+    return math.sqrt(-x) - 1.4e4 * x
+
+
+@pytest.mark.parametrize("rtol", [1e-4, 1e-9])  # both methods of scipy
+@pytest.mark.parametrize("engine", ["compiled", "scipy"])
+@pytest.mark.parametrize("function", [at_rest_only, below_rest_only])
+def test_a_force_that_is_undefined_next_to_the_first_state_ends_the_motion(function, engine, rtol):
+    """Steps of scipy are limited by the rounding of the time, which is zero here."""
+    law = gs.law(function, K_c=0.0, gap=SYMMETRIC)
+    how = {"engine": engine, "rtol": rtol, "time_limit": 20.0}
+    found = gs.respond(paper_oscillator(), law, 9.0, **how)
+    assert found.status is Status.MODEL_INVALID
+
+
 @pytest.mark.parametrize("time_limit", [0.0, -1.0, math.nan, "1"])
 def test_a_time_limit_is_a_time(time_limit):
     for call in (gs.respond, partial(gs.simulate, t_end=1.0, dense_output=True)):

@@ -21,7 +21,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.integrate import solve_ivp
+from scipy.integrate import DOP853, RK45, solve_ivp
 from scipy.interpolate import PPoly
 from scipy.optimize import brentq
 
@@ -58,6 +58,36 @@ _NEAR = 1e-9  # of a gap: how far rounding puts a contact from the wall that it 
 _START_NFEV = 2
 _STEP_NFEV = {"RK45": 6, "DOP853": 12}
 _DENSE_NFEV = {"RK45": 0, "DOP853": 3}
+
+
+class _ShortestStep:
+    """Mixin of a method of scipy: a step below the rounding of the end time fails.
+
+    scipy compares a step with the present time, which is zero when a motion begins: where the force
+    is undefined next to that state, it would go on with steps of 1e-160 s.
+    """
+
+    t: float
+    t_bound: float
+    h_previous: float
+    TOO_SMALL_STEP: str
+
+    def _step_impl(self) -> tuple[bool, str | None]:
+        is_done, message = super()._step_impl()  # type: ignore[misc]  # of the method of scipy
+        if is_done and self.t < self.t_bound and self.h_previous < np.spacing(self.t_bound):
+            return False, self.TOO_SMALL_STEP
+        return is_done, message
+
+
+class _RK45(_ShortestStep, RK45):
+    pass
+
+
+class _DOP853(_ShortestStep, DOP853):
+    pass
+
+
+_METHODS = {"RK45": _RK45, "DOP853": _DOP853}
 
 
 @dataclass(frozen=True, slots=True)
@@ -293,7 +323,7 @@ def _solve(
         scene.rhs(modes),
         (t, t_end),
         y,
-        scene.method,
+        _METHODS[scene.method],
         dense_output=True,
         events=[_contact_event(scene, modes, *each, t, y, on_wall) for each in exits]
         + [_Stop(lambda t, y: max(map(abs, y[: scene.n])) - DIVERGED_AT)],
@@ -308,7 +338,8 @@ def _solve(
     if diverged.size or not all(map(math.isfinite, end)):
         run.status = Status.DIVERGED
     elif solution.status < 0:
-        lost = _is_undefined_ahead(scene.rhs(modes), solution.t[-1], solution.y[:, -1])
+        ahead = 10.0 * np.spacing(max(solution.t[-1], t_end))
+        lost = _is_undefined_ahead(scene.rhs(modes), solution.t[-1], solution.y[:, -1], ahead)
         why = Status.MODEL_INVALID if UserLaw in map(type, scene.laws) else Status.DIVERGED
         run.status = why if lost else Status.STEP_UNDERFLOW
     hits = [
@@ -325,11 +356,18 @@ def _on_wall(scene: ReferenceScene, y: State, contact: int, wall: float) -> Stat
     return (wall, *y[1:]) if scene.n == 1 and scene.gap(contact, (1.0,)) == 1.0 else y
 
 
-def _is_undefined_ahead(rhs: Callable[[float, Array], State], t: float, y: Array) -> bool:
+def _is_undefined_ahead(
+    rhs: Callable[[float, Array], State], t: float, y: Array, shortest: float
+) -> bool:
     """Whether the right-hand side is not finite just ahead, so that steps became too small."""
-    slope = np.asarray(rhs(t, y))
-    steps = 10.0 * np.spacing(t) * 10.0 ** np.arange(7)
-    return any(not np.all(np.isfinite(rhs(t + h, y + h * slope))) for h in steps)
+    for step in shortest * 10.0 ** np.arange(7):
+        # Two steps of Euler's method: from rest, the first one changes velocities only.
+        after = y + step * np.asarray(rhs(t, y))
+        slope = np.asarray(rhs(t + step, after))
+        last = rhs(t + 2.0 * step, after + step * slope)
+        if not (np.isfinite(slope).all() and np.isfinite(last).all()):
+            return True
+    return False
 
 
 def _exits(modes: Modes) -> list[tuple[int, int]]:
