@@ -22,7 +22,7 @@ from gapsweep.integrate import (
 def kernels(folder):
     """Layouts of the kernels in a folder, with the names of their methods."""
     for file in sorted(Path(folder).glob("*loop._advance-*.code")):
-        parts = pickle.loads(file.read_bytes()[jit._CHECKSUM :])
+        parts = pickle.loads(file.read_bytes()[jit.CHECKSUM :])
         (args,) = (each.args for each in parts if type(each).__name__ == "Signature")
         state = args[1]
         method = state.types[state.fields.index("method")].instance_class.__name__

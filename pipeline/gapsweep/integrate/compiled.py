@@ -80,7 +80,7 @@ def _by_taylor(models: Models, solver: Solver) -> bool:
     """Whether the Taylor method integrates the models; refuse models that no method integrates."""
     laws, n_located = models.laws[0], models.n_located
     solver.check_located(n_located, len(laws), is_oscillator=_is_oscillator(models))
-    if solver.controller != "native" or (n_located and solver.runge_kutta):
+    if solver.controller != "native" or (n_located and solver.runge_kutta_setting):
         return not laws
     if _is_oscillator(models) and isinstance(laws[0], Tanh):
         return laws[0].has_thin_layers or solver.rtol <= _THICK_LAYERS_UP_TO

@@ -92,7 +92,7 @@ LEVELS = {
     "x86-64-v4": {"avx512f", "avx512bw", "avx512cd", "avx512dq", "avx512vl"},
     "x86-64-v3": {"avx2", "bmi", "bmi2", "f16c", "fma", "lzcnt", "movbe"},
 }
-_CHECKSUM = hashlib.sha256().digest_size
+CHECKSUM = hashlib.sha256().digest_size
 _LONGEST_WAIT = 120.0  # seconds, for another process that compiles the same code
 SHIPPED = Path(__file__).parents[1] / "machine_code"
 # Environment variable with the folder to which machine code to be shipped is written.
@@ -120,7 +120,7 @@ class _Code:
             found = self._file(key).read_bytes()
         except OSError:
             return None
-        checksum, data = found[:_CHECKSUM], found[_CHECKSUM:]
+        checksum, data = found[:CHECKSUM], found[CHECKSUM:]
         if hashlib.sha256(data).digest() != checksum:
             return None
         return pickle.loads(data)  # machine code, checksum right, from a folder only we can write

@@ -390,7 +390,7 @@ class Solver:
         )
 
     @property
-    def runge_kutta(self) -> str:
+    def runge_kutta_setting(self) -> str:
         """The setting for which a compiled motion with located contacts takes Runge-Kutta steps.
 
         As in a study file; empty if there is none.
@@ -411,10 +411,15 @@ class Solver:
         is_oscillator : bool
             Whether the models are oscillators with ``is_classic``.
         """
-        if self.engine == "compiled" and n_located and self.runge_kutta and not is_oscillator:
+        if (
+            self.engine == "compiled"
+            and n_located
+            and self.runge_kutta_setting
+            and not is_oscillator
+        ):
             raise ModelError(
-                f"{self.runge_kutta}: needs an Oscillator with omega_n > 0 and mean_load = 0; "
-                "otherwise use engine='scipy', or located=False (piecewise-noevents)"
+                f"{self.runge_kutta_setting}: needs an Oscillator with omega_n > 0 and "
+                "mean_load = 0; otherwise use engine='scipy', or located=False (piecewise-noevents)"
             )
         if 0 < n_located < n_contacts:
             raise ModelError(
