@@ -3,8 +3,9 @@
 Every law has ``force(x)`` [N] and ``derivative(x)`` [N/m] on arrays of displacements [m],
 for symmetric, asymmetric and zero gaps. `gapsweep.model.labels` builds any law from its label.
 
-The laws of this package are classes in files of `gapsweep.model.laws`, each with all that the rest
-of the package uses: label, colour, texts, force, and the formulas that the compiled engine uses.
+The exact law is in this file. The approximations are classes in files of `gapsweep.model.laws`,
+each with all that the rest of the package uses: label, texts, force, and the formulas that the
+compiled engine uses.
 """
 
 import math
@@ -32,9 +33,10 @@ class Formulas(NamedTuple):
     Each is a function of the displacement x [m] and of the numbers that its other arguments name:
     ``stiffness`` [N/m] (of the upper wall; 1 for fits), ``low`` and ``high`` (positions of the
     walls [m]), ``ratio`` (`ContactLaw.K_ratio`), ``fit_range`` [m], and those of
-    `ContactLaw.rows`. A fit has its Chebyshev series, ``numerator`` and ``denominator``, directly
-    after x. A formula is written with operators, constants, the functions of
-    `gapsweep.model.arithmetic` and functions of the same file.
+    `ContactLaw.rows`, four at most. A fit has its Chebyshev series, ``numerator`` and
+    ``denominator``, directly after x. A formula is written with operators, constants, ``abs``,
+    ``min``, ``max``, the functions ``sqrt``, ``exp``, ``log``, ``atan`` and ``copysign`` of
+    ``math``, those of `gapsweep.model.arithmetic` and functions of the same file.
     """
 
     force: Callable[..., Any]

@@ -126,7 +126,7 @@ class Kind:
 # All tables of a study share a few kinds.
 @lru_cache(maxsize=256)
 def identity_of(kind: Kind) -> str:
-    """Return `Kind.identity`, kept until the process ends."""
+    """Return `Kind.identity`; the last 256 are kept."""
     values = asdict(replace(kind, own=None))
     values["law"] = values.pop("law_code")
     del values["own"]

@@ -58,6 +58,8 @@ def rows_of(law: type[ContactLaw]) -> dict[str, int]:
     several = filter(None, law.formulas)
     names = dict.fromkeys(name for each in several for name in _arguments(each))
     own = [name for name in names if name not in _ROWS and name not in _SERIES]
+    free = parameters.LAYER - OWN
+    assert len(own) <= free, f"{law.family}: {own}: a law has at most {free} own numbers"
     return _ROWS | {name: OWN + i for i, name in enumerate(own)}
 
 

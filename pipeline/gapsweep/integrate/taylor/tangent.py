@@ -1,9 +1,9 @@
 """Solutions of the variational equation over a Taylor step, for all lanes at once, as vector code.
 
-The step itself does not compute them: code for both in one place would take turns in the registers,
-and a step without a tangent half as much time again. Everything that the equation needs of the step
-is in the rows of the lanes and in the coefficients of the motion. One piece of code serves all
-solutions of a system, in a loop.
+The step does not compute them, except near a layer of tanh: code for both in one place would take
+turns in the registers, and a step without a tangent half as much time again. Everything that the
+equation needs of the step is in the rows of the lanes and in the coefficients of the motion. One
+piece of code serves all solutions of a system, in a loop.
 """
 
 from llvmlite import ir

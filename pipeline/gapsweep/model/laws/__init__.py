@@ -1,4 +1,4 @@
-"""The contact laws of this package: one file for each, and the list of all.
+"""The approximations of the exact law, fits in one file and each other law in one.
 
 A law is in the list `LAWS`, which labels, engines, advice, reports and the user guide read.
 """
