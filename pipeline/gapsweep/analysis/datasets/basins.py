@@ -16,7 +16,7 @@ from gapsweep.integrate.problem import DEFAULT_ENGINE, Solver
 from gapsweep.model.contact import ContactLaw
 from gapsweep.model.doubts import doubts, warn_of
 from gapsweep.model.oscillator import Oscillator, called_as, checked
-from gapsweep.model.system import floats
+from gapsweep.model.system import numbers
 from gapsweep.model.user_law import UserLaw
 from gapsweep.response.attractors import Attractors, Grouping
 from gapsweep.response.respond import check_steady, respond_all
@@ -171,10 +171,7 @@ def _answer(starts: tuple[Array, Array], scene: Scene, steady: Steady) -> Respon
 
 
 def _axis(name: str, values: ArrayLike) -> np.ndarray:
-    try:
-        axis = np.ravel(floats(values))
-    except (TypeError, ValueError, OverflowError):
-        axis = np.empty(0)
+    axis = np.ravel(numbers(name, values, "finite numbers and not empty"))
     if not axis.size or not np.all(np.isfinite(axis)):
         raise ModelError(f"{name} = {values!r}: must be finite numbers and not empty")
     return axis
