@@ -6,9 +6,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
+from tests.oracles.equation import Equation
 
 import gapsweep as gs
-from tests.oracles.equation import Equation
 
 MACHINE = {"mass": 3.0, "omega_n": 5.0, "zeta": 0.03, "forcing": 0.0}
 OMEGA = np.array([2.0, 4.6, 5.0, 9.0, 40.0])
@@ -190,6 +190,32 @@ def test_branches_follow_the_closed_form(name, along):
         for value in values[some]
     ]
     assert amplitude[some] == pytest.approx(np.array(expected), rel=1e-7)
+
+
+@pytest.mark.parametrize("name", ["base", "damper to the ground", "all"])
+def test_absolute_displacements_are_the_closed_form(name):
+    oscillator = machine(**LOADS[name])
+    low, high = gs.respond(oscillator, FREE, OMEGA, rtol=1e-12).absolute_range()
+    expected = np.abs(linear(oscillator, OMEGA)[0] + oscillator.base_amplitude)
+    scale = np.abs(oscillator.base_amplitude)
+    assert np.abs(high - expected).max() < 1e-8 * scale + 1e-8 * expected.max()
+    assert high == pytest.approx(-low, rel=1e-6)
+    run = gs.simulate(oscillator, FREE, OMEGA[:2], t_end=0.5, dense_output=True)
+    base = oscillator.base_amplitude * np.cos(2.0 * np.pi * OMEGA[:2] * 0.3)
+    assert run.absolute(0.3) - run.sample(0.3)[0] == pytest.approx(base, rel=1e-12)
+
+
+def test_datasets_of_studies_have_absolute_displacements(tmp_path):
+    block = {"representation": "piecewise", "K_c": 0.0, "gap": [1.0, 1.0], "omega": [4.6, 9.0]}
+    tables = {"oscillator": MACHINE, "sweep": [block | {"base_amplitude": [0.0, 1e-4]}]}
+    study = gs.Study.from_dict({"study": {"name": "s"}} | tables)
+    responses = gs.run(study, out=tmp_path / "run", cache=tmp_path / "cache", workers=1)
+    found = responses.gapsweep.with_absolute()
+    for a in (0.0, 1e-4):
+        for omega in (4.6, 9.0):
+            moved = linear(machine(base_amplitude=a), np.array(omega))[0] + a
+            peak = found["absolute_max"].sel(base_amplitude=a, omega=omega).item()
+            assert peak == pytest.approx(abs(moved), rel=1e-6, abs=1e-12)
 
 
 def test_wrong_loads_are_refused():

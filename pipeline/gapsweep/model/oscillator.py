@@ -200,7 +200,7 @@ class Oscillator:
 
     @property
     def is_classic(self) -> bool:
-        """Whether it has a spring, and only loads in phase, as the classic kernels assume."""
+        """Whether there is a spring, and all loads are in phase, as classic kernels assume."""
         return self.omega_n > 0.0 and self.mean_load == 0.0 and not self.damper_load
 
     @property
