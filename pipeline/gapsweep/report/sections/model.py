@@ -10,6 +10,7 @@ import xarray as xr
 from gapsweep.analysis.dimensions import in_metres
 from gapsweep.model.labels import Representation
 from gapsweep.report.drawing import labels_of
+from gapsweep.report.inputs import Inputs
 from gapsweep.report.parts import Part
 from gapsweep.report.scales import plain, shortened
 
@@ -39,10 +40,10 @@ _OF_LAGS = {"force": "D", "of_speed": "E", "of_place": "G", "of_lags": "H"}
 _MANY = 5  # values of a parameter; of more, the first and the last are shown
 
 
-def sections(responses: xr.Dataset) -> Iterator[Part]:
+def sections(inputs: Inputs) -> Iterator[Part]:
     """The equation of a run, its parameters and its contact laws, as pairs of name and text."""
-    of_model = _system if "system_json" in responses.attrs else _oscillator
-    yield Part("model", "Model", [], content={"pairs": of_model(responses)})
+    of_model = _system if "system_json" in inputs.responses.attrs else _oscillator
+    yield Part("model", "Model", [], content={"pairs": of_model(inputs.responses)})
 
 
 def _oscillator(responses: xr.Dataset) -> list[tuple[str, str]]:
