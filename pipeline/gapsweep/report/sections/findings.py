@@ -99,8 +99,8 @@ def outcomes(responses: xr.Dataset) -> str:
     """Sentence with the counts of sweep points by class, and with reasons of failures."""
     status, kind = (responses[n].values for n in ("status", "response_class"))
     asked = status != Status.NOT_REQUESTED
-    counts = _counted(kind[asked])
-    why = _counted(status[asked & (kind == ResponseClass.FAILED)])
+    counts = Counter(kind[asked].tolist())
+    why = Counter(status[asked & (kind == ResponseClass.FAILED)].tolist())
     reasons = ", ".join(f"{n} {Status(s).label.replace('_', ' ')}" for s, n in sorted(why.items()))
     left = (responses["status"] == Status.OUT_OF_FIT_RANGE) & (
         responses["response_class"] != ResponseClass.FAILED
@@ -134,12 +134,6 @@ def _tried(responses: xr.Dataset) -> str:
     remedy = " Sweeps do not show coexisting attractors: add states to initial_condition."
     more = "" if FIXED in responses["start"].values else remedy
     return f"{several} tried at a point; further attractors may exist.{more}"
-
-
-def _counted(values: NDArray[np.integer]) -> Counter[int]:
-    """Number of occurrences of each value."""
-    numbers, counts = np.unique(values, return_counts=True)
-    return Counter(dict(zip(numbers.tolist(), counts.tolist(), strict=True)))
 
 
 def _along(responses: xr.Dataset) -> Iterator[str]:

@@ -65,7 +65,9 @@ def sections(inputs: Inputs) -> Iterator[Part]:
     of_law = asked.any(swept(asked)).sum(scene_dims(asked.dims))  # parameter sets of each law
     labels = [Representation(one) for one in asked[REPRESENTATION].values[of_law.values > 0]]
     axes, few = _axes(responses)
-    is_cut = _is_cut(asked, axes + few)
+    shown = {REPRESENTATION, _START, *axes, *few}
+    is_cut = any(size > 1 for dim, size in asked.sizes.items() if dim not in shown)
+    cuts = [{axis: [i]} for axis in few for i in range(responses.sizes[axis])] or [{}]
     is_alike = bool((of_law.sel({REPRESENTATION: labels}) == n_scenes).all())
     sets = f"{'' if is_alike else 'the computed ones of '}{n_scenes} parameter sets"
     over = f", median over {sets}" * (n_scenes > 1)
@@ -84,22 +86,11 @@ def sections(inputs: Inputs) -> Iterator[Part]:
             figure
             for label in [label for label in labels if not label.protocol] or labels
             if axes
-            for cut in _cuts(responses, few)
+            for cut in cuts
             if asked.isel(cut).sel({REPRESENTATION: label}).any()
             for figure in _figures(_cut_out(inputs, cut), asked.isel(cut), label, axes)
         ),
     )
-
-
-def _is_cut(asked: xr.DataArray, drawn: list[str]) -> bool:
-    """Whether figures over some axes show part of the points, at one value of a parameter."""
-    others = {REPRESENTATION, _START, *drawn}
-    return any(size > 1 for dim, size in asked.sizes.items() if dim not in others)
-
-
-def _cuts(responses: xr.Dataset, few: list[str]) -> list[dict[str, list[int]]]:
-    """Positions of the figures along the axis with a figure for each value."""
-    return [{axis: [i]} for axis in few for i in range(responses.sizes[axis])] or [{}]
 
 
 def _cut_out(inputs: Inputs, cut: Mapping[str, list[int]]) -> Inputs:
@@ -186,7 +177,6 @@ def _figures(inputs: Inputs, asked: xr.DataArray, label: str, axes: list[str]) -
             inputs.branches,
             axes[0],
             where + suffix + start,
-            has_curve=n_starts == 1,
         )
     yield from curves_figure(inputs.curves, here.expand_dims(REPRESENTATION), axes[0], where)
 

@@ -68,8 +68,7 @@ def _over_frequency(inputs: Inputs, scene: xr.Dataset, at: At, title: str) -> It
     """Figures of all laws over frequency; without attractors, amplitudes are drawn as lines."""
     attractors = _several(inputs.attractors, scene, at)
     yield from along_axis(
-        scene, attractors, inputs.branches, "omega", title, has_curve=attractors is None,
-        of_starts=caption_of_starts(scene),
+        scene, attractors, inputs.branches, "omega", title, of_starts=caption_of_starts(scene),
         of_attractors="" if attractors is None else _where_few(attractors, scene),
     )  # fmt: skip
     yield from curves_figure(inputs.curves, scene, "omega", title)
