@@ -139,13 +139,14 @@ def plan(
     "--to",
     "form",
     type=click.Choice(["table", "csv", "json", "nc"]),
-    help="Format: a short table, csv or json lines with a row per point, or NetCDF (nc).  "
+    help="Format: a short table, csv or json lines with a row per point, or NetCDF (nc). Lengths "
+    "are in mm in table and csv, which have units in their headers, else in m.  "
     "[default: table on a terminal, else csv]",
 )
 @click.option(
     "--columns",
     metavar="NAME,...",
-    help="Variables to print.  [default: four in a table, else all]",
+    help="Variables to print, or all.  [default: four in a table, eleven in csv, all in json]",
 )
 @click.option(
     "--digits",
@@ -294,11 +295,13 @@ def advise(study: Path, error: float | None, share: float, as_json: bool) -> int
 
 
 def _case(scene: dict[str, Any]) -> str:
-    from gapsweep.study.schema import UNITS
+    from gapsweep.quantities import UNITS, written
 
     words = [f"K_c = {scene['K_c']:g} N/m", f"gap {scene['gap']} mm"]
     swept = scene.keys() - {"K_c", "gap", "starts", "approximations", "laws", "j_1", "j_2"}
-    others = [f"{name} = {scene[name]:g} {UNITS.get(name, '')}".strip() for name in sorted(swept)]
+    others = [
+        f"{name} = {scene[name]:g} {written(UNITS.get(name, ''))}".strip() for name in sorted(swept)
+    ]
     return ", ".join(words + others)
 
 
