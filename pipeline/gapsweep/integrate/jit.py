@@ -277,12 +277,13 @@ def _private() -> Path:
 def source_fingerprint() -> str:
     """Hash (16 hex digits) of all sources below this module's folder, names included.
 
-    The sources of the formulas of contact laws are included, and ``status.py``, whose numbers are
-    constants of the code.
+    The sources of the formulas of contact laws and of the search's loops are included, and modules
+    whose numbers are constants of the code.
     """
     here = Path(__file__).parent
-    of_laws = here.parent / "model"
-    others = here.parent / "status.py", of_laws / "arithmetic.py", of_laws / "contact.py"
+    of_laws, search = here.parent / "model", here.parent / "response"
+    others = [here.parent / "status.py", search / "compiled.py", search / "thresholds.py"]
+    others += [of_laws / "arithmetic.py", of_laws / "contact.py"]
     digest = hashlib.sha256()
     for path in sorted([*here.rglob("*.py"), *(of_laws / "laws").rglob("*.py"), *others]):
         digest.update(path.relative_to(here.parent).as_posix().encode() + b"\0" + path.read_bytes())
