@@ -116,11 +116,10 @@ def basins(
         solver=Solver.of(engine, rtol, atol),
     )
     v_0, x_0 = (each.ravel() for each in np.meshgrid(starts_v, starts_x, indexing="ij"))
-    settings = scene, steady
     warn_of(doubts([oscillator], [(law,)], scene.omega, np.stack([x_0, v_0], axis=1)))
     parts = [(x_0[i : i + _PART], v_0[i : i + _PART]) for i in range(0, x_0.size, _PART)]
     grouping = Grouping(unit_of(scene.omega))
-    for answer in _answers(parts, *settings, client):
+    for answer in _answers(parts, scene, steady, client):
         grouping.add(answer, np.zeros(len(answer), int))
     is_symmetric = law.is_symmetric and oscillator.mean_load == 0.0
     return _dataset(grouping.attractors(is_symmetric), scene, starts_x, starts_v)

@@ -32,7 +32,8 @@ def timing(responses: xr.Dataset) -> xr.Dataset:
     """
     host = responses["host"]
     requested = responses["status"] != Status.NOT_REQUESTED
-    chosen = _busiest(host)
+    known = host.values[host.values >= 0]
+    chosen = int(np.bincount(known).argmax()) if known.size else -1  # has the most points
     measured = requested & (host == chosen)
     variables = {}
     for name, (units, long_name) in COSTS.items():
@@ -47,12 +48,6 @@ def timing(responses: xr.Dataset) -> xr.Dataset:
     names = str(host.attrs.get("flag_meanings", "")).split()
     chosen_name = names[chosen] if 0 <= chosen < len(names) else ""
     return xr.Dataset(variables).assign_attrs(of_study(responses), measured_on=chosen_name)
-
-
-def _busiest(host: xr.DataArray) -> int:
-    """Index of the machine with the most points; -1 if there is none."""
-    known = host.values[host.values >= 0]
-    return int(np.bincount(known).argmax()) if known.size else -1
 
 
 def quantile(values: xr.DataArray, q: float) -> xr.DataArray:
