@@ -233,7 +233,6 @@ def _drained(
     turns: bool,
 ) -> list[Array]:
     """Call the kernel until all points have ended; return the logs, sorted by point."""
-    n_kept = at.n_series + at.tangent * at.n_states * (at.n + at.m)
     per_step, widths = record.rows_per_step.py_func(at), _log_columns(at)
     capacities = [
         max(_LOG_VALUES // columns, rows) for columns, rows in zip(widths, per_step, strict=True)
@@ -253,7 +252,7 @@ def _drained(
         follows=follows,
         statuses=statuses,
         progress=np.zeros(2, np.int64),
-        coefficients=aligned(n_kept * at.n_terms, at.width),
+        coefficients=aligned(at.n_coefficients, at.width),
         logs=tuple(
             np.empty((rows if is_kept else 0, columns))
             for is_kept, rows, columns in zip(kept, capacities, widths, strict=True)
