@@ -33,6 +33,8 @@ if TYPE_CHECKING:
     from gapsweep.model.table import ForceTable
     from gapsweep.model.user_law import UserLaw
     from gapsweep.pipeline import plan, query, run
+    from gapsweep.report.model_figures import frequency_response
+    from gapsweep.report.model_figures import parameter_map as map
     from gapsweep.report.motion import plot
     from gapsweep.response.respond import respond
     from gapsweep.response.result import Response, ResponseClass, Steady
@@ -55,6 +57,8 @@ _ON_DEMAND = {
     "basins": "analysis.datasets.basins",
     "branches": "continuation.follow",
     "explore": "explorer.widget",
+    "frequency_response": "report.model_figures",
+    "map": "report.model_figures",
     "open": "store.netcdf",
     "plot": "report.motion",
     "respond": "response.respond",
@@ -62,6 +66,17 @@ _ON_DEMAND = {
     "special_curve": "continuation.curves",
     "static_error": "analysis.datasets.contact_errors",
     "systems": "model.systems",
+}
+# Names of functions that differ here, to keep Python's own names free elsewhere.
+_NAMES = {"map": "parameter_map", "open": "read"}
+# Names that users of other software try, and what they find here.
+_ELSEWHERE = {
+    "attractors": "gs.basins(...), or attractors.nc of a study with several initial conditions",
+    "bifurcation": "ds.gapsweep.bifurcation() of a dataset, as from gs.query(...)",
+    "lyapunov": "gs.respond(...).lyapunov",
+    "poincare": "gs.respond(...).section, or gs.plot(gs.simulate(...))",
+    "sweep": "gs.frequency_response(...), or initial_condition = 'sweep_up' of a study",
+    "solve": "gs.simulate(...)",
 }
 # Names of modules.
 _MODULES = ("systems",)
@@ -104,7 +119,9 @@ __all__ = [
     "canonical_label",
     "contact_law",
     "explore",
+    "frequency_response",
     "law",
+    "map",
     "open",
     "plan",
     "plot",
@@ -126,10 +143,11 @@ def __getattr__(name: str) -> Any:
     if name == "__version__":
         return importlib.import_module("importlib.metadata").version("gapsweep")
     if name not in _ON_DEMAND:
-        raise AttributeError(f"module 'gapsweep' has no attribute {name!r}")
+        remedy = f"; use {_ELSEWHERE[name]}" if name in _ELSEWHERE else ""
+        raise AttributeError(f"module 'gapsweep' has no attribute {name!r}{remedy}")
     if name in _RETURN_DATASETS:
         importlib.import_module("gapsweep.report.accessor")
     module = importlib.import_module(f"gapsweep.{_ON_DEMAND[name]}")
     if name in _MODULES:
         return module
-    return getattr(module, "read" if name == "open" else name)
+    return getattr(module, _NAMES.get(name, name))

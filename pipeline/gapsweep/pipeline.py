@@ -410,7 +410,7 @@ def _make_one(file: str, study: Study, folder: Path) -> None:
     if stage is None:
         table, name = ("claims", "claims.py") if file == CLAIMS else ("report", "figures.py")
         example = f'name a Python file, as [{table}] module = "{name}"'
-        raise StudyError([f"{study.source}: {table}: missing; {example}"])
+        raise StudyError(f"{study.source}: {table}: missing; {example}")
     make_file(stage, RunContext(folder, study))
 
 
@@ -447,9 +447,7 @@ def bench(
         If the study has no ``[bench]``, or the output folder cannot be used.
     """
     if study.spec.bench is None:
-        raise StudyError(
-            [f"{study.source}: bench: missing; add [bench] with scenarios and methods"]
-        )
+        raise StudyError(f"{study.source}: bench: missing; add [bench] with scenarios and methods")
     _check_call(timeout=timeout)
     folder = run_folder(study, out)
     check_writable(folder)

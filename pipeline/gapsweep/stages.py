@@ -246,7 +246,7 @@ def _own_stages(study: Study) -> list[Stage]:
         name = file.removesuffix(".nc")
         if name in taken:
             where = f"{study.claims_module}: DATASETS: {name!r}"
-            raise StudyError([f"{where}: the name of a file of gapsweep; choose another name"])
+            raise StudyError(f"{where}: the name of a file of gapsweep; choose another name")
         code = Source(f"code of {file}", partial(_own_code, function))
         stages.append(Stage(file, (), (SETTINGS, code), partial(_own_dataset, file, function)))
     return stages

@@ -162,7 +162,7 @@ def test_query_prints_what_was_selected_and_computes_only_the_rest(gapsweep, fin
     done = gapsweep(finished, "query", "more.toml", "--sel", "omega=12:20", "--to", "csv")
     assert done.stderr == "4 points, 4 from the cache\n"
     rows = list(csv.DictReader(io.StringIO(done.stdout)))
-    assert {(r["representation"], float(r["omega"])) for r in rows} == {
+    assert {(r["representation"], float(r["omega [Hz]"])) for r in rows} == {
         (label, omega) for label in ("piecewise", "tanh-1e4") for omega in (12.0, 20.0)
     }
     assert {r["status"] for r in rows} == {"ok"}
@@ -173,31 +173,39 @@ def test_query_prints_what_was_selected_and_computes_only_the_rest(gapsweep, fin
     assert planned(gapsweep, finished, "more.toml")["missing"] == 1
 
 
+def rows_of(text):
+    return list(csv.DictReader(io.StringIO(text)))
+
+
 def test_query_prints_the_columns_and_digits_asked_for(gapsweep, finished):
-    given = ("--sel", "representation=piecewise", "--columns", "x_max,status", "--digits", "3")
-    rows = list(
-        csv.DictReader(io.StringIO(gapsweep(finished, "query", "tiny.toml", *given).stdout))
-    )
-    assert [float(row["x_max"]) for row in rows] == [
-        float(f"{float(r['x_max']):.3g}") for r in rows
+    given = ("--sel", "representation=piecewise", "--columns", "x_max,status")
+    rounded = rows_of(gapsweep(finished, "query", "tiny.toml", *given, "--digits", "3").stdout)
+    exact = rows_of(gapsweep(finished, "query", "tiny.toml", *given).stdout)
+    assert [row["x_max [mm]"] for row in rounded] == [
+        str(float(f"{float(row['x_max [mm]']):.3g}")) for row in exact
     ]
-    assert list(rows[0])[-2:] == ["x_max", "status"]
+    assert list(exact[0])[-2:] == ["x_max [mm]", "status"]
+    lines = gapsweep(finished, "query", "tiny.toml", *given, "--to", "json").stdout.splitlines()
+    assert [1e3 * json.loads(line)["x_max"] for line in lines] == pytest.approx(
+        [float(row["x_max [mm]"]) for row in exact]
+    )
     shown = gapsweep(finished, "query", "tiny.toml", "--to", "table")
     table = shown.stdout
     assert max(map(len, table.splitlines())) <= 80
     assert table.count("piecewise") == 2
     assert "x_max" not in table
-    assert "or --to csv" in shown.stderr
+    assert "--columns" in shown.stderr
 
 
 def test_query_says_how_to_have_other_columns_to_one_who_names_none(gapsweep, finished):
-    whole = gapsweep(finished, "query", "tiny.toml")
-    header = whole.stdout.splitlines()[0].split(",")
-    assert {"x_max", "x_min", "amplitude", "lyapunov", "n_steps"} <= {*header}
-    assert "--to table" in whole.stderr
-    asked = gapsweep(finished, "query", "tiny.toml", "--to", "csv")
-    assert asked.stdout == whole.stdout
-    assert "--to" not in asked.stderr
+    short = gapsweep(finished, "query", "tiny.toml")
+    (header, *_) = rows_of(short.stdout)
+    assert {"x_max [mm]", "force_max [N]", "contact_share"} <= {*header}
+    assert "n_steps" not in header
+    assert "--columns all" in short.stderr
+    whole = gapsweep(finished, "query", "tiny.toml", "--columns", "all")
+    assert {*header, "n_steps", "cpu_time [s]"} <= {*rows_of(whole.stdout)[0]}
+    assert "--columns" not in whole.stderr
 
 
 def test_explain_names_the_field_that_differs(gapsweep, finished):

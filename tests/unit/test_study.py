@@ -17,6 +17,7 @@ import gapsweep as gs
 from gapsweep.cli.options import selected
 from gapsweep.explorer import question
 from gapsweep.model.oscillator import OSCILLATOR
+from gapsweep.report.inputs import Inputs
 from gapsweep.report.sections import model as report_model
 from gapsweep.study import points
 from gapsweep.study.axes import OscillatorTable
@@ -578,7 +579,8 @@ def test_every_number_of_the_oscillator_is_known_wherever_they_are_listed(tables
     tables["sweep"][0] |= {"representation": "piecewise", "omega": [7.0]}
     study = study_of(tables, oscillator=values)
     coords = {"representation": ["piecewise"], "K_c": [1.4e4], "omega": [7.0], "gap": ["0.4/0.4"]}
-    (part,) = report_model.sections(xr.Dataset({"x_max": 0.1}, coords, study.attributes))
+    responses = xr.Dataset({"x_max": 0.1}, coords, study.attributes)
+    (part,) = report_model.sections(Inputs(responses, xr.Dataset()))
     in_report = dict(part.content["pairs"])["Numbers"]
     assert [value for value in values.values() if f" {value:g}" not in in_report] == []
 

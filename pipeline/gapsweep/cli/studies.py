@@ -139,13 +139,14 @@ def plan(
     "--to",
     "form",
     type=click.Choice(["table", "csv", "json", "nc"]),
-    help="Format: a short table, csv or json lines with a row per point, or NetCDF (nc).  "
+    help="Format: a short table, csv or json lines with a row per point, or NetCDF (nc). Lengths "
+    "are in mm in table and csv, which have units in their headers, else in m.  "
     "[default: table on a terminal, else csv]",
 )
 @click.option(
     "--columns",
     metavar="NAME,...",
-    help="Variables to print.  [default: four in a table, else all]",
+    help="Variables to print, or all.  [default: four in a table, eleven in csv, all in json]",
 )
 @click.option(
     "--digits",

@@ -160,7 +160,9 @@ def atlas(stability: xr.Dataset, *, tight: bool) -> Figure:
         for m in range(n_methods):
             what = CellOutcome(outcome.values[s, m])
             status = stability["status"].where(chosen, 0).isel(scene=s).isel(method=m).max()
-            letter = _letter(int(status)) if what is CellOutcome.FAILED else _LETTERS[what]
+            word = Status(int(status)).label.replace("_", " ")
+            failed = what is CellOutcome.FAILED
+            letter = STATUS_LETTERS.get(word, "F") if failed else _LETTERS[what]
             bold = "bold" if what is CellOutcome.SILENT_WRONG else "normal"
             axes.text(m, s, letter, ha="center", va="center", fontsize=8, fontweight=bold)
     axes.set_xticks(range(n_methods), outcome["method"].values.tolist(), rotation=60, ha="left",
@@ -183,7 +185,3 @@ def atlas(stability: xr.Dataset, *, tight: bool) -> Figure:
     ]
     figure.legend(handles=patches, loc="outside lower center", ncols=3, fontsize=8)
     return figure
-
-
-def _letter(status: int) -> str:
-    return STATUS_LETTERS.get(Status(status).label.replace("_", " "), "F")

@@ -12,6 +12,7 @@ import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -60,28 +61,22 @@ VARIABLES = (
     *("n_contacts", "status", "at_reference_floor", "model_error", "reference_distance", "growth"),
     "n_periods",
 )
+_cell, _method = (partial(Variable, dims=dims) for dims in (CELL, ("method",)))
 MEASURED = {
     "trajectory_error": CELL_VARIABLES["solver_error"],
-    "amplitude_error": (
-        CELL,
-        Variable(
-            "f8",
-            "1",
-            "relative deviation of the steady amplitude from the reference of the same law",
-        ),
+    "amplitude_error": _cell(
+        "f8", "1", "relative deviation of the steady amplitude from the reference of the same law"
     ),
-    "cpu_time": (CELL, Variable("f8", "1", "CPU time per simulated second, median")),
-    "cpu_time_q25": (CELL, Variable("f8", "1", "CPU time, lower quartile")),
-    "cpu_time_q75": (CELL, Variable("f8", "1", "CPU time, upper quartile")),
-    "on_front": (
-        CELL,
-        Variable("i1", "1", "whether no other cell has both lower cost and lower total error", 0),
+    "cpu_time": _cell("f8", "1", "CPU time per simulated second, median"),
+    "cpu_time_q25": _cell("f8", "1", "CPU time, lower quartile"),
+    "cpu_time_q75": _cell("f8", "1", "CPU time, upper quartile"),
+    "on_front": _cell(
+        "i1", "1", "whether no other cell has both lower cost and lower total error", 0
     ),
-    "first_call_time": (
-        ("method",),
-        Variable("f8", "s", "CPU time of the slowest first call, which compiles or loads code"),
+    "first_call_time": _method(
+        "f8", "s", "CPU time of the slowest first call, which compiles or loads code"
     ),
-    "n_lanes": (("method",), Variable("i4", "1", "points per timed call", 1)),
+    "n_lanes": _method("i4", "1", "points per timed call", 1),
 }
 ERROR_SCALE = "gap width; for velocities, times the angular forcing frequency"
 

@@ -6,6 +6,7 @@ scaled so that a sinusoid on a bin shows its amplitude. The number of periods ha
 divisors, so that the harmonics of period-2 to period-6 motions, too, lie on bins.
 """
 
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -39,25 +40,23 @@ SCENE = {
     "t_end": Variable("f8", "s", "end of the motion"),
     "n_periods": Variable("i4", "1", "forcing periods stored at either end", 0),
 }
+_of_samples, _of_bins, _of_motion = (
+    partial(Variable, dims=(*_DIMS, *own)) for own in (("part", "sample"), ("frequency_bin",), ())
+)
 VARIABLES = {
-    "x": ((*_DIMS, "part", "sample"), Variable("f8", "m", "displacement")),
-    "v": ((*_DIMS, "part", "sample"), Variable("f8", "m s-1", "velocity")),
-    "spectrum": (
-        (*_DIMS, "frequency_bin"),
-        Variable("f8", "m", "amplitude spectrum of the steady displacement"),
+    "x": _of_samples("f8", "m", "displacement"),
+    "v": _of_samples("f8", "m s-1", "velocity"),
+    "spectrum": _of_bins("f8", "m", "amplitude spectrum of the steady displacement"),
+    "period_multiple": _of_motion(
+        "i4", "1", "forcing periods after which the steady part repeats, 0: none", 0
     ),
-    "period_multiple": (
-        _DIMS,
-        Variable("i4", "1", "forcing periods after which the steady part repeats, 0: none", 0),
-    ),
-    "status": (
-        _DIMS,
-        Variable("i1", "1", "outcome of the motion", Status.NOT_REQUESTED, STATUS_FLAGS),
-    ),
+    "status": _of_motion("i1", "1", "outcome of the motion", Status.NOT_REQUESTED, STATUS_FLAGS),
 }
 AXES = {
-    "t": (("history", "part", "sample"), Variable("f8", "s", "time")),
-    "frequency": (("history", "frequency_bin"), Variable("f8", "Hz", "frequency of the spectrum")),
+    "t": Variable("f8", "s", "time", dims=("history", "part", "sample")),
+    "frequency": Variable(
+        "f8", "Hz", "frequency of the spectrum", dims=("history", "frequency_bin")
+    ),
 }
 _WINDOW = "Hann over whole forcing periods; a sinusoid at a bin has its amplitude"
 

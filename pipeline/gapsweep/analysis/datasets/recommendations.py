@@ -74,10 +74,8 @@ def advice(study: Study, error: float | None = None, share: float = 0.95) -> xr.
     """
     if not study.model.is_oscillator:
         raise StudyError(
-            [
-                f"{study.source}: system: advice is for oscillators only; the report of a run "
-                "shows the adequate laws"
-            ]
+            f"{study.source}: system: advice is for oscillators only; the report of a run "
+            "shows the adequate laws"
         )
     grid = study.grid
     error = study.spec.auto.error if error is None else error

@@ -18,6 +18,7 @@ from gapsweep.report.bench_figures import (
     work_precision_figure,
     worst,
 )
+from gapsweep.report.inputs import Inputs
 from gapsweep.report.parts import Figured, Part, Table
 from gapsweep.report.scales import plain
 from gapsweep.status import Status
@@ -153,9 +154,11 @@ def _cheapest_table(bench: xr.Dataset) -> Table:
     )
 
 
-def work_precision(work_precision: xr.Dataset) -> Iterator[Part]:
+def work_precision(inputs: Inputs) -> Iterator[Part]:
     """The section on costs and errors of methods."""
-    bench = work_precision.load()
+    if inputs.work_precision is None:
+        return
+    bench = inputs.work_precision.load()
     figures = [
         Figured(
             work_precision_figure(bench.isel(scene=bench["K_c"].values == K_c)),
@@ -232,9 +235,11 @@ def _where(stability: xr.Dataset, outcome: CellOutcome) -> Iterator[tuple[str, s
         )
 
 
-def stability(stability: xr.Dataset) -> Iterator[Part]:
+def stability(inputs: Inputs) -> Iterator[Part]:
     """The section on failures of methods."""
-    stability = stability.load()
+    if inputs.stability is None:
+        return
+    stability = inputs.stability.load()
     letters = ", ".join(f"{letter} {name}" for name, letter in STATUS_LETTERS.items())
     legend = (
         "R: correct. M: model error; the law is solved accurately, but differs from the exact law. "
