@@ -142,6 +142,7 @@ class _Execution:
         self.in_flight: dict[Future, _Job] = {}
         self.arrived: list[Slab] = []
         self.held: list[_Job] = []  # the jobs of those slabs, with claims on their points
+        self.stored: set[bytes] = set()  # checksums of slabs that this run has stored
         self.last_commit = time.monotonic()
         self.costs = Costs(study.spec.solver.engine or DEFAULT_ENGINE, timeout, len(self.n_left))
 
@@ -263,7 +264,7 @@ class _Execution:
         This run has stored them under another label, or another run has.
         """
         held = self.cache.held(block.keys[rows])
-        is_ours = self.cache.is_own(held)
+        is_ours = self.cache.is_in(held, self.stored)
         is_stale = block.status[rows] >= 0  # to be recomputed, although stored
         is_stored = (held["status"] >= 0) & (held["status"] <= self.largest_hit) & ~is_stale
         is_hit = is_ours | is_stored
@@ -364,7 +365,7 @@ class _Execution:
     def commit(self) -> None:
         """Store the completed results, and then release the claims on their points."""
         if self.arrived:
-            self.cache.commit(self.arrived)
+            self.stored.update(self.cache.commit(self.arrived))
         for job in self.held:
             self.claims.release(*job.claimed)
             self.computing.difference_update(_heads(job.block, job.rows).tolist())

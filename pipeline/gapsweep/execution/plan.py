@@ -25,6 +25,8 @@ from gapsweep.study.study import Study
 # Sweep points in a block, and at most in a task: keys of as many are in memory at a time.
 BLOCK = 16384
 _UNIT = 256  # numbers that no block cuts
+# A point takes about as many bytes in the cache and in files of the run together.
+BYTES = 1000
 ABSENT = -2  # status of a cell of the grid that is no point of the plan
 
 

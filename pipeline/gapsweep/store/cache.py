@@ -83,7 +83,6 @@ class Cache:
         self._scanned: dict[Path, bool] = {}  # scanned segments, and whether they have frames
         self._newest = 0  # largest serial number of a frame
         self._n_commits = 0
-        self._committed: set[bytes] = set()  # checksums of the frames that this object has written
         self._contents = lru_cache(maxsize=_KEPT)(self._decoded)
         self._refresh()
 
@@ -112,11 +111,11 @@ class Cache:
         """Stored status of each key; `MISSING` where no result or a damaged one is stored."""
         return np.ascontiguousarray(self.held(keys)["status"])
 
-    def is_own(self, places: Held) -> NDArray[np.bool_]:
-        """Mask of places, as of `held`, with results that this object has stored."""
+    def is_in(self, places: Held, digests: Collection[bytes]) -> NDArray[np.bool_]:
+        """Mask of places, as of `held`, in frames with some of these checksums."""
         slabs, rows = np.unique(places["slab"], return_inverse=True)
-        own = [n >= 0 and self._frames[n].digest in self._committed for n in slabs.tolist()]
-        return np.array(own, bool)[rows]
+        is_there = [n >= 0 and self._frames[n].digest in digests for n in slabs.tolist()]
+        return np.array(is_there, bool)[rows]
 
     def find(self, keys: NDArray[np.void], structure: AnyStructure = _OSCILLATOR) -> Found:
         """Stored results of keys of one structure; damaged results are left out, as if missing.
@@ -179,16 +178,19 @@ class Cache:
             yield self._frames[number].digest
             yield asked.tobytes() + places["row"][asked].tobytes()
 
-    def commit(self, slabs: Sequence[Slab]) -> None:
-        """Write slabs to a new segment, all or none; merge small segments now and then."""
+    def commit(self, slabs: Sequence[Slab]) -> list[bytes]:
+        """Write slabs to a new segment, all or none, and return the checksums of their frames.
+
+        Small segments are merged now and then.
+        """
         self._refresh()
         frames = [packed(slab, self._newest + 1) for slab in slabs]
         with _store_errors(self.path):
             write(self.path, frames)
-        self._committed.update(map(digest_of, frames))
         self._n_commits += 1
         if self._n_commits % _OFTEN == 0:
             self.merge()
+        return list(map(digest_of, frames))
 
     def merge(self) -> None:
         """Merge the intact frames of small and of damaged segments into one segment."""

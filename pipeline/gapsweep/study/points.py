@@ -214,9 +214,9 @@ class Points:
 
     @property
     def _rows(self) -> list[bytes]:
-        size = self.numbers.shape[1] * 8
-        data = np.ascontiguousarray(self.numbers, "<f8").tobytes()
-        return [data[at : at + size] for at in range(0, len(data), size)]
+        numbers = np.ascontiguousarray(self.numbers, "<f8")
+        found: list[bytes] = numbers.view(f"V{8 * numbers.shape[1]}").ravel().tolist()
+        return found
 
 
 @cache
