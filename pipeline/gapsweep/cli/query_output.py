@@ -15,7 +15,7 @@ from gapsweep.cli.options import echo
 from gapsweep.console import print_table, print_text
 from gapsweep.errors import StoreError
 from gapsweep.execution.layout import Layout
-from gapsweep.report.scales import factor, shown_unit
+from gapsweep.report.scales import shown_unit
 from gapsweep.store.artefact import replacing
 from gapsweep.study.study import Study
 from gapsweep.variables import to_dataframe
@@ -168,7 +168,7 @@ def _frame(responses: xr.Dataset, form: Form) -> Any:
         frame = frame[list(dict.fromkeys([*points, *_chosen(columns, frame.columns)]))]
     if form.kind != "json":
         for name in frame.select_dtypes("floating").columns:
-            frame[name] *= factor(responses[_base(name)])
+            frame[name] *= shown_unit(responses[_base(name)])[0]
     if form.digits is not None:
         floats = frame.select_dtypes("floating").columns.difference(points)
         frame[floats] = frame[floats].map(lambda value: float(f"{value:.{form.digits}g}"))

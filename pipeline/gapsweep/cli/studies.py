@@ -297,11 +297,13 @@ def advise(study: Path, error: float | None, share: float, as_json: bool) -> int
 
 
 def _case(scene: dict[str, Any]) -> str:
-    from gapsweep.study.schema import UNITS
+    from gapsweep.quantities import UNITS, written
 
     words = [f"K_c = {scene['K_c']:g} N/m", f"gap {scene['gap']} mm"]
     swept = scene.keys() - {"K_c", "gap", "starts", "approximations", "laws", "j_1", "j_2"}
-    others = [f"{name} = {scene[name]:g} {UNITS.get(name, '')}".strip() for name in sorted(swept)]
+    others = [
+        f"{name} = {scene[name]:g} {written(UNITS.get(name, ''))}".strip() for name in sorted(swept)
+    ]
     return ", ".join(words + others)
 
 

@@ -18,6 +18,7 @@ from gapsweep.model.oscillator import Gap, Oscillator, checked, is_number
 from gapsweep.model.structure import general_form
 from gapsweep.model.system import System
 from gapsweep.model.user_law import UserLaw
+from gapsweep.quantities import without_units
 
 Array = NDArray[np.float64]
 
@@ -51,7 +52,7 @@ class Window:
             If `between` is not two numbers in ascending order, or out of the parameter's range.
         """
         try:
-            low, high = map(float, between)
+            low, high = map(float, without_units(f"between of {name}", between))
         except (TypeError, ValueError):
             raise ModelError(
                 f"between = {between!r}: must be the two ends of {name}, as between=(1.0, 30.0)"

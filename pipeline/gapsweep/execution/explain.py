@@ -10,12 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gapsweep.execution.plan import Plan
+from gapsweep.quantities import UNITS, written
 from gapsweep.store.cache import Cache
 from gapsweep.store.maintenance import contents_of
 from gapsweep.store.slab import Slab, Stored
 from gapsweep.study.grid import Starts
 from gapsweep.study.points import Points
-from gapsweep.study.schema import UNITS
 from gapsweep.study.study import Study
 
 # Fields in which two points differ, each with the requested and the stored value.
@@ -125,7 +125,7 @@ def _label(study: Study, cell: int) -> str:
         elif name == "gap":
             words.append(f"gap {value} mm" if in_metres else f"gap {value}")
         else:
-            unit = UNITS.get(name, "") if in_metres else ""
+            unit = written(UNITS.get(name, "")) if in_metres else ""
             words.append(f"{name} = {value:g} {unit}".rstrip())
     return ", ".join(words)
 

@@ -12,10 +12,10 @@ from gapsweep.explorer.page_results import STORED, Curve
 from gapsweep.explorer.question import not_computed, of_study, refuse_systems
 from gapsweep.model.labels import Representation
 from gapsweep.model.oscillator import OSCILLATOR
+from gapsweep.quantities import written
 from gapsweep.report import branch_lines
 from gapsweep.run_folder import BRANCHES, RESPONSES, is_of_run
 from gapsweep.store import netcdf
-from gapsweep.study.schema import written
 from gapsweep.study.study import Study
 
 _SHOWN = ("x_max", "section_x", "section_v", "response_class", "period_multiple")

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from gapsweep.errors import ModelError
 from gapsweep.integrate.motions import Counts, Events, Motions
-from gapsweep.model.system import System, floats
+from gapsweep.model.system import System, numbers
 from gapsweep.status import Status
 from gapsweep.variables import (
     COORDINATE,
@@ -228,10 +228,7 @@ class Trajectory:
         ModelError
             If the run has no dense output, or a time is outside the motion.
         """
-        try:
-            t = floats(t)
-        except (TypeError, ValueError, OverflowError):
-            raise ModelError(f"t = {t!r}: must be a time or times [s]") from None
+        t = numbers("t", t, "a time or times [s]")
         first = float(np.min(t, initial=math.inf))
         is_inside = self.t_0 <= first < math.inf
         # A little earlier: rounding of the clock may put the end behind the last step.

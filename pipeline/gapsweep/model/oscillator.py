@@ -14,6 +14,7 @@ from operator import index
 from typing import Any, ClassVar, TypeVar, cast
 
 from gapsweep.errors import ModelError
+from gapsweep.quantities import without_units
 
 # Within these bounds no product or quotient of model parameters overflows, not even squared
 # frequencies times ratios; they are far beyond any machine.
@@ -65,17 +66,19 @@ def called_as(example: str) -> Callable[[C], C]:
 
 
 def is_number(value: Any) -> bool:
-    """Whether a value is a number; text and booleans, which `float` would accept, are none."""
+    """Whether a value is a number; text, booleans and None are none."""
     kind: str = getattr(getattr(value, "dtype", None), "kind", "O")
-    return kind in "iufO" and not isinstance(value, str | bytes | bool)
+    return kind in "iufO" and not isinstance(value, str | bytes | bool | None)
 
 
 def checked(name: str, value: float, *, low: float = -math.inf, strict: bool = False) -> float:
     """Return `value` as a finite float above `low`; raise a `ModelError` that names it otherwise.
 
+    A quantity of pint becomes a number in the unit of the parameter.
     A strictly positive number (``low=0.0, strict=True``) must be at least `SMALLEST`, and no number
     may be larger than `LARGEST`.
     """
+    value = without_units(name, value)
     try:
         number = float(value) if is_number(value) else None
     except (TypeError, ValueError, OverflowError):

@@ -19,6 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from gapsweep.errors import ModelError
 from gapsweep.model.oscillator import LARGEST, SMALLEST, called_as, checked, is_number, whole
+from gapsweep.quantities import without_units
 from gapsweep.variables import CONTACT, COORDINATE, LAG
 
 Array = NDArray[np.float64]
@@ -29,7 +30,7 @@ _STILL = 1e-12  # of the fastest rate: slower rates count as zero
 
 def array(name: str, value: ArrayLike, shape: tuple[int, ...]) -> Array:
     """Return `value` as a read-only array of this shape; raise a `ModelError` that names it."""
-    found = _numbers(name, value)
+    found = numbers(name, value)
     if found.shape != shape:
         raise ModelError(f"{name}: has the shape {found.shape}, must have {shape}")
     if not np.all(np.abs(found) <= LARGEST):
@@ -38,26 +39,20 @@ def array(name: str, value: ArrayLike, shape: tuple[int, ...]) -> Array:
     return found
 
 
-def _numbers(name: str, value: ArrayLike) -> Array:
-    """Return a copy of `value` as an array of floats; raise a `ModelError` that names it."""
-    try:
-        return floats(value)
-    except (TypeError, ValueError, OverflowError):
-        raise ModelError(f"{name} = {value!r}: must be an array of numbers") from None
+def numbers(name: str, value: Any, words: str = "an array of numbers") -> Array:
+    """Return a copy of `value` as an array of floats; raise a `ModelError` that names it.
 
-
-def floats(value: ArrayLike) -> Array:
-    """Return a copy of `value` as an array of floats.
-
-    Raises
-    ------
-    TypeError, ValueError, OverflowError
-        If an entry is no number, such as text and booleans, which numpy would accept.
+    Quantities of pint become numbers in the unit of the parameter. Text and booleans, which numpy
+    would accept, are no numbers. `words` say in the message which value is allowed.
     """
-    is_plain = getattr(getattr(value, "dtype", None), "kind", "O") != "O"  # one kind for all
-    if not all(map(is_number, [value] if is_plain else np.asarray(value, dtype=object).flat)):
-        raise TypeError("text or booleans among the numbers")
-    return np.array(value, dtype=float)
+    given = without_units(name, value)
+    is_plain = getattr(getattr(given, "dtype", None), "kind", "O") != "O"  # one kind for all
+    try:
+        if all(map(is_number, [given] if is_plain else np.asarray(given, dtype=object).flat)):
+            return np.array(given, dtype=float)
+    except (TypeError, ValueError, OverflowError):
+        pass
+    raise ModelError(f"{name} = {value!r}: must be {words}")
 
 
 def _all_of(name: str, value: Any, kind: type) -> tuple[Any, ...]:
@@ -249,7 +244,7 @@ class System:
     coordinates: Sequence[str] = ()
 
     def __post_init__(self) -> None:
-        mass = _numbers("mass", self.mass)
+        mass = numbers("mass", self.mass)
         if mass.ndim != 2:
             raise ModelError(f"mass: has the shape {mass.shape}, must be n rows of n columns")
         n = len(mass)
@@ -449,14 +444,15 @@ def _along(cubic: Cubic, n: int) -> Cubic:
 
 
 def _loaded(load: Harmonic, n: int) -> Harmonic:
-    amplitude = array("forcing: amplitude", load.amplitude, (n,))
+    kind = "inertial amplitude" if load.inertial else "amplitude"
+    amplitude = array(f"forcing: {kind}", load.amplitude, (n,))
     return replace(load, amplitude=amplitude)
 
 
 def _lags(lags: Any, n: int) -> Lags:
     if not isinstance(lags, Lags):
         raise ModelError(f"lags = {lags!r}: must be a gapsweep.Lags(...)")
-    of_lags = _numbers("lags: of_lags", lags.of_lags)
+    of_lags = numbers("lags: of_lags", lags.of_lags)
     m = whole(
         "number of lags (rows of of_lags)", of_lags.shape[0] if of_lags.ndim else 0, 1, MAX_LAGS
     )

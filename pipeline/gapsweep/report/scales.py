@@ -10,9 +10,10 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from gapsweep.quantities import written
 from gapsweep.study.axis_selection import is_numeric
 from gapsweep.study.grid import CONTACT, COORDINATE
-from gapsweep.study.schema import PARAMETER, VARIABLES, parts_of, written
+from gapsweep.study.schema import PARAMETER, VARIABLES, parts_of
 
 _WIDE = 30.0  # smallest ratio of largest to smallest value for a logarithmic axis
 _APART = 1.05  # smallest ratio of neighbouring values in a geometric series

@@ -166,9 +166,7 @@ def values(axis: Any) -> list[float]:
 def _one_pair(value: Any) -> Any:
     """Return a single pair of numbers as a list of one pair; other values as they are."""
     is_pair = isinstance(value, list) and len(value) == 2
-    return (
-        [value] if is_pair and not any(isinstance(v, list | dict | str) for v in value) else value
-    )
+    return [value] if is_pair and not any(isinstance(v, list | dict) for v in value) else value
 
 
 Pairs = Annotated[list[Pair], Field(min_length=1), BeforeValidator(_one_pair)]
@@ -263,8 +261,9 @@ def _one_state(value: Any) -> Any:
     """Return a single state as a list of one; join the states among other forms in one form."""
     if not isinstance(value, list) or not value:
         return value
-    if not any(isinstance(each, list | dict | str | BaseModel) for each in value):
-        return [value]
+    n_numbers = sum(isinstance(each, int | float) for each in value)
+    if n_numbers == len(value) or (n_numbers, len(value)) == (1, 2):
+        return [value]  # the other one of two may be a quantity of the wrong dimension
     states = [each for each in value if isinstance(each, list)]
     others = [each for each in value if not isinstance(each, list)]
     is_grouped = any(isinstance(number, list) for state in states for number in state)

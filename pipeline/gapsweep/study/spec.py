@@ -51,6 +51,7 @@ from gapsweep.study.least_model import DEFAULT_ERROR, LARGEST_ERROR, SMALLEST_ER
 from gapsweep.study.problems import EXAMPLES, problems
 from gapsweep.study.schema import TAKEN
 from gapsweep.study.system_tables import ContactTable, SystemTable, wrong_matrices
+from gapsweep.study.units import with_numbers
 
 # Key of the table with the model's parameters in a block or a history; not a key of a file.
 PARAMETERS = "[parameters]"
@@ -504,6 +505,7 @@ def _line(text: str, error: ValueError) -> str:
 
 def check(tables: dict[str, Any], source: str = "study") -> StudySpec:
     """Check the tables of a study; see `parse`."""
+    tables = with_numbers(tables)
     try:
         return StudySpec.model_validate(tables)
     except ValidationError as error:

@@ -592,7 +592,7 @@ def _lists(tables: Any) -> Any:
         raise StudyError(f"a list of {n} values: must have <= {MAX_VALUES}; coarsen a grid")
     if is_list:
         return [_lists(value) for value in tables]
-    return tables.tolist() if hasattr(tables, "tolist") else tables
+    return tables.tolist() if isinstance(tables, np.ndarray | np.generic) else tables
 
 
 def _ends(values: Sequence[Any]) -> str:

@@ -17,7 +17,7 @@ from gapsweep.integrate.problem import DEFAULT_ENGINE, Model, Models, Solver
 from gapsweep.integrate.simulate import AnyLaw, cases
 from gapsweep.model.doubts import doubts, warn_of
 from gapsweep.model.oscillator import Oscillator, called_as
-from gapsweep.model.system import System, floats
+from gapsweep.model.system import System, numbers
 from gapsweep.model.user_law import UserLaw
 from gapsweep.response.attractors import Attractors, Grouping
 from gapsweep.response.respond import check_steady, respond_models
@@ -196,10 +196,7 @@ def _axis(which: str, given: Any, names: list[str], default: int) -> tuple[int, 
             said = "must be values, or a state and its values"
             raise ModelError(f"{which} = ({given[0]!r}, ...): {said}; states: {', '.join(names)}")
         number, values = names.index(given[0]), given[1]
-    try:
-        axis = np.ravel(floats(values))
-    except (TypeError, ValueError, OverflowError):
-        axis = np.empty(0)
+    axis = np.ravel(numbers(which, values, "finite numbers and not empty"))
     if not axis.size or not np.all(np.isfinite(axis)):
         raise ModelError(f"{which} = {given!r:.80}: must be finite numbers and not empty")
     return number, axis
