@@ -203,15 +203,16 @@ def entry(function: Callable[..., Any]) -> Any:
 
 
 def counted(dispatcher: Any) -> Any:
-    """Make a dispatcher add the time of loading or compiling to `LOADING.seconds`; return it."""
+    """Make a dispatcher add the time of loading or compiling to `LOADING`; return it."""
     usual = dispatcher._compile_for_args
 
     def compiled(*args: Any, **kwargs: Any) -> Any:
-        begin = time.thread_time()
+        worked, began = time.thread_time(), time.monotonic()
         try:
             return usual(*args, **kwargs)
         finally:
-            LOADING.seconds += time.thread_time() - begin
+            LOADING.seconds += time.thread_time() - worked
+            LOADING.elapsed += time.monotonic() - began
 
     dispatcher._compile_for_args = compiled
     return dispatcher
