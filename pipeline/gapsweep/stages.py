@@ -246,7 +246,7 @@ def _own_stages(study: Study) -> list[Stage]:
         name = file.removesuffix(".nc")
         if name in taken:
             where = f"{study.claims_module}: DATASETS: {name!r}"
-            raise StudyError([f"{where}: the name of a file of gapsweep; choose another name"])
+            raise StudyError(f"{where}: the name of a file of gapsweep; choose another name")
         code = Source(f"code of {file}", partial(_own_code, function))
         stages.append(Stage(file, (), (SETTINGS, code), partial(_own_dataset, file, function)))
     return stages
@@ -294,13 +294,10 @@ def write_page(folder: Path) -> Path:
 
 
 def _points_digest(run: RunContext) -> str:
-    """Digest of the keys and of the stored results of a study's sweep points."""
+    """Digest of the stored results of a study's sweep points."""
     assert run.points is not None, "stages that read points are made with them"
     plan, cache = run.points
-    digest = hashlib.sha256(plan.keys.data)
-    for part in cache.checksums(plan.keys):
-        digest.update(part)
-    return digest.hexdigest()
+    return plan.digest(cache)
 
 
 def _settings_digest(run: RunContext) -> str:
@@ -339,8 +336,8 @@ def _responses(run: RunContext) -> None:
 def _static(run: RunContext) -> "xr.Dataset":
     from gapsweep.analysis.datasets.static import static
 
-    with run.datasets() as found:  # users' laws are called on workers only
-        return static(run.study, found.get("responses"), with_own_laws=False)
+    with run.datasets() as found:
+        return static(run.study, found.get("responses"))
 
 
 def _agreement(run: RunContext) -> "Content":

@@ -95,6 +95,7 @@ def plan(
     """
     from gapsweep import pipeline
     from gapsweep.console import print_table
+    from gapsweep.execution.plan import BYTES
     from gapsweep.study.unit_check import bounded, doubts_of
 
     loaded = options.loaded(study, engine)
@@ -118,6 +119,7 @@ def plan(
     unknown = "unknown (no comparable points cached)"
     time = unknown if expected is None else f"{timedelta(seconds=round(expected))} (h:mm:ss)"
     echo(f"expected  {time}")
+    echo(f"    disk  about {planned.n_points * BYTES / 1e6:.3g} MB when all points are stored")
     states = {
         file: f"to be written: {why}" if why else "up to date" for file, why in stages.items()
     }
@@ -139,13 +141,14 @@ def plan(
     "--to",
     "form",
     type=click.Choice(["table", "csv", "json", "nc"]),
-    help="Format: a short table, csv or json lines with a row per point, or NetCDF (nc).  "
+    help="Format: a short table, csv or json lines with a row per point, or NetCDF (nc). Lengths "
+    "are in mm in table and csv, which have units in their headers, else in m.  "
     "[default: table on a terminal, else csv]",
 )
 @click.option(
     "--columns",
     metavar="NAME,...",
-    help="Variables to print.  [default: four in a table, else all]",
+    help="Variables to print, or all.  [default: four in a table, eleven in csv, all in json]",
 )
 @click.option(
     "--digits",

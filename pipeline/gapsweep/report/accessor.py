@@ -370,12 +370,14 @@ def _numbers(
 
 def _basins(found: xr.Dataset, ax: "Axes | None") -> "Axes":
     """Draw `basins` as a map; up to 8 attractors are named by their periods and peaks."""
-    names = drawing.attractor_names(found["period_multiple"], found["x_max"])
+    peaks = found["x_max"].isel({COORDINATE: 0}, missing_dims="ignore")
+    names = drawing.attractor_names(found["period_multiple"], peaks)
     if len(names) <= maps.MOST_KINDS:
         words = " ".join(name.replace(" ", "_") for name in names)
         about = {"flag_values": np.arange(len(names)), "flag_meanings": words}
         found = found.assign(attractor=found["attractor"].assign_attrs(about))
-    picture, shown = maps.picture(found, "attractor", "x_0", "v_0", {})
+    y, x = map(str, found["attractor"].dims)
+    picture, shown = maps.picture(found, "attractor", x, y, {})
     axes = axes_of(ax)
     maps.draw(axes, picture)
     return titled(axes, shown)

@@ -17,6 +17,7 @@ from gapsweep.integrate.problem import TIME_LIMIT, Model, Models, Solver, within
 from gapsweep.integrate.simulate import AnyLaw
 from gapsweep.model.doubts import doubts, warn_of
 from gapsweep.model.oscillator import Oscillator, called_as, checked
+from gapsweep.model.system import numbers
 from gapsweep.report import branch_lines, maps, marks
 from gapsweep.report.motion import Picture, walls
 from gapsweep.report.scales import axis_label, drawn
@@ -249,7 +250,7 @@ def parameter_map(
         except (TypeError, ValueError):
             said = "must be a name and values, as ('omega', [8.0, 9.0])"
             raise ModelError(f"{which} = {given!r:.80}: {said}") from None
-        axes[name] = _axis(which, values)
+        axes[name] = _axis(name, values)
     if len(axes) < 2:
         raise ModelError(f"x and y: both are {x[0]!r}; give two parameters")
     names = tuple(axes)
@@ -317,10 +318,8 @@ def _described(name: str) -> dict[str, Any]:
 
 def _axis(name: str, values: ArrayLike) -> Array:
     """Ascending distinct values of an axis."""
-    try:
-        found = np.unique(np.asarray(values, float))
-    except (TypeError, ValueError):
-        found = np.array([np.nan])
+    said = "finite numbers and not empty"
+    found = np.unique(numbers(name, values, said))
     if not (found.size and np.isfinite(found).all()):
-        raise ModelError(f"{name} = {values!r:.80}: must be finite numbers and not empty")
+        raise ModelError(f"{name} = {values!r:.80}: must be {said}")
     return found

@@ -467,9 +467,9 @@ def read(path: str | PathLike[str]) -> StudySpec:
         text = Path(path).read_text(encoding="utf-8-sig")  # as some editors save it
     except OSError as error:
         remedy = "write an example study with 'gapsweep init'"
-        raise StudyError([f"{path}: cannot be read: {error.strerror}; {remedy}"]) from None
+        raise StudyError(f"{path}: cannot be read: {error.strerror}; {remedy}") from None
     except UnicodeDecodeError:
-        raise StudyError([f"{path}: not valid TOML: must be UTF-8 text"]) from None
+        raise StudyError(f"{path}: not valid TOML: must be UTF-8 text") from None
     return parse(text, str(path))
 
 
@@ -485,9 +485,9 @@ def parse(text: str, source: str = "study") -> StudySpec:
         tables = tomllib.loads(text)
     except RecursionError:
         problem = "brackets are nested too deeply; close them"
-        raise StudyError([f"{source}: not valid TOML: {problem}"]) from None
+        raise StudyError(f"{source}: not valid TOML: {problem}") from None
     except ValueError as error:  # numbers too long, too
-        raise StudyError([f"{source}: not valid TOML: {error}{_line(text, error)}"]) from None
+        raise StudyError(f"{source}: not valid TOML: {error}{_line(text, error)}") from None
     return check(tables, source)
 
 
@@ -511,7 +511,7 @@ def check(tables: dict[str, Any], source: str = "study") -> StudySpec:
     except ValidationError as error:
         also = wrong_matrices(tables, source)
         found = problems(source, error, StudySpec, _parameters(tables))
-        raise StudyError([*found, *_missing(tables, source), *also]) from None
+        raise StudyError(*([*found, *_missing(tables, source), *also])) from None
 
 
 def _missing(tables: Any, source: str) -> list[str]:

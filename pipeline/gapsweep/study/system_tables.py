@@ -186,7 +186,7 @@ class Maker:
             return _made(name, self.own.load() if self.own else getattr(systems, name), parameters)
         except ModelError as error:
             at = f" at {in_words(parameters)}" if parameters else ""
-            raise StudyError([f"{self.source}: system{at}: {error}"]) from None
+            raise StudyError(f"{self.source}: system{at}: {error}") from None
 
 
 def maker(table: SystemTable, source: str, folders: Iterable[Path] = ()) -> Maker:
@@ -210,7 +210,7 @@ def maker(table: SystemTable, source: str, folders: Iterable[Path] = ()) -> Make
         if own is not None:
             own.load()
     except ModelError as error:
-        raise StudyError([f"{source}: system: {error}"]) from None
+        raise StudyError(f"{source}: system: {error}") from None
     return Maker(table, source, own)
 
 
