@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from gapsweep.errors import ModelError
 from gapsweep.model.oscillator import called_as, checked, whole
 from gapsweep.model.structure import AnyStructure, OscillatorStructure, structure_of
+from gapsweep.response.absolute import absolute_range
 from gapsweep.response.ragged import spans
 from gapsweep.status import Status
 from gapsweep.variables import (
@@ -410,8 +411,6 @@ class Response:
         >>> high < 1e-5  # far above resonance the mass stands still
         True
         """
-        from gapsweep.response.absolute import absolute_range  # which simulates
-
         return absolute_range(self)
 
     @property

@@ -13,7 +13,8 @@ from gapsweep.report.inputs import Inputs
 from gapsweep.report.parts import Part
 from gapsweep.report.scales import plain, shortened
 
-_EQUATION = "ẍ + (2ζω_n + c / m) ẋ + ω_n² x + (α x³ + F) / m = (p₀ + p cos ωt) / m{}, with ω and ω_n in rad/s"
+_EQUATION = "ẍ + (2ζω_n + c / m) ẋ + ω_n² x + (α x³ + F) / m = (p₀ + p cos ωt) / m"
+_RATES = ", with ω and ω_n in rad/s"
 # Terms of an unbalance and a moving base, and their numbers: shown if there is one.
 _MOVING = " + (u / m + a) ω² cos ωt + (1 − s) (2ζω_n + c / m) a ω sin ωt"
 _OF_MOVING = ("unbalance", "base_amplitude", "base_damping")
@@ -64,7 +65,7 @@ def _oscillator(responses: xr.Dataset) -> list[tuple[str, str]]:
     if any(label.is_fitted for label in labels_of(responses)):
         numbers.append(f"fits over ±{1e3 * study['fit']['range']:g} mm")
     return [
-        ("Equation", _EQUATION.format(_MOVING * is_moving)),
+        ("Equation", _EQUATION + _MOVING * is_moving + _RATES),
         ("Numbers", ", ".join(numbers)),
         *_laws(responses),
     ]
