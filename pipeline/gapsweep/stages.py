@@ -294,13 +294,10 @@ def write_page(folder: Path) -> Path:
 
 
 def _points_digest(run: RunContext) -> str:
-    """Digest of the keys and of the stored results of a study's sweep points."""
+    """Digest of the stored results of a study's sweep points."""
     assert run.points is not None, "stages that read points are made with them"
     plan, cache = run.points
-    digest = hashlib.sha256(plan.keys.data)
-    for part in cache.checksums(plan.keys):
-        digest.update(part)
-    return digest.hexdigest()
+    return plan.digest(cache)
 
 
 def _settings_digest(run: RunContext) -> str:

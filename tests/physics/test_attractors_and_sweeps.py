@@ -17,13 +17,13 @@ from gapsweep.integrate.problem import Models, Solver
 from gapsweep.response import ensemble, thresholds
 from gapsweep.response.attractors import attractors_of_scenes
 from gapsweep.response.autonomous import PoincareMap
+from gapsweep.response.compiled import contracting_multiples
 from gapsweep.response.ensemble import Ensemble
 from gapsweep.response.respond import respond_all
 from gapsweep.response.result import Responses
 from gapsweep.response.scene import Scene
 from gapsweep.response.section import (
     cloud_distances,
-    converging_multiples,
     largest_parts,
     period_multiple,
     period_multiples,
@@ -339,7 +339,7 @@ def test_contraction_is_told_from_drift_and_growth():
         sections[0, : len(section)] = section
         lengths, both = np.array([len(section), len(section) + 9]), np.ones(2)
         given = parts(sections), lengths, np.arange(2), closeness * both, same * both
-        return converging_multiples(*given, largest).tolist()[0]
+        return contracting_multiples(*given, largest).tolist()[0]
 
     k = np.arange(12.0)
     towards = 0.8**k + 0j

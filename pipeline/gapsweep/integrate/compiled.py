@@ -1,6 +1,7 @@
 """The compiled engine: the exact law and tanh by Taylor series, all others by Runge–Kutta."""
 
 from collections.abc import Sequence
+from functools import cache
 from operator import attrgetter
 from typing import Any
 
@@ -46,10 +47,27 @@ def prepared(models: Models, solver: Solver) -> Integrate:
             mass = models.of_systems(attrgetter("mass"))
         scenes, method = runge_kutta_scenes(scenes, laws, mass, solver)
 
+    @cache
+    def space(tangent: bool) -> batch.WorkSpace:
+        return batch.WorkSpace(scenes.at.of_tangent if tangent else scenes.at)
+
     def integrate(problems: Problems) -> Motions:
-        contacts = problems.contacts or (problems.contact_time and not is_taylor)
-        given = {"contacts": contacts, "sampled": problems.sampled, **_given(problems)}
-        run = batch.run(scenes, method, start=problems.start, **given)
+        run = batch.run(
+            scenes,
+            method,
+            space(problems.tangent),
+            problems.which,
+            problems.start,
+            problems.t_0,
+            problems.t_end,
+            problems.record_from,
+            queue=_queue(problems),
+            follows=problems.follows,
+            section_only=problems.section_only,
+            dense_output=problems.dense_output,
+            sampled=problems.sampled,
+            contacts=problems.contacts or (problems.contact_time and not is_taylor),
+        )
 
         def events() -> Events:
             head = record.POINT, record.TIME, record.WHICH
@@ -105,25 +123,13 @@ def _walls(models: Models) -> dict[str, Any]:
     return {"K_c": stiffness, "K_ratio": ratio, "j_1": -low, "j_2": high}
 
 
-def _given(problems: Problems) -> dict[str, Any]:
-    """Arguments of `batch.run`; its queue begins with the longest motions."""
+def _queue(problems: Problems) -> NDArray[np.intp]:
+    """Return the motions that follow no other, the longest ones first."""
     effort = problems.t_end - problems.t_0 if problems.effort is None else problems.effort
     if problems.follows is None:
-        queue = (-effort).argsort(kind="stable")
-    else:
-        heads = np.flatnonzero(~problems.follows)
-        queue = heads[(-np.add.reduceat(effort, heads)).argsort(kind="stable")]
-    return {
-        "which": problems.which,
-        "t_0": problems.t_0,
-        "t_end": problems.t_end,
-        "record_from": problems.record_from,
-        "queue": queue,
-        "follows": problems.follows,
-        "section_only": problems.section_only,
-        "tangent": problems.tangent,
-        "dense_output": problems.dense_output,
-    }
+        return (-effort).argsort(kind="stable")
+    heads = np.flatnonzero(~problems.follows)
+    return np.asarray(heads[(-np.add.reduceat(effort, heads)).argsort(kind="stable")])
 
 
 def _scenes(models: Models, solver: Solver, is_taylor: bool) -> SceneTable:

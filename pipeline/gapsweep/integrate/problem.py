@@ -286,12 +286,15 @@ Integrate = Callable[[Problems], Motions]
 
 
 class Loading(threading.local):
-    """Processor time [s] that a thread has spent on loading or compiling an engine so far.
+    """Time that a thread has spent on loading or compiling an engine so far.
 
-    The first call of a process waits for it; it does not count as cost of a motion.
+    The first call of a process waits for it; it does not count as cost of a motion, nor for its
+    time limit. On a busy machine, or while another process compiles, much more time passes than the
+    processor works.
     """
 
-    seconds: float = 0.0
+    seconds: float = 0.0  # processor time [s]
+    elapsed: float = 0.0  # [s]
     end: float = math.inf  # deadline of motions, on the clock `_now`
 
 
@@ -300,7 +303,7 @@ TIME_LIMIT = 3600.0  # s of a call in Python
 
 
 def _now() -> float:
-    return time.monotonic() - LOADING.seconds
+    return time.monotonic() - LOADING.elapsed
 
 
 def is_late() -> bool:

@@ -176,7 +176,9 @@ def _why_unresolved(
 ) -> str:
     exponent, error = found.lyapunov[point], found.lyapunov_error[point]
     largest = steady.max_period_multiple
-    n = period_multiple(windows.window(point), float(windows.resolution[point]), largest)
+    n = period_multiple(
+        windows.window(point), float(windows.resolution(np.array([point]))[0]), largest
+    )
     if found.state[point] in _REASONS:
         reason = _REASONS[State(found.state[point])]
         n = n if found.state[point] != int(State.UNCONFIRMED) else int(shooting.n[point])
@@ -196,7 +198,7 @@ def _why_unresolved(
         remedy = "zeta = 0.02" if system.omega_n else "c = 0.1"
     precision = {
         "modulus": abs(shooting.multipliers[point, 0]),
-        "noise": float(windows.noise(max(int(shooting.n[point]), 1))[point]),
+        "noise": float(windows.noise(np.array([point]), max(int(shooting.n[point]), 1))[0]),
         "atol": 0.01 * windows.ensemble.atol[point],
         "rtol": CONFIRMING_RTOL,
         "damping": remedy,
@@ -217,7 +219,7 @@ def _precision(
     """
     ensemble, stopped = windows.ensemble, found.has_stopped[points]
     offset, swing = found.offset[points], np.asarray(read["amplitude"], float)
-    noise = windows.noise(np.where(found.is_periodic, shooting.n, 1))[points]
+    noise = windows.noise(points, np.where(found.is_periodic, shooting.n, 1)[points])
     amplitude = reach_of(swing.T, ensemble.unit[:, points])
     is_noisy = (limit.NOISY * noise > amplitude) & found.is_classified[points] & ~stopped
     for k in np.flatnonzero(is_noisy).tolist():

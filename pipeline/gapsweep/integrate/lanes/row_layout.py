@@ -300,12 +300,14 @@ class RowLayout:
         return sum(self.blocks.values())
 
     @cached_property
-    def numbers(self) -> np.record:
-        """All sizes and first rows, by name, as a record for code compiled once for all layouts."""
-        names = [*(field.name for field in fields(self)), *self.derived, *self.blocks]
+    def numbers(self) -> NDArray[Any]:
+        """All sizes and first rows, by name, for code compiled once for all layouts.
+
+        An array of one record: numba takes ten microseconds for each argument that is a record.
+        """
+        names = *(field.name for field in fields(self)), *self.derived, *self.blocks
         values = tuple(int(getattr(self, name)) for name in names)
-        found: np.record = np.rec.array([values], dtype=[(name, np.int64) for name in names])[0]
-        return found
+        return np.array([values], dtype=_record_of(names))
 
     def __getattr__(self, name: str) -> int:
         """Return the first row of a block, and store it as an attribute."""
@@ -313,6 +315,12 @@ class RowLayout:
             raise AttributeError(name)
         self.__dict__[name] = self.first[name]
         return self.first[name]
+
+
+@cache
+def _record_of(names: tuple[str, ...]) -> Any:
+    """Return the type of a record of whole numbers; numba compares equal ones field by field."""
+    return np.dtype((np.record, [(name, np.int64) for name in names]))
 
 
 _KNOWN: dict[RowLayout, RowLayout] = {}

@@ -11,7 +11,6 @@ its zeros are isolated by the same rule on parts of the step (`roots`).
 
 import math
 
-import numpy as np
 from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic
@@ -19,6 +18,7 @@ from numba.extending import intrinsic
 from gapsweep.integrate.jit import entry, internal
 from gapsweep.integrate.lanes.outcome import CLOCK_SLACK
 from gapsweep.integrate.lanes.rows import rows_of
+from gapsweep.integrate.lanes.start_rows import first_section
 from gapsweep.integrate.vectors import (
     I64,
     absolute,
@@ -110,12 +110,6 @@ def _write_return(at, run, k, start, t):
     run.fill[SECTIONS] += 1
     _write_section(at, run, k, i, start + t, t)
     run.logs[SECTIONS][i, STATE + at.n] = 0.0  # to the last bit: the next motion begins here
-
-
-@internal
-def first_section(record_clock):
-    """Number of the first whole period at which a section point is recorded."""
-    return max(1.0, np.ceil(record_clock - CLOCK_SLACK))
 
 
 @internal
@@ -349,7 +343,7 @@ def record_steps(layout, among, run):
     Section points of forced motions first; then, if a log of extrema is kept, extrema, contact
     times and, for dense output, the step itself, if it ends after the lane has begun to record.
     """
-    at = run.at
+    at = run.at[0]
     if not at.is_free:
         _record_sections(at, among, run)
     if len(run.logs[TURNS]) == 0:  # only sections are recorded
