@@ -206,7 +206,7 @@ class Family:
             return model
         here = {name: value for name, value in values.items() if name in _names(model)}
         model = replace(model, **here) if here else model
-        if AMPLITUDE in self.names and not model.forcing:
+        if AMPLITUDE in self.names and not model.is_loaded:
             return replace(general_form(model), forcing=())
         return model
 

@@ -111,8 +111,9 @@ def _is_oscillator(models: Models) -> bool:
 
 
 def _oscillators(models: Models) -> dict[str, Any]:
-    columns = models.of_systems(attrgetter(*CLASSIC)).T
-    return {**dict(zip(CLASSIC, columns, strict=True)), "omega": models.omega}
+    *columns, inertial = models.of_systems(attrgetter(*CLASSIC, "inertial_load")).T
+    found = dict(zip(CLASSIC, columns, strict=True)) | {"omega": models.omega}
+    return found | {"forcing": found["forcing"] + inertial * (2.0 * np.pi * models.omega) ** 2}
 
 
 def _walls(models: Models) -> dict[str, Any]:

@@ -421,8 +421,9 @@ class Solver:
             and not is_oscillator
         ):
             raise ModelError(
-                f"{self.runge_kutta_setting}: needs an Oscillator with omega_n > 0 and "
-                "mean_load = 0; otherwise use engine='scipy', or located=False (piecewise-noevents)"
+                f"{self.runge_kutta_setting}: needs an Oscillator with omega_n > 0, "
+                "mean_load = 0 and base_damping = 1; otherwise use engine='scipy', or "
+                "located=False (piecewise-noevents)"
             )
         if 0 < n_located < n_contacts:
             raise ModelError(

@@ -223,7 +223,8 @@ def _precision(
     amplitude = reach_of(swing.T, ensemble.unit[:, points])
     is_noisy = (limit.NOISY * noise > amplitude) & found.is_classified[points] & ~stopped
     for k in np.flatnonzero(is_noisy).tolist():
-        loads = np.atleast_1d(ensemble.system(points[k]).forcing)
+        system = ensemble.system(points[k])
+        loads = [[system.is_loaded]] if isinstance(system, Oscillator) else system.forcing
         is_noisy[k] = np.any([getattr(load, "amplitude", load) for load in loads])
     found.state[points[is_noisy]] = State.NOISY
     read["status"][is_noisy & (read["status"] == int(Status.OK))] = Status.UNRESOLVED
