@@ -22,7 +22,7 @@ from gapsweep.response.result import (
     ResponseClass,
     Responses,
     Steady,
-    missing,
+    columns_with,
 )
 from gapsweep.response.scene import CONFIRMING_RTOL, TANGENT_RTOL
 from gapsweep.response.section import period_multiple, reach_of
@@ -127,12 +127,12 @@ def answers(
     n_q = ensemble.n_coordinates
     read["x_end"], read["v_end"] = end[:, :n_q], end[:, n_q : 2 * n_q]
     read["z_end"] = end[:, 2 * n_q :]
-    columns = missing(n, ensemble.structure)
-    for name in columns.keys() & read.keys():
-        columns[name][points] = read[name].reshape(len(points), *columns[name].shape[1:])
-    columns["status"][failures], messages = _failures(failures, windows)
+    columns = columns_with(read, points, n, ensemble.structure)
+    messages: dict[int, str] = {}
+    if failures.size:
+        columns["status"][failures], messages = _failures(failures, windows)
     for state in (State.NO_RETURN, State.HIDDEN):
-        here = np.flatnonzero(found.state == int(state))
+        here = (found.state == int(state)).nonzero()[0]
         messages |= dict.fromkeys(here.tolist(), _REASONS[state])
     for point in np.flatnonzero(columns["status"] == int(Status.UNRESOLVED)).tolist():
         messages.setdefault(point, _why_unresolved(point, windows, shooting, found, steady))
@@ -149,8 +149,6 @@ def answers(
 
 def _failures(failures: Numbers, windows: RecordedWindows) -> tuple[list[Status], dict[int, str]]:
     """Return the status of the points that failed, and a message for each, by point."""
-    if not failures.size:
-        return [], {}
     ensemble = windows.ensemble
     y = windows.y[:, failures]
     gaps = ensemble.gaps(ensemble.turning(failures, y))
@@ -433,11 +431,13 @@ def _whole_period(
     ensemble, n_q = windows.ensemble, windows.ensemble.n_coordinates
     x, counts = windows.extrema_of(call)
     counts = counts.ravel()
-    ends = np.cumsum(counts)
+    v_start, v_end = (ensemble.turning(orbits, each[n_q:]).T.ravel() for each in (y, call.y))
+    turned = np.flatnonzero(v_start * v_end < 0.0)
+    if not turned.size:
+        return x, counts
     missed, doubled = np.zeros(len(counts), bool), np.zeros(len(counts), bool)
     at = ensemble.turning(orbits, call.y).T.ravel()
-    v_start, v_end = (ensemble.turning(orbits, each[n_q:]).T.ravel() for each in (y, call.y))
-    for row in np.flatnonzero(v_start * v_end < 0.0).tolist():
+    for row in turned.tolist():
         k, which = divmod(row, windows.n_turning)
         orbit = orbits[[k]]
         a = rates(ensemble, int(orbits[k]), call.y[:, k])[n_q : 2 * n_q]
@@ -445,7 +445,7 @@ def _whole_period(
         missed[row] = (v_start[row] - v_end[row]) * a_turning > 0.0
         doubled[row] = not missed[row] and counts[row] > 0
     if doubled.any():
-        x = np.delete(x, (ends - counts)[doubled])
+        x = np.delete(x, (np.cumsum(counts) - counts)[doubled])
         counts = counts - doubled
     if missed.any():
         x = np.insert(x, np.cumsum(counts)[missed], at[missed])
