@@ -13,6 +13,7 @@ from gapsweep.integrate.motions import VANISHED
 from gapsweep.model.oscillator import Oscillator
 from gapsweep.response import thresholds as limit
 from gapsweep.response.classification import Classification, State
+from gapsweep.response.compiled import read_extrema
 from gapsweep.response.equilibrium import rates
 from gapsweep.response.loads import contact_shares, largest_forces
 from gapsweep.response.ragged import RaggedArrays, spans
@@ -39,6 +40,7 @@ Numbers = NDArray[np.intp]
 # Smallest motion of a contact relative to the whole motion. At 1e-6, chaos of a part of a system
 # was classified as periodic; down to 1e-5 all classes were right.
 _FAINT = 1e-5
+_KINDS = int(ExtremumKind.MAXIMUM), int(ExtremumKind.MINIMUM), int(ExtremumKind.INFLECTION)
 _LINEAR = 1e-3  # of a spring's stiffness: a cubic spring that adds less is negligible
 
 # Messages of points that are unresolved because of their state, then other messages.
@@ -333,15 +335,9 @@ def _read_off(
     ensemble, is_orbit = windows.ensemble, found.has_orbit[points]
     n_q, place = ensemble.n_coordinates, ensemble.turning(points, windows.y[:, points])
     x, counts = windows.extrema.of(windows.rows(points))
+    closed = np.repeat(is_orbit, windows.n_turning)
+    kinds, largest, smallest = read_extrema(x, counts, closed, place.T.ravel(), _KINDS)
     first = np.cumsum(counts) - counts
-    kinds = _kinds(x, counts, np.repeat(is_orbit, windows.n_turning))
-    # A quantity without an extremum in the window has its present value.
-    largest: Array = place.T.flatten()
-    smallest = largest.copy()
-    seen = np.flatnonzero(counts)
-    if seen.size:
-        largest[seen] = np.maximum.reduceat(x, first[seen])
-        smallest[seen] = np.minimum.reduceat(x, first[seen])
     # One row a point, one column for every coordinate, then for every gap.
     shape = -1, windows.n_turning
     largest, smallest = largest.reshape(shape), smallest.reshape(shape)
@@ -450,25 +446,3 @@ def _whole_period(
     if missed.any():
         x = np.insert(x, np.cumsum(counts)[missed], at[missed])
     return x, counts + missed
-
-
-def _kinds(x: Array, counts: Counts, closed: Mask) -> Counts:
-    """`ExtremumKind` of zero-velocity displacements, motion by motion in the order of time.
-
-    A point between the displacements of its neighbours is an inflection. `closed`: motions whose
-    first point follows the last one.
-    """
-    before, after = np.concatenate([x[-1:], x[:-1]]), np.concatenate([x[1:], x[:1]])
-    some = np.flatnonzero(counts)
-    last, first = (np.cumsum(counts) - 1)[some], (np.cumsum(counts) - counts)[some]
-    is_closed, two = closed[some], np.minimum(first + 1, last)
-    before[first] = np.where(is_closed, x[last], x[two])
-    after[last] = np.where(is_closed, x[first], x[np.maximum(last - 1, first)])
-    is_maximum, is_minimum = (x > before) & (x > after), (x < before) & (x < after)
-    return np.asarray(
-        np.where(
-            is_maximum,
-            int(ExtremumKind.MAXIMUM),
-            np.where(is_minimum, int(ExtremumKind.MINIMUM), int(ExtremumKind.INFLECTION)),
-        )
-    )

@@ -107,7 +107,8 @@ class Ensemble:
         self._integrate_tangent: Integrate | None = None
         if not self.has_own_tangent:
             self._integrate_tangent = prepared(models.with_laws(located), forces.tangent_solver)
-        self._costs: list[_Cost] = []
+        nobody = np.zeros(0, np.int64)
+        self._costs: list[_Cost] = [(nobody, 0.0, [nobody] * len(COUNTS), nobody)]
 
     def tight(self, rtol: float) -> "Ensemble":
         """Return the ensemble with the tolerance that decides stability, and located contacts.
@@ -203,6 +204,8 @@ class Ensemble:
     def gap_units(self, scenes: NDArray[np.intp]) -> Array:
         """Gaps [m] that correspond to one metre of the section, shape (n_contacts, m)."""
         unit = self.unit[: self.n_coordinates, scenes]
+        if not self.first_gap:
+            return unit
         return np.asarray(np.sqrt(np.einsum("skj,js->ks", self._directions[scenes] ** 2, unit**2)))
 
     def gaps(self, turning: Array) -> Array:

@@ -8,7 +8,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from .row_layout import RowLayout
+from .row_layout import RowLayout, oscillator_layout
 from .start_rows import FLOOR_SHARE
 
 Array = NDArray[np.float64]
@@ -77,7 +77,7 @@ def scenes(
         to ``1e-3 * rtol`` of the motion's natural size.
     """
     n_rad = 2 * np.pi * omega_n
-    at = RowLayout(is_tanh=epsilon is not None).with_degree(rtol)
+    at = oscillator_layout(rtol, is_tanh=epsilon is not None)
     points, table = empty_table(at, len(zeta))
     table[at.stiffness], table[at.damping] = n_rad**2, 2 * zeta * n_rad
     table[at.cubic], table[at.push] = alpha / mass, forcing / mass
