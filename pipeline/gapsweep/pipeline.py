@@ -50,6 +50,7 @@ from gapsweep.status import Status
 from gapsweep.store import netcdf
 from gapsweep.store.artefact import alone_in
 from gapsweep.store.cache import Cache
+from gapsweep.store.index import MISSING
 from gapsweep.study.axes import MAX_POINTS
 from gapsweep.study.grid import Selection
 from gapsweep.study.study import Study
@@ -299,16 +300,17 @@ def expected_seconds(plan: Plan, cache: str | Path | None, workers: int) -> floa
     if not path.exists():
         return None
     with Cache(path, read_only=True) as store:
-        cost = store.seconds(plan.keys)
-    if np.isnan(cost).all():
+        seconds, n_known = np.zeros((2, plan.study.grid.shape[0]))
+        for block in plan.blocks():
+            cost = store.seconds(block.keys)
+            n_known[block.representation] += np.count_nonzero(np.isfinite(cost))
+            seconds[block.representation] += np.nansum(cost)
+    if not n_known.any():
         return None
-    representation = plan.representation(np.arange(plan.n_points))
-    total = 0.0
-    for r in np.unique(representation[plan.is_missing]).tolist():
-        here = representation == r
-        known = cost[here & np.isfinite(cost)]
-        mean = known.mean() if known.size else np.nanmean(cost)
-        total += mean * np.sum(plan.is_missing & here)
+    mean = np.where(n_known > 0, seconds, seconds.sum()) / np.where(
+        n_known > 0, n_known, n_known.sum()
+    )
+    total = np.sum(plan.n_left.sum(axis=1) * mean)
     return float(total) / workers
 
 
@@ -574,13 +576,13 @@ def _exported(
 
 def _as_stored(planned: Plan, store: Cache) -> Plan:
     """The plan after its computation, with the present status of every point."""
-    status = store.status(planned.keys)
-    if lost := int(np.sum(status < 0)):
+    found = planned.stored(store)
+    if lost := int(np.count_nonzero(found.status == MISSING)):
         raise StoreError(
             f"{store.path}: {lost} points of this run were removed by another process or a disk "
             "failure; run again to resume"
         )
-    return replace(planned, status=status)
+    return found
 
 
 def _computed(
@@ -634,7 +636,7 @@ def _connected(
 
 
 def _failures(planned: Plan) -> dict[str, int]:
-    counts = {s.label: int(np.sum(planned.status == s)) for s in Status if s.failed}
+    counts = {s.label: int(np.count_nonzero(planned.status == s)) for s in Status if s.failed}
     return {label: n for label, n in counts.items() if n}
 
 
@@ -643,7 +645,8 @@ def _reasons(planned: Plan, store: Cache) -> str:
     reasons = []
     for status in filter(lambda status: status.failed, Status):
         rows = np.flatnonzero(planned.status == status)
-        if rows.size and (place := store.place(planned.keys[rows[:1]])):
-            message = place[1].responses.row(place[2]).message
+        if rows.size and planned.places is not None:
+            found = store.found(planned.places[rows[:1]], planned.study.structure)
+            message = found.responses.messages.get(0, "")
             reasons.append(f"{rows.size} {status.label}: {message:.200}".rstrip(": "))
     return "; ".join(reasons)

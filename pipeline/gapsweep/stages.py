@@ -294,13 +294,10 @@ def write_page(folder: Path) -> Path:
 
 
 def _points_digest(run: RunContext) -> str:
-    """Digest of the keys and of the stored results of a study's sweep points."""
+    """Digest of the stored results of a study's sweep points."""
     assert run.points is not None, "stages that read points are made with them"
     plan, cache = run.points
-    digest = hashlib.sha256(plan.keys.data)
-    for part in cache.checksums(plan.keys):
-        digest.update(part)
-    return digest.hexdigest()
+    return plan.digest(cache)
 
 
 def _settings_digest(run: RunContext) -> str:
@@ -339,8 +336,8 @@ def _responses(run: RunContext) -> None:
 def _static(run: RunContext) -> "xr.Dataset":
     from gapsweep.analysis.datasets.static import static
 
-    with run.datasets() as found:  # users' laws are called on workers only
-        return static(run.study, found.get("responses"), with_own_laws=False)
+    with run.datasets() as found:
+        return static(run.study, found.get("responses"))
 
 
 def _agreement(run: RunContext) -> "Content":

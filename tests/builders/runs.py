@@ -31,10 +31,11 @@ def run(tables, client, folder, out="out", **options):
 def on_a_cluster(client):
     """A function of a folder and arguments that runs ``gapsweep`` there on the client's workers.
 
-    In this process, for runs that do not end it: without imports and a cluster.
+    In this process, for runs that do not end it: without imports and a cluster. It must end with
+    the exit code `code`, and show no traceback.
     """
 
-    def gapsweep(folder, *arguments, cache=None):
+    def gapsweep(folder, *arguments, cache=None, code=0):
         out, errors = io.StringIO(), io.StringIO()
         with (
             chdir(folder), redirect_stdout(out), redirect_stderr(errors),
@@ -47,8 +48,10 @@ def on_a_cluster(client):
                 patch.delenv("GAPSWEEP_CACHE", raising=False)
             else:
                 patch.setenv("GAPSWEEP_CACHE", cache)
-            code = exit_code(list(arguments))
-        return SimpleNamespace(returncode=code, stdout=out.getvalue(), stderr=errors.getvalue())
+            found = exit_code(list(arguments))
+        assert found == code, errors.getvalue()
+        assert "Traceback" not in errors.getvalue()
+        return SimpleNamespace(stdout=out.getvalue(), stderr=errors.getvalue())
 
     return gapsweep
 
@@ -62,12 +65,17 @@ def _process(folder, arguments, command, variables):
     return [*command, *arguments], {"cwd": folder, "env": environment, "text": True}
 
 
-def in_a_process(folder, *arguments, command=None, timeout=300, variables=None, **options):
-    """``gapsweep`` with these arguments in a process, ended, with the text that it has written."""
+def in_a_process(folder, *arguments, command=None, variables=None, code=0, **options):
+    """The text that ``gapsweep`` with these arguments writes in a process.
+
+    It must end with the exit code `code`, and show no traceback.
+    """
     command, settings = _process(folder, arguments, command, variables)
-    return subprocess.run(
-        command, capture_output=True, timeout=timeout, check=False, **settings | options
-    )
+    options = {"capture_output": True, "timeout": 300} | settings | options
+    done = subprocess.run(command, check=False, **options)
+    assert done.returncode == code, done.stdout + done.stderr
+    assert "Traceback" not in done.stderr
+    return done
 
 
 def started(folder, *arguments, command=None, variables=None, **options):

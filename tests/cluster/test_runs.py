@@ -166,15 +166,16 @@ def test_runs_begin_at_different_points_and_cut_no_sweep(tables):
     starts = [[0.0, 0.0], "sweep_up", "sweep_down", [1e-4, 0.0]]
     tables["sweep"][0]["initial_condition"] = starts
     planned = plan(gs.Study.from_dict(tables))
-    rows, firsts = np.arange(planned.n_points), set()
+    firsts = set()
     for _ in range(40):
-        blocks = list(portions.shuffled(planned, rows))
-        firsts.add(int(blocks[0][0]))
-        assert np.array_equal(np.sort(np.concatenate(blocks)), rows)
-        assert all((np.diff(block) == 1).all() for block in blocks)
-        assert not any(planned.follows[block[0]] for block in blocks)
-        kinds = planned.representation(np.array([block[0] for block in blocks[:3]]))
-        assert kinds.tolist() == [0, 1, 2], "one of each representation leads"
+        several = list(portions.shuffled(planned))
+        numbers = [block.numbers[rows] for block, rows in several]
+        firsts.add(int(numbers[0][0]))
+        assert np.array_equal(np.sort(np.concatenate(numbers)), np.arange(planned.n_points))
+        assert all((np.diff(each) == 1).all() for each in numbers)
+        assert not any(block.follows[rows[0]] for block, rows in several)
+        kinds = [block.representation for block, _ in several[:3]]
+        assert kinds == [0, 1, 2], "one of each representation leads"
     assert len(firsts) > 10
 
 
@@ -300,7 +301,7 @@ def test_a_run_that_waits_for_another_first_lets_go_of_what_it_has(
     with Cache(cache):
         pass  # the other one looks into it
     planned = plan(study)
-    arguments = [str(cache), planned.keys.tobytes().hex(), str(planned.n_points - 1)]
+    arguments = [str(cache), planned.mark.hex(), str(planned.n_points - 1)]
     command = [sys.executable, "-c", _HOLDER, *arguments]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as other:
         assert other.stdout.readline() == "held\n"

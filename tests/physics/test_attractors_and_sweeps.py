@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 from tests.builders.cache import tile_rows
-from tests.builders.studies import PAPER
+from tests.builders.datasets import tables
 from tests.oracles import exact_orbits
 from tests.oracles.section_points import orbit_distance, parts
 
@@ -161,20 +161,9 @@ def test_extremum_kinds_alternate():
 
 
 def test_upward_sweep_rides_the_upper_branch_beyond_the_fitted_range():
-    tables = {
-        "study": {"name": "branch"},
-        "oscillator": PAPER,
-        "sweep": [
-            {
-                "representation": ["piecewise", "ratpoly-5/3", "poly-13"],
-                "K_c": [SOFT],
-                "gap": [[0.4e-3, 0.4e-3]],
-                "omega": {"start": 9.0, "stop": 19.0, "step": 0.25},
-                "initial_condition": "sweep_up",
-            }
-        ],
-    }
-    study = gs.Study.from_dict(tables)
+    whole = tables(["piecewise", "ratpoly-5/3", "poly-13"], np.arange(9.0, 19.1, 0.25))
+    whole["sweep"][0] |= {"K_c": [SOFT], "initial_condition": "sweep_up"}
+    study = gs.Study.from_dict(whole)
     exact, rational, polynomial = (tile_rows(study, r) for r in range(3))
     peak = {w: 1e3 * r.x_max for w, r in zip(study.grid.omega, exact, strict=True)}
     assert 3.8 < peak[14.0] < 4.2

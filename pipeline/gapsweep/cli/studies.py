@@ -95,6 +95,7 @@ def plan(
     """
     from gapsweep import pipeline
     from gapsweep.console import print_table
+    from gapsweep.execution.plan import BYTES
     from gapsweep.study.unit_check import bounded, doubts_of
 
     loaded = options.loaded(study, engine)
@@ -118,6 +119,7 @@ def plan(
     unknown = "unknown (no comparable points cached)"
     time = unknown if expected is None else f"{timedelta(seconds=round(expected))} (h:mm:ss)"
     echo(f"expected  {time}")
+    echo(f"    disk  about {planned.n_points * BYTES / 1e6:.3g} MB when all points are stored")
     states = {
         file: f"to be written: {why}" if why else "up to date" for file, why in stages.items()
     }

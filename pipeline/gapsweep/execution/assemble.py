@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gapsweep.execution.layout import Arrays, Layout, Piece, define, define_attractors, set_flags
-from gapsweep.execution.plan import Plan
+from gapsweep.execution.plan import ABSENT, Plan
 from gapsweep.model.table import ForceTable
 from gapsweep.response.attractors import NONE, Attractors, Grouping
 from gapsweep.response.result import ResponseClass, Responses
@@ -76,16 +76,16 @@ def fill(
     uneven = [label for label, own in laws.items() if own is not None and not own.is_odd]
     mean_load = study.spec.model.get("mean_load", 0.0)
     layout = Layout.of(grid, study.steady, uneven=uneven, mean_load=mean_load)
-    numbers = _numbers(plan, grid, selection)
     hosts: list[str] = []
     versions: set[str] = set()
     define(dataset, layout)
     define_attractors(others, layout)
     for piece in layout.pieces():
-        requested = numbers[piece] >= 0
+        numbers = _numbers(plan, grid, selection, piece)
+        requested = numbers >= 0
         if not requested.any():
             continue
-        stored = _PieceResults(plan, cache, study, numbers[piece])
+        stored = _PieceResults(plan, cache, study, numbers)
         units, directions = _sections(study, layout, piece, stored, requested)
         attractors, ids = _grouped(layout, piece, stored, units)
         of_scenes = _attractor_arrays(layout, attractors, requested.shape[:-1], directions)
@@ -122,13 +122,16 @@ def _tables(study: Study) -> dict[str, str]:
     return {"tables_json": json.dumps(found)} if found else {}
 
 
-def _numbers(plan: Plan, grid: Grid, selection: Selection | None) -> NDArray[np.int32]:
-    """Number in the plan of the point of every cell that is written, -1 without a point."""
-    number = np.full(plan.shape, -1, np.int32)
-    number.flat[plan.cells] = np.arange(plan.n_points)
-    if selection is not None:
-        number = number[np.ix_(*selection)]
-    return np.where(grid.requested, number, np.int32(-1))
+def _numbers(
+    plan: Plan, grid: Grid, selection: Selection | None, piece: Piece
+) -> NDArray[np.int64]:
+    """Number in the plan of the point of every cell of a piece, -1 without a point."""
+    whole = plan.study.grid
+    some = selection or [np.arange(n) for n in whole.shape]
+    at = np.ix_(*(axis[part] for axis, part in zip(some, piece, strict=True)))
+    numbers = whole.numbers(np.ravel_multi_index(at, whole.shape))
+    is_point = (plan.status[numbers] != ABSENT) & grid.requested[piece]
+    return np.where(is_point, numbers, -1)
 
 
 class _PieceResults:
@@ -139,8 +142,9 @@ class _PieceResults:
     since other runs write to the cache.
     """
 
-    def __init__(self, plan: Plan, cache: Cache, study: Study, numbers: NDArray[np.int32]) -> None:
-        self._plan, self._cache, self._structure = plan, cache, study.structure
+    def __init__(self, plan: Plan, cache: Cache, study: Study, numbers: NDArray[np.int64]) -> None:
+        assert plan.places is not None, "results of stored points"
+        self._places, self._cache, self._structure = plan.places, cache, study.structure
         self._numbers, self._seen = numbers, np.zeros(numbers.shape, bool)
         self._known: set[int] = set()
         self._kept: tuple[slice, tuple[Found, NDArray[np.intp]]] | None = None
@@ -159,9 +163,9 @@ class _PieceResults:
         self._kept = starts, (found, at)
         return found, at
 
-    def _find(self, numbers: NDArray[np.int32]) -> tuple[Found, NDArray[np.intp]]:
+    def _find(self, numbers: NDArray[np.int64]) -> tuple[Found, NDArray[np.intp]]:
         here = np.nonzero(numbers >= 0)
-        found = self._cache.find(self._plan.keys[numbers[here]], self._structure)
+        found = self._cache.found(self._places[numbers[here]], self._structure)
         return found, np.array(here)[:, found.at]
 
 

@@ -3,6 +3,7 @@
 import json
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from itertools import islice
 from typing import Any
 
 import numpy as np
@@ -47,26 +48,30 @@ class Explanation:
 
 def explain(study: Study, plan: Plan, cache: Cache | None, limit: int) -> Iterator[Explanation]:
     """Explain the first points of a plan, at most `limit`; `cache` is None if there is none."""
-    points = range(min(plan.n_points, limit))
+    each = ((block, row) for block in plan.blocks() for row in range(len(block.keys)))
+    points = list(islice(each, limit))
     nearest: dict[int, Differences] = {}
-    if cache and (missing := [point for point in points if plan.status[point] < 0]):
-        asked = [study.points(plan.cells[[point]])[0][1] for point in missing]
-        previous = plan.previous(np.array(missing))
+    missing = [number for number, (block, row) in enumerate(points) if block.status[row] < 0]
+    if cache and missing:
+        asked, previous = [], []
+        for block, row in (points[number] for number in missing):
+            asked.append(study.points(block.cells[[row]])[0][1])
+            previous.append(block.previous(np.array([row])))
         for _, slab in cache.slabs():
             if (contents := contents_of(slab)) is not None:
-                for point, one, before in zip(missing, asked, previous[:, None], strict=True):
+                for number, one, before in zip(missing, asked, previous, strict=True):
                     found = _differing(one, before, slab, contents)
-                    if point not in nearest or len(found) < len(nearest[point]):
-                        nearest[point] = found
-    for point in points:
-        label = _label(study, int(plan.cells[point]))
-        place = cache.place(plan.keys[[point]]) if cache else None
+                    if number not in nearest or len(found) < len(nearest[number]):
+                        nearest[number] = found
+    for number, (block, row) in enumerate(points):
+        label = _label(study, int(block.cells[row]))
+        place = cache.place(block.keys[[row]]) if cache else None
         if place is not None:
-            slab, contents, row = place
-            response = contents.responses.row(row)
+            slab, contents, row_of_slab = place
+            response = contents.responses.row(row_of_slab)
             yield Explanation(label, response.status.label, slab.host, response.message)
         else:
-            yield Explanation(label, "missing", differences=nearest.get(point))
+            yield Explanation(label, "missing", differences=nearest.get(number))
 
 
 def _differing(

@@ -14,6 +14,7 @@ MISSING = -1  # status of a key that is not stored
 # Number of the slab in the order in which they were added, row of the point in it, its status, and
 # its rank: if a point has several results, the one of the highest rank counts.
 HELD = np.dtype([("slab", "i4"), ("row", "u1"), ("status", "i1"), ("rank", "i8")])
+PLACE = np.dtype([("slab", "i4"), ("row", "u1")])  # of a result, without its status
 _COUNTS = 2**32  # added to the rank of results that replace any failure
 
 Held = NDArray[Any]  # array of dtype HELD

@@ -21,7 +21,8 @@ from gapsweep.errors import ModelError
 from gapsweep.model.labels import Representation
 from gapsweep.model.oscillator import LARGEST, SMALLEST
 
-MAX_POINTS = 10**7
+MAX_POINTS = 10**9  # of a study
+MAX_VALUES = 10**7  # of an axis or a list
 _LARGEST = 1e100  # of spans; far beyond any parameter of a model
 
 
@@ -41,7 +42,7 @@ def _not_tiny(value: float) -> float:
 Number = Annotated[float, AfterValidator(_bounded)]
 Positive = Annotated[float, Field(gt=0), AfterValidator(_bounded), AfterValidator(_not_tiny)]
 NonNegative = Annotated[float, Field(ge=0), AfterValidator(_bounded)]
-Count = Annotated[int, Field(ge=1, le=MAX_POINTS)]
+Count = Annotated[int, Field(ge=1, le=MAX_VALUES)]
 Range = Annotated[list[Number], Field(min_length=2, max_length=2)]
 Pair = Annotated[list[NonNegative], Field(min_length=2, max_length=2)]
 
@@ -102,6 +103,12 @@ class StepGrid(_RangeTable[Value], Generic[Value]):
     def count(self) -> int:
         # A stop at a whole number of steps, within rounding, is included.
         return int(min(self.span / self.step, _LARGEST) + 1e-9) + 1
+
+    @model_validator(mode="after")
+    def _coarse(self) -> "StepGrid[Value]":
+        if self.count > MAX_VALUES:
+            raise ValueError(f"step {self.step:g}: must give <= {MAX_VALUES} values")
+        return self
 
     def values(self) -> list[float]:
         start = float(self.start)
@@ -226,6 +233,8 @@ class GridStarts(_Box):
             raise ValueError(
                 "grid: must have one range of x and of v; use sobol for several coordinates"
             )
+        if self.count > MAX_VALUES:
+            raise ValueError(f"grid = {self.grid}: must have <= {MAX_VALUES} initial conditions")
         return self
 
     @property

@@ -23,7 +23,7 @@ from gapsweep.model.oscillator import Gap, Oscillator
 from gapsweep.model.own_law import OwnLaw, checked
 from gapsweep.model.structure import AnyStructure
 from gapsweep.response.result import Steady
-from gapsweep.study.axes import MAX_POINTS, forms
+from gapsweep.study.axes import MAX_POINTS, MAX_VALUES, forms
 from gapsweep.study.axis_selection import listed, numbers_of_sweeps, positions
 from gapsweep.study.blocks import expanded, requested_of, union
 from gapsweep.study.grid import START, Axes, Grid, Selection, Starts
@@ -588,8 +588,8 @@ def _lists(tables: Any) -> Any:
         return {name: _lists(value) for name, value in tables.items()}
     is_list = isinstance(tables, list | tuple)
     n = len(tables) if is_list else getattr(tables, "size", 0)
-    if n > MAX_POINTS:  # before each value is checked
-        raise StudyError(f"a list of {n} values: must have <= {MAX_POINTS}; coarsen a grid")
+    if n > MAX_VALUES:  # before each value is checked
+        raise StudyError(f"a list of {n} values: must have <= {MAX_VALUES}; coarsen a grid")
     if is_list:
         return [_lists(value) for value in tables]
     return tables.tolist() if isinstance(tables, np.ndarray | np.generic) else tables

@@ -216,7 +216,7 @@ def _slopes(at: RowLayout, points: Array, contact: int) -> Iterator[Array]:
             force = force - _along(matrix("stiffness", n, n), q[k])
             force = force - _along(matrix("lag_force", n, m), z[k])
             cubes = _convolved(_convolved(bends, bends, k, whole=True), bends, k)
-            force = force - _along(matrix("cubic", n, at.cubics), cubes[0])
+            force = force - np.einsum("pji,pj->pi", matrix("cubic", at.cubics, n), cubes[0])
             force = force - _along(pull, spring * _convolved(rates, depths, k)[0])
             q.append(force / ((k + 1) * (k + 2)))
             yield _along(direction, q[-1])[:, contact]

@@ -47,7 +47,6 @@ class Walls:
 def layout_of(system: System) -> RowLayout:
     """Return the row layout of a system."""
     terms = sum(map(len, system.modulation.values()))
-    first = system.forcing[0] if len(system.forcing) == 1 else None
     return RowLayout(
         n=system.n,
         m=system.n_lags,
@@ -56,7 +55,6 @@ def layout_of(system: System) -> RowLayout:
         harmonics=len(system.forcing),
         modulations=terms,
         is_plain=False,
-        in_step=first is not None and (first.k, first.phase) == (1, 0.0),
         is_free=not system.is_forced,
     )
 
@@ -163,7 +161,7 @@ def _fill(
     alpha = np.array([each.alpha for each in system.cubic])
     put("along", along)
     put("alpha", alpha)
-    put("cubic", inverse @ along.T * alpha)
+    put("cubic", (inverse @ along.T * alpha).T)
     put("softness", np.einsum("ki,ij,kj->k", along, inverse, along))
     put("holding", np.array([linear.holding(a) for a in along]))
     fastest = 2.0 * np.pi * system.fastest
@@ -196,9 +194,8 @@ def _put_loads(at: RowLayout, table: Array, put: Put, linear: _Linear) -> None:
         speed += force * growth / (load.k * omega_rad + linear.slowest)
     put("push", np.array(push))
     table[at.floor] = speed
-    if not at.in_step:
-        put("multiple", np.array([float(load.k) for load in system.forcing]))
-        put("phase", np.array([fraction(load.phase) for load in system.forcing]))
+    put("multiple", np.array([float(load.k) for load in system.forcing]))
+    put("phase", np.array([fraction(load.phase) for load in system.forcing]))
     names = list(system.contacts)
     terms = [(names.index(name), m) for name, ms in system.modulation.items() for m in ms]
     for i, (contact, term) in enumerate(terms):

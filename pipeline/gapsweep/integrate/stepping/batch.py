@@ -57,10 +57,8 @@ class WorkSpace:
     """
 
     def __init__(self, at: RowLayout) -> None:
-        n_kept = at.n_series + at.tangent * at.n_states * (at.n + at.m)
-        self.lanes, self.coefficients = (
-            aligned(n_rows, at.width) for n_rows in (at.n_rows, n_kept * at.n_terms)
-        )
+        self.lanes = aligned(at.n_rows, at.width)
+        self.coefficients = aligned(at.n_coefficients, at.width)
         self.lane_point = np.empty(at.width, np.int64)
         self.progress, self.fill = np.empty(2, np.int64), np.empty(len(record.LOGS), np.int64)
         self.work = work_space(at.order, at.contacts)

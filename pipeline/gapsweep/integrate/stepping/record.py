@@ -17,7 +17,7 @@ from numba.extending import intrinsic
 
 from gapsweep.integrate.jit import entry, internal
 from gapsweep.integrate.lanes.outcome import CLOCK_SLACK
-from gapsweep.integrate.lanes.rows import LaneRows, pointers
+from gapsweep.integrate.lanes.rows import rows_of
 from gapsweep.integrate.lanes.start_rows import first_section
 from gapsweep.integrate.vectors import (
     I64,
@@ -309,8 +309,8 @@ def find_passed(typingctx, at, lanes, among):
     signature = types.int64(at, lanes, types.int64)
 
     def codegen(context, builder, signature, args):
-        (pointer,) = pointers(context, builder, signature, args)
-        return _emit_passed(builder, LaneRows(builder, pointer, at.layout), args[2])
+        (lanes,) = rows_of(context, builder, signature, args)
+        return _emit_passed(builder, lanes, args[2])
 
     return signature, codegen
 
