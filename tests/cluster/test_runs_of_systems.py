@@ -7,11 +7,11 @@ import pytest
 import xarray as xr
 from matplotlib.figure import Figure
 from numpy.testing import assert_array_equal
+from tests.builders.datasets import exported
 from tests.builders.studies import SECTION, TWO_MASSES, changed
 
 import gapsweep as gs
 from gapsweep import pipeline
-from gapsweep.execution.assemble import export
 from gapsweep.execution.plan import plan
 from gapsweep.response.result import ResponseClass
 from gapsweep.store.cache import Cache
@@ -290,9 +290,8 @@ def test_what_needs_one_displacement_is_left_out_with_a_word(made):
 def test_what_is_not_stored_yet_is_interrupted_in_the_shape_of_the_rest(made, tmp_path):
     study, _, responses = made
     with Cache(tmp_path / "empty-cache") as store:
-        files = tmp_path / "responses.nc", tmp_path / "attractors.nc"
-        export(study, plan(study, store), store, *files)
-    with xr.open_dataset(files[0]) as empty:
+        exported(plan(study, store), tmp_path)
+    with xr.open_dataset(tmp_path / "responses.nc") as empty:
         assert empty["x_max"].shape == responses["x_max"].shape
         assert (empty["status"] == gs.Status.INTERRUPTED).all()
         assert np.isnan(empty["section_x"]).all()
@@ -303,7 +302,7 @@ def test_starts_in_parts_are_written_as_all_at_once(made, tmp_path, monkeypatch)
     monkeypatch.setattr("gapsweep.execution.layout.PIECE", 3)
     files = tmp_path / "responses.nc", tmp_path / "attractors.nc"
     with Cache(folder / "c-cache") as store:
-        export(study, plan(study, store), store, *files)
+        exported(plan(study, store), tmp_path)
     with xr.open_dataset(files[0]) as again:
         xr.testing.assert_equal(again.load(), responses)
     with (

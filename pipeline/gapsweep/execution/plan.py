@@ -1,12 +1,13 @@
 """The plan of a run: all sweep points of a study, and which of them must be computed.
 
-A plan holds two bytes for every cell of the grid, and where its results are stored. Cells and keys
-of points are made block by block where they are needed, so that memory does not grow with them.
+A plan holds seven bytes for every cell of the grid: its status, and where its result is stored.
+Cells and keys of points are made block by block where they are needed, so that memory does not
+grow with them.
 """
 
 import hashlib
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from math import prod
 
@@ -75,21 +76,26 @@ class Plan:
     Attributes
     ----------
     study : Study
+    cache : Cache, optional
+        Of the results; None if there is none yet.
     status : ndarray of int8, shape (n_cells,)
         Stored status of the point of each number, `MISSING`, or `ABSENT` without a point.
     is_missing : ndarray of bool, shape (n_cells,)
         Whether a point must be computed.
     ends : ndarray of int, shape (n_blocks, 2)
         First number of each block, and the number behind its last one.
-    places : ndarray of PLACE, shape (n_cells,), optional
-        Where the results are stored in the cache of the plan; slab -1 without a result.
+    places : ndarray of PLACE, shape (n_cells,)
+        Where the results are stored in the cache; slab -1 without a result.
+
+    A run enters the status and the places of the results that it stores.
     """
 
     study: Study
+    cache: Cache | None
     status: NDArray[np.int8]
     is_missing: NDArray[np.bool_]
     ends: NDArray[np.int64]
-    places: NDArray[np.void] | None = None
+    places: NDArray[np.void]
 
     def __repr__(self) -> str:
         counts = f"{self.n_hits} in the cache, {self.n_missing} missing, {self.n_failed} failed"
@@ -99,7 +105,7 @@ class Plan:
     def n_points(self) -> int:
         return int(np.count_nonzero(self.status != ABSENT))
 
-    @cached_property
+    @property
     def n_missing(self) -> int:
         return int(np.count_nonzero(self.is_missing))
 
@@ -160,25 +166,18 @@ class Plan:
         """All blocks, one after the other."""
         yield from map(self.block, range(len(self.ends)))
 
-    def stored(self, cache: Cache) -> "Plan":
-        """The plan with the present status and place in a cache of every point."""
-        found = replace(self, status=self.status.copy(), places=_no_places(len(self.status)))
-        for block in found.blocks():
-            found._enter(block, cache.held(block.keys))
-        return found
+    def enter(self, numbers: NDArray[np.int64], held: Held) -> None:
+        """Set status and places of points, which then are no longer missing."""
+        self.is_missing[numbers] = False
+        self.status[numbers] = held["status"]
+        self.places[numbers] = held[list(PLACE.names or ())]
 
-    def _enter(self, block: Block, held: Held) -> None:
-        """Set status and places of the points of a block."""
-        assert self.places is not None
-        self.status[block.numbers] = held["status"]
-        self.places[block.numbers] = held[list(PLACE.names or ())]
-
-    def digest(self, cache: Cache) -> str:
+    def digest(self) -> str:
         """Digest of the places of all points in the grid and of their stored results."""
-        assert self.places is not None, "of stored points"
+        assert self.cache is not None, "where the results are stored"
         found = hashlib.sha256()
         for first, last in self.ends.tolist():
-            for part in cache.checksums(self.places[first:last]):
+            for part in self.cache.checksums(self.places[first:last]):
                 found.update(part)
         return found.hexdigest()
 
@@ -211,16 +210,16 @@ def plan(
         wanted = wanted & selected
     chosen = grid.order(wanted)
     status = np.where(chosen, np.int8(MISSING), np.int8(ABSENT))
-    made = Plan(study, status, chosen, _ends(chosen, study))
+    places = np.full(len(status), np.array((-1, 0), PLACE))
+    made = Plan(study, cache, status, chosen, _ends(chosen, study), places)
     if cache is None:
         # Keys are not needed, but user code that fails shall do so now.
         for number in range(len(made.ends) if study.names_code else min(len(made.ends), 1)):
             made.block(number)
         return made
-    made = replace(made, places=_no_places(len(status)))
     for block in made.blocks():
         held = cache.held(block.keys)
-        made._enter(block, held)
+        made.enter(block.numbers, held)
         # Stored points after a lost point of a sweep stay valid: they were computed from its
         # result. Those that started from another state, since an earlier point had failed, are
         # recomputed.
@@ -230,10 +229,6 @@ def plan(
             missing |= _after(held["status"] > Status.OUT_OF_FIT_RANGE, block.follows)
         made.is_missing[block.numbers] = missing
     return made
-
-
-def _no_places(n: int) -> NDArray[np.void]:
-    return np.full(n, np.array((-1, 0), PLACE))
 
 
 def _ends(chosen: NDArray[np.bool_], study: Study) -> NDArray[np.int64]:
