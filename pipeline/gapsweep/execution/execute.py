@@ -48,6 +48,7 @@ _COMMIT_POINTS = 4096
 _MAX_ATTEMPTS = 5
 _MAX_LOSSES = 20  # lost results of a job: far more than workers die of other causes
 _WAIT_SECONDS = 0.1
+_COUNT_SECONDS = 1.0  # between two looks at the threads of the cluster
 # Points that are computed together; numbers in their block, ascending.
 Portion = tuple[Block, Rows]
 _CLUSTER_LOST = "the cluster was lost; run again to resume"
@@ -142,7 +143,7 @@ class _Execution:
         # when no other points are left.
         self.elsewhere: list[Portion] = []
         self.computing: set[int] = set()  # heads of the keys of points in flight
-        self.n_threads = 1
+        self.n_threads, self.counted = 1, -np.inf  # of the cluster, and when they were counted
         self.suspects: deque[_Job] = deque()
         self.in_flight: dict[Future, _Job] = {}
         self.arrived: list[Slab] = []
@@ -175,10 +176,12 @@ class _Execution:
     # --- sending ---------------------------------------------------------------------------------
 
     def _refill(self, completed: as_completed) -> None:
-        try:
-            self.n_threads = max(sum(self.client.nthreads().values()), 1)
-        except OSError:  # the scheduler left in this very moment
-            raise ClusterError(_CLUSTER_LOST) from None
+        if (now := time.monotonic()) > self.counted + _COUNT_SECONDS:
+            try:
+                self.n_threads = max(sum(self.client.nthreads().values()), 1)
+            except OSError:  # the scheduler left in this very moment
+                raise ClusterError(_CLUSTER_LOST) from None
+            self.counted = now
         # Tasks are small until a cost is known: a second one in the queue of a worker gains little.
         window = _WINDOW if self.costs.n_points.any() else 1
         while len(self.in_flight) < window * self.n_threads:
@@ -286,7 +289,7 @@ class _Execution:
         keys, previous = block.keys[rows], block.previous(rows)
         is_first = is_first_of_sweep(rows, block.follows)
         tiles = []
-        for at, points in self.plan.study.points(block.cells[rows]):
+        for at, points in block.points(rows):
             firsts = np.flatnonzero(is_first[at])
             lengths = np.diff(firsts, append=len(at))
             states = np.zeros((len(firsts), points.kind.n_states))

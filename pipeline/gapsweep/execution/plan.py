@@ -20,7 +20,7 @@ from gapsweep.status import Status
 from gapsweep.store.cache import Cache
 from gapsweep.store.index import MISSING, PLACE, Held
 from gapsweep.study.grid import Selection
-from gapsweep.study.points import KEY
+from gapsweep.study.points import KEY, Points
 from gapsweep.study.study import Study
 
 # Sweep points in a block, and at most in a task: keys of as many are in memory at a time.
@@ -45,6 +45,8 @@ class Block:
         Position of their representation in the study.
     is_swept, follows : ndarray of bool, shape (n,)
         Whether a point is of a sweep, and whether it starts from the end of the point before it.
+    tables : list of (ndarray of int, Points)
+        Points of one kind each, with their numbers in the block, as of `Study.points`.
     keys : ndarray of void, shape (n,)
         Content keys.
     status : ndarray of int8, shape (n,)
@@ -58,9 +60,17 @@ class Block:
     representation: int
     is_swept: NDArray[np.bool_]
     follows: NDArray[np.bool_]
+    tables: list[tuple[NDArray[np.intp], Points]]
     keys: NDArray[np.void]
     status: NDArray[np.int8]
     is_missing: NDArray[np.bool_]
+
+    def points(self, rows: NDArray[np.intp]) -> Iterator[tuple[NDArray[np.intp], Points]]:
+        """Some points, of one kind each, with their positions in `rows`, which ascend."""
+        for whole, points in self.tables:
+            here = np.flatnonzero(np.isin(rows, whole, assume_unique=True))
+            if here.size:
+                yield here, points.take(np.searchsorted(whole, rows[here]))
 
     def previous(self, rows: NDArray[np.intp]) -> NDArray[np.void]:
         """Keys of the preceding points in sweeps; zero for points that follow none."""
@@ -157,9 +167,10 @@ class Plan:
         follows = np.zeros(len(numbers), bool)
         follows[1:] = is_swept[1:] & (chain[1:] == chain[:-1])
         keys = np.empty(len(numbers), KEY)
-        for rows, points in self.study.points(cells):
+        tables = self.study.points(cells)
+        for rows, points in tables:
             keys[rows] = points.keys(follows[rows] if is_swept.any() else None)
-        about = cells, int(self.representation(first)), is_swept, follows, keys
+        about = cells, int(self.representation(first)), is_swept, follows, tables, keys
         return Block(numbers, *about, status[here], self.is_missing[first:last][here])
 
     def blocks(self) -> Iterator[Block]:
