@@ -355,8 +355,8 @@ def _responses(run: RunContext) -> None:
 def _static(run: RunContext) -> "xr.Dataset":
     from gapsweep.analysis.datasets.static import static
 
-    with run.datasets() as found:  # users' laws are called on workers only
-        return static(run.study, found.get("responses"), with_own_laws=False)
+    with run.datasets() as found:
+        return static(run.study, found.get("responses"))
 
 
 def _agreement(run: RunContext) -> "Content":

@@ -132,7 +132,6 @@ def _as_json(study: Study, table: str, path: Path, found: dict[str, Any]) -> dic
 
 
 def _claims_in(code: Snapshot) -> "list[Claim]":
-    """The claims that a user module defines."""
     from gapsweep.analysis.claims import stated
 
     try:

@@ -81,7 +81,7 @@ def cell_table(
     scenarios: Sequence[Scenario],
     methods: Sequence[Method],
     timeout: float,
-    say: Say | None = None,
+    say: Say,
 ) -> dict[str, Any]:
     """Compute every cell of a table; returns the arrays of `VARIABLES` by name.
 
@@ -94,7 +94,7 @@ def cell_table(
     timeout : float
         Processor time [s] of a scenario, and of a user law in a scenario. Cells that take longer
         have the status `timed_out`.
-    say : callable, optional
+    say : callable
         Called with a line of text before each scenario.
     """
     arrays = empty(VARIABLES, sizes(scenarios, methods))
@@ -144,7 +144,7 @@ def _groups(scenario: Scenario, methods: Sequence[Method]) -> Iterator[Group]:
 
 
 def _computed(
-    tasks: Sequence[Task], timeout: float, is_alone: bool, say: Say | None
+    tasks: Sequence[Task], timeout: float, is_alone: bool, say: Say
 ) -> Iterator[Cells | Status]:
     """Cells of every task in order, or the status of the process that failed."""
     n_processes = min(len(tasks), os.cpu_count() or 1)
@@ -152,8 +152,7 @@ def _computed(
 
     def call(task: Task) -> Cells | Status:
         _, scenario, group = task
-        if say is not None:
-            say(f"benchmark: scenario {scenario.name}, {len(group)} methods")
+        say(f"benchmark: scenario {scenario.name}, {len(group)} methods")
         if is_alone and not any(method.label.is_own for method in group.values()):
             return scenario_cells(scenario, group)
         process = idle.get()

@@ -82,14 +82,14 @@ ERROR_SCALE = "gap width; for velocities, times the angular forcing frequency"
 
 
 def work_precision(
-    study: Study, say: Say | None = None, timeout: float = DEFAULT_TIMEOUT
+    study: Study, say: Say = lambda text: None, timeout: float = DEFAULT_TIMEOUT
 ) -> xr.Dataset | None:
     """Error, cost and status of every method on every scenario without a stated solution.
 
     Parameters
     ----------
     study : Study
-    say : callable, optional
+    say : callable
         Called with a line of text before each step.
     timeout : float
         Processor time [s] of a scenario, and of each call of a user law.
@@ -107,13 +107,12 @@ def work_precision(
     # The load of other processes, before the measurements.
     load = os.getloadavg()[0] if hasattr(os, "getloadavg") else math.nan
     repeats = study.spec.bench.repeats
-    report = say or (lambda _: None)
     with Isolated(timeout) as isolated:
         bench = Measurements(found, ladder, study.spec.bench.lanes, study.steady, isolated)
         # Costs first: their first calls are the first ones of the process.
-        report(f"work-precision: measuring costs of {len(found)} scenarios, {len(ladder)} methods")
+        say(f"work-precision: measuring costs of {len(found)} scenarios, {len(ladder)} methods")
         bench.measure_costs(repeats)
-        report("work-precision: computing steady responses")
+        say("work-precision: computing steady responses")
         bench.measure_responses()
     compared = [followed(bench.without_lost(s)) for s in range(len(found))]
     arrays = cell_table(compared, ladder, timeout, say) | bench.arrays

@@ -13,13 +13,12 @@ import numpy as np
 import xarray as xr
 
 from gapsweep.analysis.dimensions import Array
-from gapsweep.analysis.spectra import N_PERIODS, SAMPLES_PER_PERIOD, spectrum
+from gapsweep.analysis.spectra import N_PERIODS, SAMPLES_PER_PERIOD, repetition, spectrum
 from gapsweep.errors import ModelError
 from gapsweep.execution.isolated import CallError, Isolated
 from gapsweep.execution.progress import DEFAULT_TIMEOUT
 from gapsweep.integrate.simulate import motion_of
 from gapsweep.model.labels import Representation
-from gapsweep.response.section import period_multiple, scaled, unit_of
 from gapsweep.status import Status
 from gapsweep.study.grid import START
 from gapsweep.study.points import Points
@@ -30,8 +29,6 @@ from gapsweep.user_code.package_digest import numerics_fingerprint
 from gapsweep.variables import STATUS_FLAGS, Variable, empty, with_attributes
 
 PARTS = ("start", "steady")
-# Section points closer than this share of the largest displacement count as one.
-_SAME_POINT = 1e-4
 
 _DIMS = ("history", "representation")
 _SCENE = ("K_c", "gap", "j_1", "j_2", "omega", "x_0", "v_0")
@@ -184,11 +181,10 @@ def _motion(point: Points, omega: float, t_end: float) -> dict[str, Any]:
         return {"status": motion.status}
     x, v = (values.reshape(t.shape) for values in motion.sample(t)[:2])
     steady = np.transpose([x[-1], v[-1]])[::SAMPLES_PER_PERIOD]
-    same = _SAME_POINT * float(np.max(np.abs(x[-1])))
     return {
         "x": x,
         "v": v,
         "spectrum": spectrum(x[-1]),
-        "period_multiple": period_multiple(scaled(steady, unit_of(omega)), same, len(steady) // 2),
+        "period_multiple": repetition(steady, float(np.max(np.abs(x[-1]))), omega),
         "status": motion.status,
     }

@@ -55,7 +55,9 @@ def runge_kutta_scenes(
         )
     )
     table = np.zeros((len(exact.table), at.n_rows))
-    table[:, : exact.at.n_rows] = exact.table
+    for name, size in exact.at.blocks.items():
+        old, new = exact.at.first[name], at.first[name]
+        table[:, new : new + size] = exact.table[:, old : old + size]
     points, has_layer, has_range = table[:-1], False, False
     for i, law in enumerate(kernel_laws):
         rows = law.rows(mass, len(points))

@@ -12,56 +12,62 @@ from numba.core import cgutils
 from numba.extending import intrinsic
 
 from gapsweep.integrate.jit import separate
-from gapsweep.integrate.lanes.rows import LaneRows, dot, pointers, value_and_slope
+from gapsweep.integrate.lanes.rows import dot, rows_of, value_and_slope
 from gapsweep.integrate.motions import VANISHED
 from gapsweep.integrate.vectors import F64, I64, absolute, fma, mask_of, where
 
-from .series import Equation, Modes, extend, extend_lags, product_term, square_term
+from .series import Equation, Modes, Spring, extend, extend_lags, product_term, square_term
 
 
-def _squares(coefficients, one):
-    """Series of (a.q)^2 of every cubic spring, from the series of the coordinates."""
-    layout = coefficients.layout
-    along, squares = ([[] for _ in range(layout.cubics)] for _ in range(2))
+def _square(coefficients, one):
+    """Series of the square of a plain oscillator's coordinate."""
+    square = []
 
     def to(order):
-        for n in range(len(squares[0]), order - 1):
-            q = [coefficients[i * layout.n_terms + n] for i in range(layout.n)]
-            for number, (terms, square) in enumerate(zip(along, squares, strict=True)):
-                terms.append(dot(one.along[number], q, one.zero) if one.along else q[0])
-                square.append(square_term(terms, n))
+        x = [coefficients[n] for n in range(order - 1)]
+        square.extend(square_term(x, n) for n in range(len(square), order - 1))
 
-    if squares:
-        extend(one, squares, to)
-    return squares
+    extend(one, [square], to)
+    return square
 
 
-def _variation(lanes, one, squares):
+def _variation(lanes, one, square):
     """Series, of coordinates and of first-order states, of the solution in the first rows."""
     layout = lanes.layout
     state = [lanes[layout.tangent_state + i] for i in range(layout.n_states)]
     y = [[state[i], state[layout.n + i]] for i in range(layout.n)]
     z = [[value] for value in state[2 * layout.n :]]
-    gaps, along = [[] for _ in range(layout.contacts)], [[] for _ in range(layout.cubics)]
+    gaps = [[] for _ in one.direction]
+
+    def bent(n, totals):
+        """Add the forces of cubic springs, coefficient n, to `totals`."""
+        place = [x[n] for x in y]
+        if one.is_plain:
+            (x,), ((cubic,),), (total,) = y, one.cubic, totals
+            return [fma(cubic * 3.0, product_term(square, x, n), total)]
+
+        def add(spring, totals):
+            along = spring.extended(Spring.TANGENT, n, dot(spring.along, place, one.zero))
+            bend = product_term(spring.series(Spring.SQUARE, n), along, n)
+            return [fma(a * 3.0, bend, t) for a, t in zip(spring.cubic, totals, strict=True)]
+
+        return one.each_spring(totals, add)
 
     def to(order):
         for n in range(len(y[0]) - 2, order - 1):
-            for series, directions in ((gaps, one.direction), (along, one.along)):
-                for k, terms in enumerate(series):
-                    place = [x[n] for x in y]
-                    terms.append(dot(directions[k], place, one.zero) if directions else place[0])
-            bends = [product_term(*pair, n) for pair in zip(squares, along, strict=True)]
+            for terms, direction in zip(gaps, one.direction, strict=True):
+                terms.append(dot(direction, [x[n] for x in y], one.zero))
             forces = one.contact_forces(n, gaps) if one.rates else []
-            new = []
-            for i, springs in enumerate(one.springs):
+            totals, new = [], []
+            for springs in one.springs:
                 total = None
                 for k, x in zip(springs, y, strict=True):
                     total = k * x[n] if total is None else fma(k, x[n], total)
-                for a, bend in zip(one.cubic[i], bends, strict=True):
-                    total = fma(a * 3.0, bend, total)
+                totals.append(total)
+            for i, total in enumerate(bent(n, totals)):
                 for c, x in zip(one.damping[i], y, strict=True):
                     total = fma(c * float(n + 1), x[n + 1], total)
-                for a, x in zip(one.others[i], z, strict=False):
+                for a, x in zip(one.others[i], z, strict=True):
                     total = fma(a, x[n], total)
                 total = one.pulled(i, forces, -total)
                 new.append(total * (1.0 / ((n + 1) * (n + 2))))
@@ -122,17 +128,15 @@ def _tangent_step(typingctx, at, lanes, coefficients, rtol, unclear):
         if layout.is_tanh:
             return context.get_dummy_value()
         builder.function.attributes.add("noinline")  # within the loop it would slow every step
-        rows, series = (
-            LaneRows(builder, p, layout) for p in pointers(context, builder, signature, args)
-        )
+        rows, series = rows_of(context, builder, signature, args)
         is_tight = builder.fcmp_ordered("<", args[3], ir.Constant(F64, layout.tight))
-        one = Equation(rows, Modes(rows, "mode_0"), is_tight, "tau_0")
-        squares, step = _squares(series, one), rows["step"]
+        one = Equation(rows, series, Modes(rows, "mode_0"), is_tight, "tau_0")
+        square, step = _square(series, one) if layout.is_plain else [], rows["step"]
         keeps = mask_of(builder, args[4], layout.width)
 
         def advance(number):
             solution, kept = solution_rows(rows, series, number)
-            commit_solution(solution, kept, _variation(solution, one, squares), step, keeps)
+            commit_solution(solution, kept, _variation(solution, one, square), step, keeps)
 
         if layout.is_plain:  # a loop would take a tenth longer
             advance(ir.Constant(I64, 0))

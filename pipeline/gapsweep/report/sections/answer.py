@@ -51,7 +51,7 @@ def sections(inputs: Inputs) -> Iterator[Part]:
         "sentences": said if own.sentences else said[1:],
         "numbers": list(map(_numbers, found[:MOST_CONTACTS])),
     }
-    figures = [*_compared(responses, found), *own.figures]
+    figures = [*_compared(inputs), *own.figures]
     yield Part("answer", "Answer", headline, own.tables, figures, content)
 
 
@@ -102,8 +102,9 @@ def _numbers(contact: Contact) -> tuple[str, list[list[str]]]:
     return f"{contact.place}{of_tanh if least else ''}", rows
 
 
-def _compared(responses: xr.Dataset, found: Sequence[Contact]) -> Iterator[Figured]:
+def _compared(inputs: Inputs) -> Iterator[Figured]:
     """Laws and the exact law in the case with the most verdicts, if it has a curve."""
+    responses, found = inputs.responses, inputs.cases
     if not found or responses.sizes["omega"] < 2:
         return
     contact = max(found, key=lambda one: (len(list(filter(None, one.columns.values()))), one.K_c))
@@ -117,8 +118,10 @@ def _compared(responses: xr.Dataset, found: Sequence[Contact]) -> Iterator[Figur
         f"Peak displacement at {contact.place}: contact laws (coloured) and the exact law (larger "
         "dots behind), for the same initial conditions"
     )
-    figure = compared_with_exact(swept(scene.sel(representation=[EXACT, *laws])), EXACT, laws)
-    looks = f"{caption_of_walls(scene, of_peaks=True)}{caption_of_marks(figure)}"
+    shown = swept(scene.sel(representation=[EXACT, *laws]))
+    figure = compared_with_exact(shown, EXACT, laws, inputs.branches)
+    words = " Dashed lines: unstable orbits." if inputs.branches is not None else ""
+    looks = f"{caption_of_walls(scene, of_peaks=True)}{words}{caption_of_marks(figure)}"
     yield Figured(figure, f"{description}.{looks}", description)
 
 
