@@ -218,7 +218,7 @@ def test_a_second_run_makes_nothing_and_a_new_folder_takes_all_from_the_cache(
     study = gs.Study.from_dict(tables())
     before = (folder / "out" / "branches.nc").stat().st_mtime_ns
     planned = pipeline.plan(study, folder / "c")
-    assert not any(pipeline.stage_reasons(study, planned, folder / "out", folder / "c").values())
+    assert not any(pipeline.stage_reasons(study, planned, folder / "out").values())
     monkeypatch.setattr(branches_of_study, "followed", None)
     gs.run(study, client, out=folder / "out", cache=folder / "c").close()
     assert (folder / "out" / "branches.nc").stat().st_mtime_ns == before

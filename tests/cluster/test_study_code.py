@@ -97,7 +97,7 @@ def test_own_code_in_a_whole_run(folder, client, capsys, monkeypatch):
 
     def reasons():
         fresh = gs.Study.of(study)
-        found = pipeline.stage_reasons(fresh, pipeline.plan(fresh, cache), out, cache)
+        found = pipeline.stage_reasons(fresh, pipeline.plan(fresh, cache), out)
         return {file: reason for file, reason in found.items() if reason}
 
     decided = again()

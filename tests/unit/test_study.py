@@ -127,6 +127,40 @@ def test_sweeps_are_chains_in_their_own_direction(tables):
     assert block.follows.tolist() == [False, True, True]
 
 
+def test_numbers_in_the_order_of_computation_are_those_of_cells(tables):
+    starts = [[0.0, 0.0], "sweep_down", "sweep_up"]
+    (block,) = tables["sweep"]
+    grid = study_of(tables, sweep=[block | {"initial_condition": starts, "zeta": [0.1, 0.2]}]).grid
+    numbers = np.arange(grid.requested.size)
+    cells = grid.cells(numbers)
+    assert np.array_equal(np.sort(cells), numbers)
+    assert np.array_equal(grid.numbers(cells), numbers)
+    _, _, _, omega, zeta, start = np.unravel_index(cells, grid.shape)
+    n = len(grid.omega)
+    assert omega[: 3 * n].tolist() == [0, 1, 2, 2, 1, 0, 0, 1, 2]
+    assert start[: 3 * n : n].tolist() == [0, 1, 2]
+    assert zeta[: 6 * n : 3 * n].tolist() == [0, 1]
+
+
+def test_a_plan_without_a_cache_computes_keys_of_one_block(tables, monkeypatch):
+    n_keys, keys = [], points.Points.keys
+
+    def counted(table, follows=None):
+        n_keys.append(len(table))
+        return keys(table, follows)
+
+    monkeypatch.setattr(points.Points, "keys", counted)
+    omega = {"start": 1.0, "stop": 30.0, "num": 1000}
+    (block,) = tables["sweep"]
+    block |= {"representation": ["piecewise"], "omega": omega, "K_c": omega | {"num": 100}}
+    planned = study_of(tables, sweep=[block]).plan(cache="none")
+    assert (planned.n_points, planned.n_missing, len(planned.ends)) == (10**5, 10**5, 7)
+    assert sum(n_keys) <= 16384
+    assert sorted(number for one in planned.blocks() for number in one.numbers.tolist()) == [
+        *range(10**5)
+    ]
+
+
 def test_a_list_of_starts_is_a_block_for_each(tables):
     box = {"sobol": 4, "x": [-1e-3, 1e-3], "v": [-0.1, 0.1]}
     forms = [[[0.0, 0.0], [1e-3, 0.0]], box, "sweep_up", "sweep_down"]

@@ -101,8 +101,8 @@ def plan(
     loaded = options.loaded(study, engine)
     with options.at_work() as observer:
         planned = pipeline.plan(loaded, cache, retry_failed=retry_failed, on_progress=observer)
-        expected = pipeline.expected_seconds(planned, cache, workers)
-        stages = pipeline.stage_reasons(loaded, planned, out, cache)
+        expected = pipeline.expected_seconds(planned, workers)
+        stages = pipeline.stage_reasons(loaded, planned, out)
     doubts = [*doubts_of(loaded, bounded(loaded))]
     numbers = {
         "points": planned.n_points,

@@ -9,6 +9,7 @@ as failed.
 
 import time
 from collections import deque
+from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
@@ -35,7 +36,6 @@ from gapsweep.store.slab import Slab
 from gapsweep.store.work_locks import WorkLocks
 from gapsweep.study.points import KEY
 from gapsweep.study.software import software
-from gapsweep.study.study import Study
 
 # A task takes at most this part of a thread's share of the points, so that all end together.
 _PART_OF_SHARE = 0.5
@@ -48,6 +48,7 @@ _COMMIT_POINTS = 4096
 _MAX_ATTEMPTS = 5
 _MAX_LOSSES = 20  # lost results of a job: far more than workers die of other causes
 _WAIT_SECONDS = 0.1
+_COUNT_SECONDS = 1.0  # between two looks at the threads of the cluster
 # Points that are computed together; numbers in their block, ascending.
 Portion = tuple[Block, Rows]
 _CLUSTER_LOST = "the cluster was lost; run again to resume"
@@ -67,20 +68,21 @@ class _Job:
 
 
 def execute(
-    study: Study,
     plan: Plan,
-    cache: Cache,
     client: Client,
     *,
     batch: int | None = None,
     timeout: float = DEFAULT_TIMEOUT,
     retry_failed: bool = False,
     on_progress: OnProgress | None = None,
+    meanwhile: Iterator[bool] | None = None,
 ) -> Progress:
     """Compute all missing points of a plan and store them.
 
     Parameters
     ----------
+    plan : Plan
+        Status and places of results are entered when they are stored.
     batch : int, optional
         Points per task; None chooses it from measured costs.
     timeout : float
@@ -89,6 +91,9 @@ def execute(
         Whether to recompute points with a stored failure.
     on_progress : callable, optional
         Called with the `Progress` after every task.
+    meanwhile : iterator of bool, optional
+        Other work of this process, a step each, while no result has arrived. False: nothing can
+        be done until further points are stored.
 
     Raises
     ------
@@ -97,10 +102,12 @@ def execute(
     """
     timeout = min(timeout, LONGEST)
     check_workers(client, partial(tell, on_progress, plan.progress, "waiting for workers"))
+    cache = plan.cache
+    assert cache is not None, "where results are stored"
     with WorkLocks(cache.path, plan.mark) as claims:
-        run = _Execution(study, plan, cache, claims, client, batch, timeout, retry_failed)
+        run = _Execution(plan, cache, claims, client, batch, timeout, retry_failed)
         try:
-            run.finish(on_progress)
+            run.finish(on_progress, meanwhile or iter(()))
         finally:
             run.cancel()
             run.commit()
@@ -113,7 +120,6 @@ class _Execution:
 
     def __init__(
         self,
-        study: Study,
         plan: Plan,
         cache: Cache,
         claims: WorkLocks,
@@ -122,14 +128,14 @@ class _Execution:
         timeout: float,
         retry_failed: bool,
     ) -> None:
-        self.study, self.plan, self.cache, self.claims = study, plan, cache, claims
+        self.plan, self.cache, self.claims, study = plan, cache, claims, plan.study
         self.client, self.batch, self.timeout = client, batch, timeout
         # The last windows of all points of a task are in memory at once, state by state.
         self.largest_batch = 2 * BLOCK // study.structure.n_states
         self.largest_hit = Status.OUT_OF_FIT_RANGE if retry_failed else max(Status)
         self.progress = plan.progress
         self.blocks = shuffled(plan)
-        self.n_new = plan.n_missing
+        self.n_missing = self.n_new = plan.n_missing
         self.n_left = plan.n_left
         # Points taken before new ones: the rest of a block, and of long sweeps.
         self.begun: deque[Portion] = deque()
@@ -137,7 +143,7 @@ class _Execution:
         # when no other points are left.
         self.elsewhere: list[Portion] = []
         self.computing: set[int] = set()  # heads of the keys of points in flight
-        self.n_threads = 1
+        self.n_threads, self.counted = 1, -np.inf  # of the cluster, and when they were counted
         self.suspects: deque[_Job] = deque()
         self.in_flight: dict[Future, _Job] = {}
         self.arrived: list[Slab] = []
@@ -146,16 +152,18 @@ class _Execution:
         self.last_commit = time.monotonic()
         self.costs = Costs(study.spec.solver.engine or DEFAULT_ENGINE, timeout, len(self.n_left))
 
-    def finish(self, on_progress: OnProgress | None) -> None:
+    def finish(self, on_progress: OnProgress | None, meanwhile: Iterator[bool]) -> None:
         completed = as_completed(loop=self.client.loop)
         while True:
             self._refill(completed)
             if on_progress is not None:
                 n_known = self.progress.n_done - self.progress.n_hits
-                if n_known >= _KNOWN * self.plan.n_missing:
+                if n_known >= _KNOWN * self.n_missing:
                     self.progress.seconds_left = self.costs.seconds_left(self.n_left)
                 on_progress(self.progress)
             if self.in_flight:
+                while not completed.has_ready() and next(meanwhile, False):
+                    pass
                 future = next(completed)
                 self._receive(future, self.in_flight.pop(future))
             elif self.elsewhere:
@@ -168,10 +176,12 @@ class _Execution:
     # --- sending ---------------------------------------------------------------------------------
 
     def _refill(self, completed: as_completed) -> None:
-        try:
-            self.n_threads = max(sum(self.client.nthreads().values()), 1)
-        except OSError:  # the scheduler left in this very moment
-            raise ClusterError(_CLUSTER_LOST) from None
+        if (now := time.monotonic()) > self.counted + _COUNT_SECONDS:
+            try:
+                self.n_threads = max(sum(self.client.nthreads().values()), 1)
+            except OSError:  # the scheduler left in this very moment
+                raise ClusterError(_CLUSTER_LOST) from None
+            self.counted = now
         # Tasks are small until a cost is known: a second one in the queue of a worker gains little.
         window = _WINDOW if self.costs.n_points.any() else 1
         while len(self.in_flight) < window * self.n_threads:
@@ -237,7 +247,7 @@ class _Execution:
         """
         if self.batch:
             return self.batch
-        of_thread = self.plan.n_missing // self.n_threads
+        of_thread = self.n_missing // self.n_threads
         least = min(self.costs.least(kind, self.n_threads), of_thread)
         share = int(_PART_OF_SHARE * self.n_new / self.n_threads)
         return min(max(share, least, _MIN_BATCH), self.costs.room(kind), self.largest_batch)
@@ -272,13 +282,14 @@ class _Execution:
         self.progress.n_computed += n_ours
         self.progress.n_shared += n_hits - n_ours
         self._count(block, rows[is_hit])
+        self.plan.enter(block.numbers[rows[is_hit]], held[is_hit])
         return rows[~is_hit]
 
     def _tiles(self, block: Block, rows: Rows) -> list[Tile]:
         keys, previous = block.keys[rows], block.previous(rows)
         is_first = is_first_of_sweep(rows, block.follows)
         tiles = []
-        for at, points in self.study.points(block.cells[rows]):
+        for at, points in block.points(rows):
             firsts = np.flatnonzero(is_first[at])
             lengths = np.diff(firsts, append=len(at))
             states = np.zeros((len(firsts), points.kind.n_states))
@@ -367,6 +378,8 @@ class _Execution:
         if self.arrived:
             self.stored.update(self.cache.commit(self.arrived))
         for job in self.held:
+            numbers, keys = job.block.numbers[job.rows], job.block.keys[job.rows]
+            self.plan.enter(numbers, self.cache.recorded(keys))
             self.claims.release(*job.claimed)
             self.computing.difference_update(_heads(job.block, job.rows).tolist())
         self.arrived, self.held = [], []

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from gapsweep.execution.plan import Plan
 from gapsweep.quantities import UNITS, written
-from gapsweep.store.cache import Cache
 from gapsweep.store.maintenance import contents_of
 from gapsweep.store.slab import Slab, Stored
 from gapsweep.study.grid import Starts
@@ -46,8 +45,9 @@ class Explanation:
     differences: Differences | None = None
 
 
-def explain(study: Study, plan: Plan, cache: Cache | None, limit: int) -> Iterator[Explanation]:
-    """Explain the first points of a plan, at most `limit`; `cache` is None if there is none."""
+def explain(plan: Plan, limit: int) -> Iterator[Explanation]:
+    """Explain the first points of a plan, at most `limit`."""
+    study, cache = plan.study, plan.cache
     each = ((block, row) for block in plan.blocks() for row in range(len(block.keys)))
     points = list(islice(each, limit))
     nearest: dict[int, Differences] = {}

@@ -1,12 +1,13 @@
 """The plan of a run: all sweep points of a study, and which of them must be computed.
 
-A plan holds two bytes for every cell of the grid, and where its results are stored. Cells and keys
-of points are made block by block where they are needed, so that memory does not grow with them.
+A plan holds seven bytes for every cell of the grid: its status, and where its result is stored.
+Cells and keys of points are made block by block where they are needed, so that memory does not
+grow with them.
 """
 
 import hashlib
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from math import prod
 
@@ -19,7 +20,7 @@ from gapsweep.status import Status
 from gapsweep.store.cache import Cache
 from gapsweep.store.index import MISSING, PLACE, Held
 from gapsweep.study.grid import Selection
-from gapsweep.study.points import KEY
+from gapsweep.study.points import KEY, Points
 from gapsweep.study.study import Study
 
 # Sweep points in a block, and at most in a task: keys of as many are in memory at a time.
@@ -44,6 +45,8 @@ class Block:
         Position of their representation in the study.
     is_swept, follows : ndarray of bool, shape (n,)
         Whether a point is of a sweep, and whether it starts from the end of the point before it.
+    tables : list of (ndarray of int, Points)
+        Points of one kind each, with their numbers in the block, as of `Study.points`.
     keys : ndarray of void, shape (n,)
         Content keys.
     status : ndarray of int8, shape (n,)
@@ -57,9 +60,17 @@ class Block:
     representation: int
     is_swept: NDArray[np.bool_]
     follows: NDArray[np.bool_]
+    tables: list[tuple[NDArray[np.intp], Points]]
     keys: NDArray[np.void]
     status: NDArray[np.int8]
     is_missing: NDArray[np.bool_]
+
+    def points(self, rows: NDArray[np.intp]) -> Iterator[tuple[NDArray[np.intp], Points]]:
+        """Some points, of one kind each, with their positions in `rows`, which ascend."""
+        for whole, points in self.tables:
+            here = np.flatnonzero(np.isin(rows, whole, assume_unique=True))
+            if here.size:
+                yield here, points.take(np.searchsorted(whole, rows[here]))
 
     def previous(self, rows: NDArray[np.intp]) -> NDArray[np.void]:
         """Keys of the preceding points in sweeps; zero for points that follow none."""
@@ -75,21 +86,26 @@ class Plan:
     Attributes
     ----------
     study : Study
+    cache : Cache, optional
+        Of the results; None if there is none yet.
     status : ndarray of int8, shape (n_cells,)
         Stored status of the point of each number, `MISSING`, or `ABSENT` without a point.
     is_missing : ndarray of bool, shape (n_cells,)
         Whether a point must be computed.
     ends : ndarray of int, shape (n_blocks, 2)
         First number of each block, and the number behind its last one.
-    places : ndarray of PLACE, shape (n_cells,), optional
-        Where the results are stored in the cache of the plan; slab -1 without a result.
+    places : ndarray of PLACE, shape (n_cells,)
+        Where the results are stored in the cache; slab -1 without a result.
+
+    A run enters the status and the places of the results that it stores.
     """
 
     study: Study
+    cache: Cache | None
     status: NDArray[np.int8]
     is_missing: NDArray[np.bool_]
     ends: NDArray[np.int64]
-    places: NDArray[np.void] | None = None
+    places: NDArray[np.void]
 
     def __repr__(self) -> str:
         counts = f"{self.n_hits} in the cache, {self.n_missing} missing, {self.n_failed} failed"
@@ -99,7 +115,7 @@ class Plan:
     def n_points(self) -> int:
         return int(np.count_nonzero(self.status != ABSENT))
 
-    @cached_property
+    @property
     def n_missing(self) -> int:
         return int(np.count_nonzero(self.is_missing))
 
@@ -151,34 +167,28 @@ class Plan:
         follows = np.zeros(len(numbers), bool)
         follows[1:] = is_swept[1:] & (chain[1:] == chain[:-1])
         keys = np.empty(len(numbers), KEY)
-        for rows, points in self.study.points(cells):
+        tables = self.study.points(cells)
+        for rows, points in tables:
             keys[rows] = points.keys(follows[rows] if is_swept.any() else None)
-        about = cells, int(self.representation(first)), is_swept, follows, keys
+        about = cells, int(self.representation(first)), is_swept, follows, tables, keys
         return Block(numbers, *about, status[here], self.is_missing[first:last][here])
 
     def blocks(self) -> Iterator[Block]:
         """All blocks, one after the other."""
         yield from map(self.block, range(len(self.ends)))
 
-    def stored(self, cache: Cache) -> "Plan":
-        """The plan with the present status and place in a cache of every point."""
-        found = replace(self, status=self.status.copy(), places=_no_places(len(self.status)))
-        for block in found.blocks():
-            found._enter(block, cache.held(block.keys))
-        return found
+    def enter(self, numbers: NDArray[np.int64], held: Held) -> None:
+        """Set status and places of points, which then are no longer missing."""
+        self.is_missing[numbers] = False
+        self.status[numbers] = held["status"]
+        self.places[numbers] = held[list(PLACE.names or ())]
 
-    def _enter(self, block: Block, held: Held) -> None:
-        """Set status and places of the points of a block."""
-        assert self.places is not None
-        self.status[block.numbers] = held["status"]
-        self.places[block.numbers] = held[list(PLACE.names or ())]
-
-    def digest(self, cache: Cache) -> str:
+    def digest(self) -> str:
         """Digest of the places of all points in the grid and of their stored results."""
-        assert self.places is not None, "of stored points"
+        assert self.cache is not None, "where the results are stored"
         found = hashlib.sha256()
         for first, last in self.ends.tolist():
-            for part in cache.checksums(self.places[first:last]):
+            for part in self.cache.checksums(self.places[first:last]):
                 found.update(part)
         return found.hexdigest()
 
@@ -211,16 +221,16 @@ def plan(
         wanted = wanted & selected
     chosen = grid.order(wanted)
     status = np.where(chosen, np.int8(MISSING), np.int8(ABSENT))
-    made = Plan(study, status, chosen, _ends(chosen, study))
+    places = np.full(len(status), np.array((-1, 0), PLACE))
+    made = Plan(study, cache, status, chosen, _ends(chosen, study), places)
     if cache is None:
         # Keys are not needed, but user code that fails shall do so now.
         for number in range(len(made.ends) if study.names_code else min(len(made.ends), 1)):
             made.block(number)
         return made
-    made = replace(made, places=_no_places(len(status)))
     for block in made.blocks():
         held = cache.held(block.keys)
-        made._enter(block, held)
+        made.enter(block.numbers, held)
         # Stored points after a lost point of a sweep stay valid: they were computed from its
         # result. Those that started from another state, since an earlier point had failed, are
         # recomputed.
@@ -230,10 +240,6 @@ def plan(
             missing |= _after(held["status"] > Status.OUT_OF_FIT_RANGE, block.follows)
         made.is_missing[block.numbers] = missing
     return made
-
-
-def _no_places(n: int) -> NDArray[np.void]:
-    return np.full(n, np.array((-1, 0), PLACE))
 
 
 def _ends(chosen: NDArray[np.bool_], study: Study) -> NDArray[np.int64]:

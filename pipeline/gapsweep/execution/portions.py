@@ -13,8 +13,8 @@ from gapsweep.execution.plan import BLOCK, Block, Plan
 # Short enough for progress and for the loss by a kill. The more points share the lanes, the less
 # each costs: in a task of 16,384 a third of the cost in a task of 250.
 _TASK_SECONDS = 4.0
-# Client and scheduler take 200 to 400 tasks a second.
-_CLIENT_SECONDS = 0.005
+# Client and scheduler take 200 to 400 tasks a second: twice the time, so that they keep up.
+_CLIENT_SECONDS = 0.01
 # A task has the time limit of one point: it aims at this part of it, since costs differ.
 _PART_OF_TIMEOUT = 0.25
 _RECENT_SECONDS = 60.0

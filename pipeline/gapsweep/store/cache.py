@@ -98,10 +98,14 @@ class Cache:
         self._refresh()
         return sum(frame.n_points for frame in self._frames)
 
+    def recorded(self, keys: NDArray[np.void]) -> Held:
+        """Slab, row and status of each key, as of `held`, without a check of the results."""
+        self._refresh()
+        return self._index.find(keys)
+
     def held(self, keys: NDArray[np.void]) -> Held:
         """Slab, row and status of each key; -1 and `MISSING` without a result or a sound one."""
-        self._refresh()
-        held = self._index.find(keys)
+        held = self.recorded(keys)
         slabs = np.unique(held["slab"][held["slab"] >= 0]).tolist()
         lost = [number for number in slabs if self._read(number) is None]
         held[np.isin(held["slab"], lost)] = np.array((-1, 0, MISSING, -1), held.dtype)
@@ -125,8 +129,7 @@ class Cache:
         StoreError
             If a frame is as it was written, but holds no result.
         """
-        self._refresh()
-        return self.found(self._index.find(keys), structure)
+        return self.found(self.recorded(keys), structure)
 
     def found(self, places: NDArray[np.void], structure: AnyStructure = _OSCILLATOR) -> Found:
         """Stored results at places, as of `held`; otherwise as `find`."""
@@ -164,12 +167,11 @@ class Cache:
             has_end[asked] = contents.responses.has_end[rows]
         return origins, has_end
 
-    def seconds(self, keys: NDArray[np.void]) -> NDArray[np.float64]:
-        """CPU time [s] of each key's result, the mean of its slab; NaN if it is not stored."""
-        self._refresh()
+    def seconds(self, places: NDArray[np.void]) -> NDArray[np.float64]:
+        """CPU time [s] of the result at each place, the mean of its slab; NaN without a result."""
         # The last entry is for keys that are not stored.
         seconds = np.array([*(frame.seconds / frame.n_points for frame in self._frames), np.nan])
-        return np.asarray(seconds[self._index.find(keys)["slab"]])
+        return np.asarray(seconds[places["slab"]])
 
     def checksums(self, places: NDArray[np.void]) -> Iterator[bytes]:
         """Bytes that identify the results at places: checksums of slabs, then positions."""
@@ -302,8 +304,7 @@ class Cache:
 
     def _places(self, keys: NDArray[np.void]) -> Iterator[_Contents]:
         """As `_contents_of`, for keys."""
-        self._refresh()
-        yield from self._contents_of(self._index.find(keys))
+        yield from self._contents_of(self.recorded(keys))
 
     def _contents_of(self, places: NDArray[np.void]) -> Iterator[_Contents]:
         """Slabs of places, with contents, positions of these places, and their rows in it."""

@@ -89,6 +89,10 @@ class Index:
     def find(self, keys: NDArray[np.void]) -> Held:
         """Slab, row, status and rank of each key; slab -1 and `MISSING` if it is not stored."""
         held = np.full(len(keys), np.array((-1, 0, MISSING, -1), HELD))
+        asked = words(np.ascontiguousarray(keys))
+        order = np.argsort(asked[:, 0])  # neighbours in a level are near in memory
         for level in self._levels:
-            level.add_to(held, words(np.ascontiguousarray(keys)))
-        return held
+            level.add_to(held, asked[order])
+        found = np.empty_like(held)
+        found[order] = held
+        return found
