@@ -29,7 +29,15 @@ if TYPE_CHECKING:
     from gapsweep.model.laws.fitted import Polynomial, RationalPolynomial
     from gapsweep.model.laws.logarctan import LogArctan
     from gapsweep.model.laws.tanh import Tanh
-    from gapsweep.model.system import Cubic, Harmonic, Lags, Modulation, System
+    from gapsweep.model.system import (
+        BaseMotion,
+        Cubic,
+        Harmonic,
+        Lags,
+        Modulation,
+        System,
+        Unbalance,
+    )
     from gapsweep.model.table import ForceTable
     from gapsweep.model.user_law import UserLaw
     from gapsweep.pipeline import plan, query, run
@@ -48,7 +56,8 @@ _ON_DEMAND = {
     **dict.fromkeys(("Arctan", "LogArctan", "Piecewise", "Polynomial"), "model.laws"),
     **dict.fromkeys(("RationalPolynomial", "Tanh"), "model.laws"),
     "ContactLaw": "model.contact",
-    **dict.fromkeys(("Cubic", "Harmonic", "Lags", "Modulation", "System"), "model.system"),
+    **dict.fromkeys(("BaseMotion", "Cubic", "Harmonic", "Lags"), "model.system"),
+    **dict.fromkeys(("Modulation", "System", "Unbalance"), "model.system"),
     **dict.fromkeys(("SystemTrajectory", "Trajectory"), "integrate.trajectory"),
     **dict.fromkeys(("plan", "query", "run"), "pipeline"),
     "ForceTable": "model.table",
@@ -86,6 +95,7 @@ _RETURN_DATASETS = ("basins", "branches", "open", "query", "run", "special_curve
 
 __all__ = [
     "Arctan",
+    "BaseMotion",
     "ClusterError",
     "ContactLaw",
     "Cubic",
@@ -113,6 +123,7 @@ __all__ = [
     "SystemTrajectory",
     "Tanh",
     "Trajectory",
+    "Unbalance",
     "UserLaw",
     "basins",
     "branches",

@@ -4,6 +4,7 @@ import io
 import os
 import subprocess
 import sys
+import time
 from contextlib import chdir, nullcontext, redirect_stderr, redirect_stdout
 from pathlib import Path
 from types import SimpleNamespace
@@ -83,3 +84,20 @@ def started(folder, *arguments, command=None, variables=None, **options):
     command, settings = _process(folder, arguments, command, variables)
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
     return subprocess.Popen(command, start_new_session=True, **pipes | settings | options)
+
+
+def wait_until(is_so, seconds=60):
+    """Wait until a function returns something true; fail after that many seconds."""
+    deadline = time.monotonic() + seconds
+    while not is_so():
+        assert time.monotonic() < deadline
+        time.sleep(0.02)
+
+
+def replaced(path, old, new):
+    """An edit of equal size that leaves the time of modification as it was."""
+    text, before = path.read_text(), path.stat()
+    assert old in text
+    assert len(old) == len(new)
+    path.write_text(text.replace(old, new))
+    os.utime(path, ns=(before.st_atime_ns, before.st_mtime_ns))

@@ -9,12 +9,11 @@ import shutil
 import signal
 import subprocess
 import sys
-import time
 
 import psutil
 import pytest
 from tests.builders.cache import damaged_row, n_stored
-from tests.builders.runs import ENTRY, in_a_process, started
+from tests.builders.runs import ENTRY, in_a_process, started, wait_until
 from tests.builders.studies import study_text
 
 # A stage and its time, told of what takes longer than a moment.
@@ -405,14 +404,7 @@ def slow_run(folder, *prefix):
 
 
 def wait_for_points(folder, n):
-    wait_until(lambda: stored_points(folder) >= n, 60)
-
-
-def wait_until(is_so, seconds):
-    deadline = time.monotonic() + seconds
-    while not is_so():
-        assert time.monotonic() < deadline
-        time.sleep(0.02)
+    wait_until(lambda: stored_points(folder) >= n)
 
 
 def stored_points(folder):

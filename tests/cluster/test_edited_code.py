@@ -10,7 +10,7 @@ import subprocess
 import sys
 
 import pytest
-from tests.builders.runs import in_a_process
+from tests.builders.runs import in_a_process, replaced
 from tests.builders.studies import PAPER
 from tests.cluster.test_external_clusters import SOURCES, scheduler, stored, worker
 
@@ -96,13 +96,6 @@ def stranger(tmp_path, monkeypatch):
             os.chdir(here)
 
     return start
-
-
-def replaced(path, old, new):
-    text, before = path.read_text(), path.stat()
-    assert old in text
-    path.write_text(text.replace(old, new))
-    os.utime(path, ns=(before.st_atime_ns, before.st_mtime_ns))
 
 
 @pytest.fixture

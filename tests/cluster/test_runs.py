@@ -5,7 +5,6 @@ import subprocess
 import sys
 import tempfile
 import threading
-import time
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -13,7 +12,7 @@ import numpy as np
 import pytest
 import xarray as xr
 from tests.builders.cache import commit, messages, point, stored, tile_rows
-from tests.builders.runs import run
+from tests.builders.runs import run, wait_until
 from tests.builders.studies import PAPER
 
 import gapsweep as gs
@@ -268,10 +267,7 @@ def test_law_that_raises_is_a_result_with_its_message(tables, client, tmp_path):
 def test_no_worker_is_left_behind(tables, tmp_path):
     with cluster(workers=2) as own:
         pids = list(own.run(os.getpid).values())
-    deadline = time.monotonic() + 20
-    while any(os.path.exists(f"/proc/{pid}") for pid in pids):
-        assert time.monotonic() < deadline, "worker processes outlived their cluster"
-        time.sleep(0.05)
+    wait_until(lambda: not any(os.path.exists(f"/proc/{pid}") for pid in pids), 20)
 
 
 _HOLDER = """
@@ -377,8 +373,5 @@ def test_a_run_serves_no_page_and_leaves_no_temporary_file(tables, tmp_path):
     off = [codes for dashboard, _, *codes in answers if dashboard == "False"]
     assert off == [["404", "404"]] * 4, done.stdout
     assert ["True", "/status", "200"] in [line[:3] for line in answers], done.stdout
-    deadline = time.monotonic() + 10.0
-    while left := sorted(path.name for path in temporary.iterdir()):
-        assert time.monotonic() < deadline, left
-        time.sleep(0.05)
+    wait_until(lambda: not [*temporary.iterdir()], 10)
     temporary.rmdir()

@@ -5,7 +5,6 @@ import os
 import shutil
 import subprocess
 import sys
-import time
 from contextlib import suppress
 from dataclasses import asdict, replace
 from functools import partial
@@ -15,7 +14,7 @@ import netCDF4
 import pytest
 from click.testing import CliRunner
 from tests.builders.cache import damaged_row
-from tests.builders.runs import COMMAND, in_a_process
+from tests.builders.runs import COMMAND, in_a_process, wait_until
 from tests.builders.studies import study_text
 
 import gapsweep as gs
@@ -293,11 +292,8 @@ def test_claims_wait_for_whoever_writes_into_the_folder(finished):
     with alone_in(finished / "out"):
         with (finished / "stderr").open("w") as stderr:
             waiting = subprocess.Popen(command, cwd=finished, stderr=stderr)
-        deadline = time.monotonic() + 60
-        while "out: waiting for" not in (finished / "stderr").read_text():
-            assert waiting.poll() is None
-            assert time.monotonic() < deadline
-            time.sleep(0.1)
+        wait_until(lambda: "out: waiting for" in (finished / "stderr").read_text())
+        assert waiting.poll() is None
         assert not (finished / "out" / "claims.json").exists()
     assert waiting.wait(60) == 0, (finished / "stderr").read_text()
     assert (finished / "out" / "claims.json").exists()
@@ -312,10 +308,7 @@ def test_two_runs_in_one_folder_tell_of_one_that_goes_on(gapsweep, tmp_path):
     command = [COMMAND, "run", "long.toml", "--out", "out", "--cache", "l-cache"]
     quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
     with subprocess.Popen(command, cwd=tmp_path, start_new_session=True, **quiet) as long:
-        deadline = time.monotonic() + 60
-        while not (tmp_path / "out" / "run.json").exists():
-            assert time.monotonic() < deadline
-            time.sleep(0.1)
+        wait_until((tmp_path / "out" / "run.json").exists)
         # The same study, as far as its name goes; it ends first.
         gapsweep(tmp_path, "run", "short.toml", "--out", "out")
         assert long.poll() is None
@@ -337,10 +330,7 @@ def test_of_two_studies_started_at_once_one_is_refused_before_it_computes(tmp_pa
             command, cwd=tmp_path, text=True, start_new_session=True, **quiet
         )
     try:
-        deadline = time.monotonic() + 60
-        while all(run.poll() is None for run in runs.values()):
-            assert time.monotonic() < deadline, "both compute"
-            time.sleep(0.1)
+        wait_until(lambda: any(run.poll() is not None for run in runs.values()))
         (refused,) = (name for name, run in runs.items() if run.poll() is not None)
         assert runs[refused].returncode == 1
         assert "out: has the files of study" in runs[refused].stderr.read()

@@ -17,14 +17,13 @@ from gapsweep.integrate.problem import Models, Solver
 from gapsweep.response import ensemble, thresholds
 from gapsweep.response.attractors import attractors_of_scenes
 from gapsweep.response.autonomous import PoincareMap
-from gapsweep.response.compiled import contracting_multiples
+from gapsweep.response.compiled import contracting_multiples, largest_parts
 from gapsweep.response.ensemble import Ensemble
 from gapsweep.response.respond import respond_all
 from gapsweep.response.result import Responses
 from gapsweep.response.scene import Scene
 from gapsweep.response.section import (
     cloud_distances,
-    largest_parts,
     period_multiple,
     period_multiples,
     prime_multiple,
@@ -292,7 +291,8 @@ def test_slow_motions_against_hard_smooth_walls_are_resolved():
 def test_the_largest_part_of_an_orbit_that_repeats_is_found(seed, n, m):
     rng = np.random.default_rng(seed)
     orbits, tolerance = rng.integers(0, 2, (2, m, n)).astype(float), rng.uniform(0.0, 1.5, m)
-    found = largest_parts(orbits, tolerance)
+    longer = np.concatenate([orbits, np.ones((2, m, 2))], axis=2)
+    found = largest_parts(longer, np.full(m, n), np.arange(m), tolerance)
     for k in range(m):
         shifts = [
             d

@@ -40,7 +40,7 @@ IN_A_STUDY = {
         "zeta",
         "damping",
         "oscillator.damping = 0.03: unknown key; known keys: zeta, omega_n, mass, alpha, forcing, "
-        "mean_load, c",
+        "mean_load, c, unbalance, base_amplitude, base_damping",
     ),
     "misspelt table": (
         "[oscillator]",

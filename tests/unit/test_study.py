@@ -575,7 +575,7 @@ def test_every_number_of_the_oscillator_is_known_wherever_they_are_listed(tables
     assert set(OscillatorTable.model_fields) == numbers
     assert numbers <= set(COORDINATES)
     assert numbers <= set(question.numbers(question.of_model()))
-    values = {name: 1.125 + i for i, name in enumerate(OSCILLATOR)}
+    values = {name: 1.125 + i for i, name in enumerate(OSCILLATOR)} | {"base_damping": 0.625}
     tables["sweep"][0] |= {"representation": "piecewise", "omega": [7.0]}
     study = study_of(tables, oscillator=values)
     coords = {"representation": ["piecewise"], "K_c": [1.4e4], "omega": [7.0], "gap": ["0.4/0.4"]}

@@ -52,7 +52,7 @@ def test_rows_hold_loads_modulation_and_lags():
         assert Structure.read(json.loads(json.dumps(vars_of(structure)))) == structure
         for ours, theirs in zip(again.forcing, system.forcing, strict=True):
             assert_array_equal(ours.amplitude, theirs.amplitude)
-            assert (ours.k, ours.phase, ours.inertial) == (theirs.k, theirs.phase, theirs.inertial)
+            assert (ours.k, ours.phase, ours.power) == (theirs.k, theirs.phase, theirs.power)
         terms = [*again.modulation.values()], [*system.modulation.values()]
         assert [[vars_of(t) for t in each] for each in terms[0] if each] == [
             [vars_of(t) for t in each] for each in terms[1] if each

@@ -1,7 +1,6 @@
 """A study's own code as a snapshot: what it holds, what its key tells apart, how it is executed."""
 
 import json
-import os
 import pickle
 import shutil
 import subprocess
@@ -12,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from tests.builders.cache import cells_and_keys
+from tests.builders.runs import replaced
 
 import gapsweep as gs
 from gapsweep import study_code
@@ -38,15 +38,6 @@ def own(tmp_path):
         return Snapshot.of_module("own.laws", [tmp_path])
 
     return write
-
-
-def replaced(path, old, new):
-    """An edit of equal size that leaves the time of modification as it was."""
-    text, before = path.read_text(), path.stat()
-    assert old in text
-    assert len(old) == len(new)
-    path.write_text(text.replace(old, new))
-    os.utime(path, ns=(before.st_atime_ns, before.st_mtime_ns))
 
 
 CODE = {

@@ -296,8 +296,7 @@ def settled(oscillator: Oscillator) -> Steady:
 
 def _atol(oscillator: Oscillator) -> float:
     """Absolute tolerance [m], small even for motions of micrometres."""
-    stiffness = oscillator.mass * (2.0 * math.pi * oscillator.omega_n) ** 2
-    deflection = abs(oscillator.forcing) / stiffness
+    deflection = oscillator.deflection
     return min(_ATOL, _OF_DEFLECTION * deflection) if deflection else _ATOL
 
 

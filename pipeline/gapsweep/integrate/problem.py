@@ -112,6 +112,8 @@ class Models:
 
     def by_kind(self) -> list[tuple[Numbers, "Models"]]:
         """Return groups that an engine can integrate together: their row numbers and models."""
+        if len(self.systems) == len(self.laws) == 1:
+            return [(np.arange(len(self)), self)]
         sizes = _distinct([system.sizes for system in self.systems], lambda size: size)[1]
         kinds, which = _distinct([tuple(map(law_kind, laws)) for laws in self.laws], lambda k: k)
         if len(kinds) == 1 and not sizes.any():
@@ -204,6 +206,8 @@ def _integrated(system: Model) -> Model:
 
 def _distinct(objects: Sequence[T], key: Callable[[T], Hashable]) -> tuple[list[T], Numbers]:
     """Objects with distinct keys, by first appearance, and the number among them of each object."""
+    if len(objects) == 1:
+        return list(objects), np.zeros(1, np.intp)
     numbers: dict[Hashable, int] = {}
     which = [numbers.setdefault(key(each), len(numbers)) for each in objects]
     found = dict(zip(reversed(which), reversed(objects), strict=True))
@@ -421,8 +425,9 @@ class Solver:
             and not is_oscillator
         ):
             raise ModelError(
-                f"{self.runge_kutta_setting}: needs an Oscillator with omega_n > 0 and "
-                "mean_load = 0; otherwise use engine='scipy', or located=False (piecewise-noevents)"
+                f"{self.runge_kutta_setting}: needs an Oscillator with omega_n > 0, "
+                "mean_load = 0 and base_damping = 1; otherwise use engine='scipy', or "
+                "located=False (piecewise-noevents)"
             )
         if 0 < n_located < n_contacts:
             raise ModelError(

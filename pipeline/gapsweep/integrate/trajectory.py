@@ -244,6 +244,19 @@ class Trajectory:
         states = motions.sampler(t.ravel())
         return self._as_sampled(np.moveaxis(states, 0, -1).reshape(*self.shape, *t.shape, -1))
 
+    def absolute(self, t: ArrayLike) -> Array:
+        """Return absolute displacements [m] at times `t` [s]: those of the base added to `sample`.
+
+        Parameters and errors are those of `sample`; an oscillator without a moving base has the
+        same absolute and relative displacements.
+        """
+        times = numbers("t", t, "a time or times [s]")
+        models = np.broadcast_to(objects(self.inputs["oscillator"]), self.shape).flat
+        omega = np.broadcast_to(self.inputs["omega"], self.shape).flat
+        moved = [model.base(f, times) for model, f in zip(models, omega, strict=True)]
+        found: Array = self.sample(t)[0] + np.reshape(moved, (*self.shape, *times.shape))
+        return found
+
     def _as_sampled(self, states: Array) -> tuple[Array, ...]:
         """Split states along the last axis into the arrays that `sample` returns."""
         return states[..., 0], states[..., 1]

@@ -254,3 +254,84 @@ def _contraction(sections, p, length, n, closeness, same):
         else:
             early = max(early, distance)
     return farthest if late <= early or farthest <= same else np.inf
+
+
+@entry
+def largest_parts(orbits, lengths, points, tolerance):
+    """Largest proper divisor of an orbit's length after which the closed orbit repeats, else n.
+
+    Parameters
+    ----------
+    orbits : array, shape (n_states, n, longest)
+        Section points [m] of whole periods.
+    lengths : int array, shape (n,)
+        Number of section points in each row.
+    points : int array, shape (m,)
+        Numbers of the rows.
+    tolerance : array, shape (m,)
+        Largest distance [m] of two points, in any component, that count as the same.
+
+    Returns
+    -------
+    ndarray of int, shape (m,)
+    """
+    found = lengths[points]
+    for k in range(len(points)):
+        for part in range(found[k] // 2, 0, -1):
+            if found[k] % part == 0 and _repeats(orbits, points[k], found[k], part, tolerance[k]):
+                found[k] = part
+                break
+    return found
+
+
+@internal
+def _repeats(orbits, p, n, part, tolerance):
+    """Whether a closed orbit of n points is the same after `part` of them."""
+    for c in range(len(orbits)):
+        for i in range(n):
+            before = i - part if i >= part else i - part + n
+            if not abs(orbits[c, p, i] - orbits[c, p, before]) < tolerance:
+                return False
+    return True
+
+
+@entry
+def read_extrema(x, counts, is_closed, place, kinds):
+    """Return the kinds of zero-velocity displacements, and the largest and smallest of each row.
+
+    A point between the displacements of its neighbours is an inflection.
+
+    Parameters
+    ----------
+    x : array
+        Displacements [m], row by row in the order of time.
+    counts : int array, shape (n,)
+        Number of displacements of each row.
+    is_closed : bool array, shape (n,)
+        Rows whose first point follows the last one.
+    place : array, shape (n,)
+        Present displacements: those of rows without a point.
+    kinds : tuple of int
+        Numbers of a maximum, a minimum and an inflection.
+
+    Returns
+    -------
+    kind : ndarray of int, shape (len(x),)
+    largest, smallest : ndarray, shape (n,)
+    """
+    maximum, minimum, inflection = kinds
+    kind, largest, smallest = np.full(len(x), inflection), place.copy(), place.copy()
+    first = 0
+    for row in range(len(counts)):
+        last = first + counts[row] - 1
+        for i in range(first, last + 1):
+            before = x[i - 1] if i > first else x[last if is_closed[row] else min(first + 1, last)]
+            after = x[i + 1] if i < last else x[first if is_closed[row] else max(last - 1, first)]
+            if x[i] > before and x[i] > after:
+                kind[i] = maximum
+            elif x[i] < before and x[i] < after:
+                kind[i] = minimum
+            largest[row] = max(largest[row], x[i]) if i > first else x[i]
+            smallest[row] = min(smallest[row], x[i]) if i > first else x[i]
+        first = last + 1
+    return kind, largest, smallest

@@ -393,6 +393,27 @@ class Response:
         made = dataset(self.inputs, shape, RESPONSE | _MESSAGE, arrays)
         return made.assign_attrs(touched_a_wall=f"{self._n_touching} of {n} motions")
 
+    def absolute_range(self) -> tuple[Any, Any]:
+        """Return trough and peak of the absolute displacement [m] of an oscillator, of its shape.
+
+        For a moving base: displacements of a response are relative to the base. Every response is
+        simulated once more from its section, over its period or 64 forcing periods.
+
+        Examples
+        --------
+        >>> import gapsweep as gs
+        >>> machine = gs.Oscillator(
+        ...     mass=3.0, omega_n=5.0, zeta=0.03, forcing=0.0, base_amplitude=1e-4
+        ... )
+        >>> law = gs.Piecewise(1.4e4, gs.Gap(0.4e-3, 0.4e-3))
+        >>> low, high = gs.respond(machine, law, omega=40.0).absolute_range()
+        >>> high < 1e-5  # far above resonance the mass stands still
+        True
+        """
+        from gapsweep.response.absolute import absolute_range  # which simulates
+
+        return absolute_range(self)
+
     @property
     def _n_touching(self) -> int:
         """Number of motions that touch a wall, transients included."""
@@ -444,14 +465,34 @@ def _padded(
     return rows
 
 
+def columns_with(
+    values: Mapping[str, NDArray[Any]], points: NDArray[np.intp], n: int, structure: AnyStructure
+) -> dict[str, NDArray[Any]]:
+    """Return the columns of n points, with values of some points; the others have no response.
+
+    Parameters
+    ----------
+    values : mapping of str to ndarray, shape (len(points), ...)
+        Columns by name; columns that are left out have missing values.
+    points : ndarray of int
+        Numbers of the points, ascending.
+    """
+    columns: dict[str, NDArray[Any]] = {}
+    for name, (dtype, shape) in columns_of(structure).items():
+        if name in values and len(points) == n:
+            columns[name] = values[name].reshape(n, *shape).astype(dtype)
+            continue
+        columns[name] = np.full((n, *shape), np.nan if dtype == "f8" else 0, dtype)
+        if name == "response_class":
+            columns[name][:] = ResponseClass.FAILED
+        if name in values:
+            columns[name][points] = values[name].reshape(len(points), *shape)
+    return columns
+
+
 def missing(n: int, structure: AnyStructure) -> dict[str, NDArray[Any]]:
     """Return the columns of n points without a response."""
-    columns: dict[str, NDArray[Any]] = {
-        name: np.full((n, *shape), np.nan if dtype == "f8" else 0, dtype)
-        for name, (dtype, shape) in columns_of(structure).items()
-    }
-    columns["response_class"][:] = ResponseClass.FAILED
-    return columns
+    return columns_with({}, np.arange(0), n, structure)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -245,25 +245,6 @@ def prime_multiple(orbit: Array, tolerance: float) -> int:
     return next((d for d in divisors if _are_near(orbit, np.roll(orbit, d, 1), tolerance).all()), n)
 
 
-def largest_parts(orbits: Array, tolerance: Array) -> Counts:
-    """Largest proper divisor of the orbits' length after which each closed orbit repeats, else n.
-
-    Parameters
-    ----------
-    orbits : ndarray, shape (n_states, m, n)
-        Section points [m] of orbits of n forcing periods.
-    tolerance : ndarray, shape (m,)
-        Largest distance [m] of two points, in any component, that count as the same.
-    """
-    n = int(orbits.shape[2])
-    found = np.full(orbits.shape[1], n, np.int64)
-    for d in range(1, n // 2 + 1):
-        if n % d == 0:
-            repeats = _are_near(orbits, np.roll(orbits, d, axis=2), tolerance[:, None])
-            found[repeats.all(axis=1)] = d
-    return found
-
-
 def _are_near(p: Array, q: Array, tolerance: Any) -> NDArray[np.bool_]:
     """Whether section points are the same in every component."""
     # Component by component: several times as fast as a reduction along the first axis.

@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 
 from gapsweep.integrate.motions import VANISHED
 from gapsweep.response import thresholds as limit
-from gapsweep.response.compiled import judge_steps, multiplier_pairs
-from gapsweep.response.section import largest_parts
+from gapsweep.response.compiled import judge_steps, largest_parts, multiplier_pairs
+from gapsweep.response.ragged import spans
 from gapsweep.response.window_call import Call
 
 Array = NDArray[np.float64]
@@ -41,8 +41,8 @@ class NewtonShooting:
         Number of multipliers; further eigenvalues of a Poincaré map are zero.
     omega : ndarray, shape (n_points,)
         Section points per second [Hz] on an orbit that was found.
-    section : list of ndarray, shape (n_states, n)
-        Section points [m] of an orbit that was found.
+    section : ndarray, shape (n_states, n_points, longest orbit so far)
+        Section points [m] of orbits that were found, the first `n` of each row.
     last_step : ndarray, shape (n_points,)
         Length of the last Newton step [m].
     """
@@ -52,7 +52,7 @@ class NewtonShooting:
         self.n = np.zeros(n_points, np.int64)
         self.multipliers = np.zeros((n_points, n_states), complex)
         self.omega = np.full(n_points, np.nan)
-        self.section = [np.empty((n_states, 0))] * n_points
+        self.section = np.empty((n_states, n_points, 0))
         self._moved, self._tries = np.zeros_like(self.y), np.zeros(n_points, np.int64)
         # _apart: distance of the ends
         rows = self.last_step, self._apart, self._goal, self._noise, self._furthest = np.zeros(
@@ -96,10 +96,11 @@ class NewtonShooting:
         """
         kept = [] if is_scattered else zip(points.tolist(), n.tolist(), strict=True)
         for k, part in kept:
+            section = self.section[:, k, : self.n[k]].copy()
             of_point = self.y[:, k].copy(), self.n[k], self.multipliers[k].copy(), self.omega[k]
-            self._whole[k] = *of_point, self.section[k]
-            unlike = np.abs(self.section[k] - np.roll(self.section[k], part, axis=1)).max()
-            least = limit.ROUNDING * np.abs(self.section[k]).max()
+            self._whole[k] = *of_point, section
+            unlike = np.abs(section - np.roll(section, part, axis=1)).max()
+            least = limit.ROUNDING * np.abs(section).max()
             self._goal[k] = min(self._goal[k], max(limit.PART_CLOSES * unlike, least))
             self._noise[k] = limit.AS_GOOD * self._apart[k]
         self.n[points], self._tries[points] = n, 0
@@ -109,9 +110,10 @@ class NewtonShooting:
         """Restore the whole orbits of points that tried parts of their periods; True for these."""
         is_part = np.array([k in self._whole for k in points.tolist()], bool)
         for k in points[is_part].tolist():
-            self.y[:, k], self.n[k], self.multipliers[k], self.omega[k], self.section[k] = (
-                self._whole.pop(k)
+            self.y[:, k], self.n[k], self.multipliers[k], self.omega[k], section = self._whole.pop(
+                k
             )
+            self.section[:, k, : self.n[k]] = section
         return is_part
 
     def modulus(self, points: Numbers) -> Array:
@@ -128,12 +130,7 @@ class NewtonShooting:
         tolerance : ndarray, shape (m,)
             Distances [m] within which two section points are the same.
         """
-        found = self.n[points]
-        for n in np.unique(found[found > 1]).tolist():
-            here = found == n
-            orbits = np.stack([self.section[point] for point in points[here].tolist()], axis=1)
-            found[here] = largest_parts(orbits, tolerance[here])
-        return found
+        return np.asarray(largest_parts(self.section, self.n, points, tolerance))
 
     def step(self, points: Numbers, call: Call) -> tuple[Mask, Mask]:
         """Do one step of Newton's method from the motions of a call.
@@ -167,9 +164,14 @@ class NewtonShooting:
     def _keep(self, points: Numbers, found: Numbers, multipliers: Any, call: Call) -> None:
         points = points[found]
         self.multipliers[points], self.omega[points] = multipliers[found], call.omega[found]
-        first, last = call.period_ends[found], call.period_ends[found + 1]
-        for point, i, j in zip(points.tolist(), first.tolist(), last.tolist(), strict=True):
-            self.section[point] = call.section[:, i:j]
+        first, n = call.period_ends[found], self.n[points]
+        room = int(n.max()) - self.section.shape[2]
+        if room > 0:
+            more = np.zeros((*self.section.shape[:2], room))
+            self.section = np.concatenate([self.section, more], axis=2)
+        self.section[:, np.repeat(points, n), spans(np.zeros_like(n), n)] = call.section[
+            :, spans(first, n)
+        ]
 
 
 def newton_steps(monodromy: Array, moved: Array) -> Array:

@@ -65,6 +65,9 @@ class OscillatorTable(TomlTable):
     forcing: Number
     mean_load: Number = 0.0
     c: NonNegative = 0.0
+    unbalance: Number = 0.0
+    base_amplitude: Number = 0.0
+    base_damping: Annotated[float, Field(ge=0, le=1)] = 1.0
 
 
 def _parsed(label: str) -> Representation:

@@ -31,6 +31,15 @@ COORDINATES: dict[str, tuple[str, Variable]] = {
     "forcing": ("forcing", Variable("f8", UNITS["forcing"], "forcing amplitude")),
     "mean_load": ("mean_load", Variable("f8", UNITS["mean_load"], "constant load")),
     "c": ("c", Variable("f8", UNITS["c"], "viscous damping added to that of zeta")),
+    "unbalance": ("unbalance", Variable("f8", UNITS["unbalance"], "unbalance")),
+    "base_amplitude": (
+        "base_amplitude",
+        Variable("f8", UNITS["base_amplitude"], "amplitude of the base's motion"),
+    ),
+    "base_damping": (
+        "base_damping",
+        Variable("f8", UNITS["base_damping"], "share of the damping connected to the base"),
+    ),
     "K_ratio": (
         "K_ratio",
         Variable("f8", UNITS["K_ratio"], "stiffness ratio, lower wall over upper wall"),
@@ -44,7 +53,7 @@ COORDINATES: dict[str, tuple[str, Variable]] = {
 
 
 # Numbers of an oscillator whose names parameters of a system may have, too.
-SHARED = ("mean_load", "c")
+SHARED = ("mean_load", "c", "unbalance", "base_amplitude", "base_damping")
 PARAMETER = "parameter"  # beginning of the long name of a system parameter's coordinate
 
 

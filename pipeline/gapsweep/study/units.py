@@ -58,5 +58,5 @@ def _numbers(value: Any, path: Path, own: Collection[str]) -> Any:
 def _parameter(key: Any, table: dict[Any, Any]) -> Any:
     """Return the name in `UNITS` of the parameter that a key of a table stands for."""
     if key == "amplitude":
-        return "forcing: inertial amplitude" if table.get("inertial") else "forcing: amplitude"
+        return f"forcing: amplitude{f' at power {power}' if (power := table.get('power')) else ''}"
     return table.get("second", key) if key == "range" else key

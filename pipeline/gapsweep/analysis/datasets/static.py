@@ -199,8 +199,9 @@ def _with_forcing(
         dataset = dataset.assign_coords(forcing=(dims, forcing, described.attributes))
     over = [*map(str, dataset["in_gap_force"].dims), *(() if swept is None else ("forcing",))]
     shape = [*(dataset.sizes[dim] for dim in over)]
+    highest = max(study.grid.omega)  # unbalance and moving base load it most there
     cases = [
-        (replace(oscillator, forcing=p), Piecewise(K_c, gap, K_ratio=ratio))
+        (replace(oscillator, forcing=p).at(highest), Piecewise(K_c, gap, K_ratio=ratio))
         for oscillator, K_c, gap, ratio in models
         for p in forcing.tolist()
     ]

@@ -323,6 +323,12 @@ def _record_of(names: tuple[str, ...]) -> Any:
     return np.dtype((np.record, [(name, np.int64) for name in names]))
 
 
+@cache
+def oscillator_layout(rtol: float, *, is_tanh: bool) -> RowLayout:
+    """Return the layout of oscillators with a located contact, or one smoothed by tanh."""
+    return RowLayout(is_tanh=is_tanh).with_degree(rtol)
+
+
 _KNOWN: dict[RowLayout, RowLayout] = {}
 
 

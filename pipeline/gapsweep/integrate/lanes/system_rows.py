@@ -12,8 +12,6 @@ from .row_layout import RowLayout
 from .scene_table import (
     MIN_STEP,
     SceneTable,
-    check,
-    check_tolerances,
     empty_table,
     set_clock,
 )
@@ -84,8 +82,6 @@ def system_scenes(
     rtol, atol
         As in `scenes`; errors are measured in the mass norm, ``v'Mv``.
     """
-    check_tolerances(rtol, atol)
-    check(K_c=walls.K_c, K_ratio=walls.K_ratio, j_1=walls.j_1, j_2=walls.j_2)
     (layout,) = {layout_of(system) for system in systems}
     at = layout.with_degree(rtol)
     points, table = empty_table(at, len(which))

@@ -5,7 +5,9 @@ system, `run` writes initial states into copies of the rows, runs `loop.advance`
 its buffers.
 """
 
+import threading
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -46,28 +48,46 @@ _BUDGET, _USERS_BUDGET, _SHORT_CALL = 1 << 16, 1 << 10, 0.1  # s
 
 
 class WorkSpace:
-    """Arrays that the runs of one layout use, one run after the other.
+    """Arrays that a thread's runs of one layout use, one run after the other.
 
     Attributes
     ----------
-    at : RowLayout
     lanes, coefficients, lane_point, progress, fill, work
         As in `LoopState`.
-    log_sizes : list of tuple of int
-        Number of rows and columns of each log.
     """
 
     def __init__(self, at: RowLayout) -> None:
-        self.at, self.lanes = at, aligned(at.n_rows, at.width)
+        self.lanes = aligned(at.n_rows, at.width)
         self.coefficients = aligned(at.n_coefficients, at.width)
         self.lane_point = np.empty(at.width, np.int64)
-        self.progress, self.fill = np.empty(2, np.int64), np.empty(4, np.int64)
+        self.progress, self.fill = np.empty(2, np.int64), np.empty(len(record.LOGS), np.int64)
         self.work = work_space(at.order, at.contacts)
         per_step, widths = record.rows_per_step.py_func(at), _log_columns(at)
-        self.log_sizes = [
+        self._sizes = [
             (max(_LOG_VALUES // columns, rows), columns)
             for columns, rows in zip(widths, per_step, strict=True)
         ]
+        self._logs: list[Array] = [np.empty((0, columns)) for columns in widths]
+
+    def logs(self, kept: Sequence[bool], n_sections: int) -> tuple[Array, ...]:
+        """Return the logs, without rows if not `kept`; `n_sections`: reserved rows, -1: none."""
+        for log in record.LOGS:
+            if kept[log] and not len(self._logs[log]):
+                self._logs[log] = np.empty(self._sizes[log])
+        found = [log if is_kept else log[:0] for log, is_kept in zip(self._logs, kept, strict=True)]
+        if n_sections >= 0 and kept[record.SECTIONS]:
+            found[record.SECTIONS] = np.empty((n_sections, self._sizes[record.SECTIONS][1]))
+        return tuple(found)
+
+
+class _WorkSpaces(threading.local):
+    """The work spaces of a thread, by layout."""
+
+    def __init__(self) -> None:
+        self.of: dict[RowLayout, WorkSpace] = {}
+
+
+_SPACES = _WorkSpaces()
 
 
 @dataclass(slots=True, eq=False)  # creating a frozen one takes three times as long
@@ -204,7 +224,6 @@ class Batch:
 def run(
     prepared: SceneTable,
     method: Method,
-    space: WorkSpace,
     which: NDArray[np.intp],
     start: Array,
     t_0: Array,
@@ -214,6 +233,7 @@ def run(
     queue: NDArray[np.intp],
     follows: NDArray[np.bool_] | None = None,
     section_only: bool = False,
+    tangent: bool = False,
     dense_output: bool = False,
     sampled: bool = False,
     contacts: bool = True,
@@ -225,9 +245,6 @@ def run(
     prepared : SceneTable
     method : Method
         Taylor or RungeKutta, without work space; its rows are in the table.
-    space : WorkSpace
-        For the table's layout, or for the layout with the tangent, which is then integrated too.
-        The tangent's jump at a contact is the identity, because the contact force is continuous.
     which : ndarray of int, shape (n,)
         Row of `prepared` of each point.
     start : ndarray, shape (n, n_states)
@@ -244,6 +261,9 @@ def run(
         read. A point that follows a failed point has failed.
     section_only : bool
         Record section points only: a search for extrema in every step costs as much as the step.
+    tangent : bool
+        Also integrate the variational equation. Its jump at a contact is the identity, because
+        the contact force is continuous.
     dense_output : bool
         Keep every step's series from `record_from` on, for `Batch.sample`.
     sampled : bool
@@ -251,8 +271,11 @@ def run(
     contacts : bool
         Record wall crossings.
     """
-    at, n = space.at, len(which)
-    wanted = {"tangent": at.tangent > 0, "dense": dense_output, "contacts": contacts}
+    at, n = prepared.at.of_tangent if tangent else prepared.at, len(which)
+    space = _SPACES.of.get(at)
+    if space is None:
+        space = _SPACES.of[at] = WorkSpace(at)
+    wanted = {"tangent": tangent, "dense": dense_output, "contacts": contacts}
     method = method.with_work_space(at, space.lanes, **wanted)
     points, sections = np.empty((n + 1, at.n_rows)), np.empty((n, 2), np.int64)
     is_next = np.zeros(n + 1, bool)  # whether a point follows the one before
@@ -279,13 +302,9 @@ def run(
     # The section of an unforced motion is at extrema, which are then always searched for.
     has_events = is_recording and (not section_only or dense_output or at.is_free)
     kept = has_events, has_events and contacts, is_recording, dense_output
-    sizes = [
-        (rows * is_kept, columns)
-        for is_kept, (rows, columns) in zip(kept, space.log_sizes, strict=True)
-    ]
-    if n_sections >= 0 and is_recording:
-        sizes[record.SECTIONS] = n_sections, sizes[record.SECTIONS][1]
-    space.lane_point[:], space.progress[:], space.fill[:] = -2, 0, 0
+    space.lane_point.fill(-2)
+    space.progress.fill(0)
+    space.fill.fill(0)
     state = LoopState(
         at=at.numbers,
         method=method,
@@ -297,7 +316,7 @@ def run(
         statuses=np.full(n, RUNNING),
         progress=space.progress,
         coefficients=space.coefficients,
-        logs=tuple(map(np.empty, sizes)),
+        logs=space.logs(kept, n_sections),
         fill=space.fill,
         sections=sections,
         work=space.work,
@@ -343,9 +362,10 @@ def _set_on_walls(at: RowLayout, points: Array, is_head: NDArray[np.bool_]) -> N
 
 def _drained(layout: RowLayout, run: LoopState, limits: tuple[float, ...]) -> list[Array]:
     """Call the kernel until all points have ended; return the logs, sorted by point."""
-    pieces: list[list[Array]] = [[] for _ in run.logs]
+    pieces: list[list[Array]] = []
     users, ours = (advance_users, _USERS_BUDGET), (advance, _BUDGET)
     outcome, (step_on, budget) = BUDGET_SPENT, users if run.method.is_users else ours
+    is_placed = len(run.sections) > 0
     while outcome != FINISHED:
         began = time.monotonic()
         outcome = step_on(layout, run, limits, budget)
@@ -357,15 +377,13 @@ def _drained(layout: RowLayout, run: LoopState, limits: tuple[float, ...]) -> li
             run.statuses[run.statuses == RUNNING] = Status.TIMED_OUT
             outcome = FINISHED
         if outcome in (BUFFER_FULL, FINISHED):
-            for piece, log, n_rows in zip(pieces, run.logs, run.fill.tolist(), strict=True):
-                piece.append(log[:n_rows].copy())
+            filled = zip(run.logs, run.fill.tolist(), strict=True)
+            pieces.append([log[:n_rows].copy() if n_rows else log[:0] for log, n_rows in filled])
             run.fill[:] = 0
-    n = len(run.statuses)
-    is_placed = len(run.sections) > 0
-    return [
-        _written(run) if is_placed and log == record.SECTIONS else _by_point(each, n)
-        for log, each in enumerate(pieces)
-    ]
+    logs = [_by_point(each, len(run.statuses)) for each in zip(*pieces, strict=True)]
+    if is_placed:
+        logs[record.SECTIONS] = _written(run)
+    return logs
 
 
 def _log_columns(at: RowLayout) -> tuple[int, ...]:
@@ -387,16 +405,15 @@ def _written(run: LoopState) -> Array:
     )
 
 
-def _by_point(pieces: list[Array], n_points: int) -> Array:
+def _by_point(pieces: Sequence[Array], n_points: int) -> Array:
     """Join all rows, sorted by point; rows of one point keep their order."""
-    if not any(map(len, pieces)):
-        return pieces[0]
-    if len(pieces) == 1 and n_points == 1:
-        return pieces[0]
+    first = pieces[0]
+    if len(pieces) == 1 and (n_points == 1 or not len(first)):
+        return first
     points = [piece[:, record.POINT].astype(np.int64) for piece in pieces]
     counts = sum(np.bincount(each, minlength=n_points) for each in points)
     next_row = np.cumsum(counts) - counts
-    rows = np.empty((sum(map(len, pieces)), pieces[0].shape[1]))
+    rows = np.empty((sum(map(len, pieces)), first.shape[1]))
     for piece in pieces:
         record.place(piece, next_row, rows)
     return rows

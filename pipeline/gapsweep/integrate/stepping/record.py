@@ -29,7 +29,7 @@ from .roots import DOUBLE, SIMPLE, isolate, polynomial
 from .turns import TOUCH, find_coordinate_turns, find_gap_turns
 
 MINIMUM, MAXIMUM, INFLECTION = 0, 1, 2
-TURNS, CONTACTS, SECTIONS, STEPS = range(4)  # the logs
+LOGS = TURNS, CONTACTS, SECTIONS, STEPS = range(4)
 POINT, TIME, WHICH, VALUE = range(4)
 STATE = 2  # of a section point
 DENSE_HEAD = 3  # of a step: point, start time, length; then the coefficients of q and z

@@ -25,6 +25,9 @@ _NUMBERS = {
     "forcing": ("p", "N"),
     "mean_load": ("p₀", "N"),
     "c": ("c", "N s/m"),
+    "unbalance": ("u", "kg m"),
+    "base_amplitude": ("a", "m"),
+    "base_damping": ("s", "(share of the damping at the base)"),
     "K_c": ("K_c", "N/m"),
     "K_ratio": ("r", "(stiffness of the lower wall / K_c)"),
     "omega": ("ω", "Hz"),
@@ -78,8 +81,8 @@ def _system(responses: xr.Dataset) -> list[tuple[str, str]]:
     rows += [(f"b of {name}", _rows(along)) for name, along in held["contacts"].items()]
     rows += [("a, α", f"{_rows(each['along'])}, {plain(each['alpha'])}") for each in held["cubic"]]
     for load in held["forcing"]:
-        size = f"{_rows(load['amplitude'])}{f' ({_rate(load)})²' if load['inertial'] else ''}"
-        rows.append(("Load", f"{size}{_turning(load)}"))
+        growth = f" ({_rate(load)}){'²' * (load['power'] == 2)}" if load["power"] else ""
+        rows.append(("Load", f"{_rows(load['amplitude'])}{growth}{_turning(load)}"))
     for name, terms in held["modulation"].items():
         parts = (f"{plain(term['depth'])}{_turning(term)}" for term in terms)
         rows.append((f"F of {name}", f"times 1 + {' + '.join(parts)}"))
