@@ -179,7 +179,7 @@ class _Execution:
     def _first_stage(self) -> str:
         """Stage until the first result arrives: workers load or compile code for their laws."""
         numbers = {job.block.representation for job in self.in_flight.values()}
-        laws = ", ".join(self.study.grid.representations[i] for i in sorted(numbers))
+        laws = ", ".join(self.plan.study.grid.representations[i] for i in sorted(numbers))
         return f"loading kernels of {laws} (the first run compiles them)"
 
     # --- sending ---------------------------------------------------------------------------------
