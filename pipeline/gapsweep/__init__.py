@@ -44,6 +44,7 @@ if TYPE_CHECKING:
     from gapsweep.report.model_figures import frequency_response
     from gapsweep.report.model_figures import parameter_map as map
     from gapsweep.report.motion import plot
+    from gapsweep.response.absolute import absolute_range
     from gapsweep.response.respond import respond
     from gapsweep.response.result import Response, ResponseClass, Steady
     from gapsweep.store.netcdf import read as open
@@ -63,6 +64,7 @@ _ON_DEMAND = {
     "ForceTable": "model.table",
     "UserLaw": "model.user_law",
     "Study": "study.study",
+    "absolute_range": "response.absolute",
     "basins": "analysis.datasets.basins",
     "branches": "continuation.follow",
     "explore": "explorer.widget",
@@ -125,6 +127,7 @@ __all__ = [
     "Trajectory",
     "Unbalance",
     "UserLaw",
+    "absolute_range",
     "basins",
     "branches",
     "canonical_label",

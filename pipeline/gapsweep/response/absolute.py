@@ -10,6 +10,7 @@ from gapsweep.integrate.problem import Models, Solver
 from gapsweep.integrate.simulate import motion_of
 from gapsweep.integrate.trajectory import Trajectory
 from gapsweep.model.oscillator import Oscillator
+from gapsweep.response.result import Response
 from gapsweep.variables import objects
 
 Array = NDArray[np.float64]
@@ -17,15 +18,37 @@ _SAMPLES = 512  # a forcing period
 N_PERIODS = 64  # of a motion without a period
 
 
-def absolute_range(response: Any) -> tuple[Any, Any]:
-    """Return trough and peak of the absolute displacement [m], in the shape of the responses.
+def absolute_range(response: Response) -> tuple[Any, Any]:
+    """Return trough and peak of the absolute displacement of an oscillator on a moving base.
 
-    Each response is simulated again from its first section point. NaN for a failure.
+    Displacements of a response are relative to the base. Every response is simulated once more from
+    its section, over its period or 64 forcing periods.
+
+    Parameters
+    ----------
+    response : Response
+        Of `gapsweep.respond`, one or an array of them.
+
+    Returns
+    -------
+    low, high : float or ndarray
+        [m], in the shape of the responses; NaN for a failure.
 
     Raises
     ------
     ModelError
         If the model is a system.
+
+    Examples
+    --------
+    >>> import gapsweep as gs
+    >>> machine = gs.Oscillator(
+    ...     mass=3.0, omega_n=5.0, zeta=0.03, forcing=0.0, base_amplitude=1e-4
+    ... )
+    >>> law = gs.Piecewise(1.4e4, gs.Gap(0.4e-3, 0.4e-3))
+    >>> low, high = gs.absolute_range(gs.respond(machine, law, omega=40.0))
+    >>> bool(high < 1e-5)  # far above resonance the mass stands still
+    True
     """
     inputs, shape = response.inputs, np.shape(response.status)
     columns = [objects(inputs["oscillator"]), objects(inputs["law"]), inputs["omega"]]

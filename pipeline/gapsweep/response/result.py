@@ -393,27 +393,6 @@ class Response:
         made = dataset(self.inputs, shape, RESPONSE | _MESSAGE, arrays)
         return made.assign_attrs(touched_a_wall=f"{self._n_touching} of {n} motions")
 
-    def absolute_range(self) -> tuple[Any, Any]:
-        """Return trough and peak of the absolute displacement [m] of an oscillator, of its shape.
-
-        For a moving base: displacements of a response are relative to the base. Every response is
-        simulated once more from its section, over its period or 64 forcing periods.
-
-        Examples
-        --------
-        >>> import gapsweep as gs
-        >>> machine = gs.Oscillator(
-        ...     mass=3.0, omega_n=5.0, zeta=0.03, forcing=0.0, base_amplitude=1e-4
-        ... )
-        >>> law = gs.Piecewise(1.4e4, gs.Gap(0.4e-3, 0.4e-3))
-        >>> low, high = gs.respond(machine, law, omega=40.0).absolute_range()
-        >>> high < 1e-5  # far above resonance the mass stands still
-        True
-        """
-        from gapsweep.response.absolute import absolute_range  # which simulates
-
-        return absolute_range(self)
-
     @property
     def _n_touching(self) -> int:
         """Number of motions that touch a wall, transients included."""

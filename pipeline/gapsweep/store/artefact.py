@@ -160,7 +160,7 @@ def _opened(path: Path) -> BufferedReader:
 
 
 def sha256(path: Path) -> str:
-    """SHA-256 of a file in hex, of a large file kept until the file changes."""
+    """SHA-256 of a file in hex; a large file is read only if it has changed."""
     with _opened(path) as file:
         about = os.fstat(file.fileno())
         if about.st_size < _SMALL:
