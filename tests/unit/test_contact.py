@@ -15,7 +15,7 @@ from tests.builders import strategies as own
 from tests.builders.studies import LABELS
 
 import gapsweep as gs
-from gapsweep.integrate.runge_kutta.formulas import rows_of
+from gapsweep.integrate.lanes.law_rows import rows_of
 from gapsweep.model import laws
 from gapsweep.model.contact import FIT_RANGE
 from gapsweep.model.fit import Fit, best_pole_free, poles, rational_candidates, unit_force

@@ -18,8 +18,11 @@ from gapsweep.integrate.runge_kutta import representations
 from gapsweep.integrate.runge_kutta.smooth_scenes import runge_kutta_scenes
 from gapsweep.integrate.stepping import batch, record
 from gapsweep.integrate.taylor.method import Taylor
+from gapsweep.integrate.taylor.smooth_scenes import smooth_scenes
 from gapsweep.model.contact import Piecewise
+from gapsweep.model.laws.arctan import Arctan
 from gapsweep.model.laws.fitted import Fitted
+from gapsweep.model.laws.logarctan import LogArctan
 from gapsweep.model.laws.tanh import Tanh
 from gapsweep.model.oscillator import CLASSIC, Oscillator
 from gapsweep.model.table import ForceTable
@@ -39,15 +42,21 @@ def prepared(models: Models, solver: Solver) -> Integrate:
     is_taylor = _by_taylor(models, solver)
     scenes = _scenes(models, solver, is_taylor)
     method: Method = Taylor()
-    if not is_taylor:
+    is_located = is_taylor and (scenes.at.is_tanh or _is_located(models))
+    if not is_located:
         laws = [_kernel_law(models, contact) for contact in range(len(models.laws[0]))]
         mass = np.ones(len(models))
         if _is_oscillator(models):
             mass = models.of_systems(attrgetter("mass"))
-        scenes, method = runge_kutta_scenes(scenes, laws, mass, solver)
+        if is_taylor:
+            rows = [law.rows(mass, len(models)) for law in laws]
+            pushes = np.abs(models.of_laws(lambda law: law.force(0.0).item())).T / mass
+            scenes = smooth_scenes(scenes, [law.kind.number for law in laws], rows, pushes)
+        else:
+            scenes, method = runge_kutta_scenes(scenes, laws, mass, solver)
 
     def integrate(problems: Problems) -> Motions:
-        contacts = problems.contacts or (problems.contact_time and not is_taylor)
+        contacts = problems.contacts or (problems.contact_time and not is_located)
         given = {"contacts": contacts, "sampled": problems.sampled, **_given(problems)}
         run = batch.run(scenes, method, start=problems.start, **given)
 
@@ -70,7 +79,7 @@ def prepared(models: Models, solver: Solver) -> Integrate:
             events=events,
             sampler=run.sample,
             monodromy=run.monodromy,
-            contact_time=run.contact_time if problems.contact_time and is_taylor else None,
+            contact_time=run.contact_time if problems.contact_time and is_located else None,
         )
 
     return integrate
@@ -84,7 +93,12 @@ def _by_taylor(models: Models, solver: Solver) -> bool:
         return not laws
     if _is_oscillator(models) and isinstance(laws[0], Tanh):
         return laws[0].has_thin_layers or solver.rtol <= _THICK_LAYERS_UP_TO
-    return n_located == len(laws)
+    return _is_located(models) or all(isinstance(law, Arctan | LogArctan) for law in laws)
+
+
+def _is_located(models: Models) -> bool:
+    """Whether all contacts are located."""
+    return models.n_located == len(models.laws[0])
 
 
 def _is_oscillator(models: Models) -> bool:

@@ -36,7 +36,7 @@ from .parameters import N_PARAMETERS
 # Degrees of Taylor polynomials for loose and for tight tolerances, and the relative tolerance below
 # which these are tight: the cheapest pair measured. A step is compiled once for both degrees.
 _DEGREES, _TIGHT = (12, 16), 2e-8
-_TANH_DEGREES, _TANH_TIGHT = (8, 12), 2e-5
+_SMOOTH_DEGREES, _SMOOTH_TIGHT = (8, 12), 2e-5
 
 # Names of the blocks of rows and, by the counts of a `RowLayout`, how many rows each has.
 _ONE = (
@@ -81,6 +81,8 @@ class RowLayout:
         Whether the system is unforced: its section is then at the maxima of the first coordinate.
     is_located : bool
         Whether steps end where a contact passes a wall.
+    laws : tuple of int
+        Of a Taylor series the law of every contact, as its place in `LAWS`; empty if located.
     is_taylor : bool
         Whether steps are those of a Taylor series; a Runge-Kutta method needs more rows.
     order : int
@@ -101,12 +103,13 @@ class RowLayout:
     is_free: bool = False
     is_located: bool = True
     is_taylor: bool = True
+    laws: tuple[int, ...] = ()
     order: int = 12
     tangent: int = 0
 
     derived: ClassVar[tuple[str, ...]] = (
         *("n_states", "all_lanes", "n_terms", "n_series", "first_gap", "n_turning", "n_rows"),
-        *("n_rates", "width"),
+        *("n_rates", "width", "gap_end"),
     )
 
     @property
@@ -119,12 +122,12 @@ class RowLayout:
         """Degrees for which the code of a step is compiled."""
         if not self.is_taylor:
             return (self.order,)
-        return _TANH_DEGREES if self.is_tanh else _DEGREES
+        return _SMOOTH_DEGREES if self.is_smooth else _DEGREES
 
     @property
     def tight(self) -> float:
         """Relative tolerance below which a Taylor step has the larger degree."""
-        return _TANH_TIGHT if self.is_tanh else _TIGHT
+        return _SMOOTH_TIGHT if self.is_smooth else _TIGHT
 
     def with_degree(self, rtol: float) -> "RowLayout":
         """Return the layout with the degree of the Taylor polynomials at a tolerance."""
@@ -177,6 +180,23 @@ class RowLayout:
         return 0 if self.is_plain else self.n + self.m
 
     @property
+    def is_smooth(self) -> bool:
+        """Whether contact forces are smooth."""
+        return self.is_tanh or bool(self.laws)
+
+    @property
+    def has_laws(self) -> bool:
+        """Whether contacts have rows of parameters of their laws."""
+        return bool(self.laws) or not self.is_taylor
+
+    @property
+    def gap_end(self) -> int:
+        """First row of the contacts' gaps at the end of the last step."""
+        if self.is_plain:
+            return self.q
+        return self.gap if self.is_taylor else self.gap_1
+
+    @property
     def n_turning(self) -> int:
         """Number of quantities whose extrema are recorded: coordinates, then gaps of contacts."""
         return 1 if self.is_plain else self.n + self.contacts
@@ -218,6 +238,9 @@ class RowLayout:
             # [1/s], sizes of lags relative to a metre
             **{"mass_root": n * n * several, "spring_root": n * n * several},
             **{"fastest": 1 * several, "decay": 1 * several, "slow": 1 * several, "lag_floor": m},
+            # parameters of the contacts' laws, whether the motion has left the range of a fit
+            "law": k * N_PARAMETERS * self.has_laws,
+            "out_of_range": 1 * self.has_laws,
             **self._runge_kutta_blocks(),
         }
 
@@ -229,12 +252,10 @@ class RowLayout:
             # derivatives at the beginning of the next step: of speeds, and of first-order states
             **{"a": n, "w": m},
             # the next step and the longest one [s], the step before a smoothing layer, why the last
-            # one is repeated if it is, whether the motion has left the range of a fit
-            **dict.fromkeys(("h", "h_max", "h_saved", "failed", "out_of_range"), 1),
+            # one is repeated if it is
+            **dict.fromkeys(("h", "h_max", "h_saved", "failed"), 1),
             # `n_extra`: right-hand sides at initial states and on walls
             **{"n_rejected": 1, "n_extra": 1},
-            # parameters of the contacts' laws
-            "law": k * N_PARAMETERS,
             # end of the attempted step, committed or not; of its tangent
             **{"q_1": n, "v_1": n, "z_1": m, "a_1": n, "w_1": m, "tangent_1": s * s},
             # gaps of several contacts, their speeds and accelerations, at both ends of it
@@ -260,7 +281,8 @@ class RowLayout:
     @cached_property
     def numbers(self) -> np.record:
         """All sizes and first rows, by name, as a record for code compiled once for all layouts."""
-        names = [*(field.name for field in fields(self)), *self.derived, *self.blocks]
+        given = [field.name for field in fields(self) if field.name != "laws"]
+        names = [*given, *self.derived, *self.blocks]
         values = tuple(int(getattr(self, name)) for name in names)
         found: np.record = np.rec.array([values], dtype=[(name, np.int64) for name in names])[0]
         return found

@@ -11,12 +11,12 @@ from numba.core.types import Number
 from numpy.typing import ArrayLike, NDArray
 
 from gapsweep.integrate.lanes import parameters
+from gapsweep.integrate.lanes.law_rows import rows_of, with_callees
 from gapsweep.model.contact import ContactLaw
 from gapsweep.model.laws import LAWS
 from gapsweep.model.user_law import SLOPE_LENGTH, SLOPE_STEP
 
 from . import laws
-from .formulas import rows_of, with_callees
 from .laws import Formula, Law
 
 Array = NDArray[np.float64]

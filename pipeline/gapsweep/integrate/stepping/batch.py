@@ -206,7 +206,7 @@ def run(
         at, method, lanes, points, queue, follows, statuses, limits, kept, not section_only
     )
     ended = points[:-1]
-    if not at.is_taylor:
+    if at.has_laws:
         left_range = ended[:, at.out_of_range] > 0.0
         has_failed = np.append(False, statuses[:-1] != OK) & follows[:-1]
         if method.is_users:  # not far away: the force is no number beyond the last step

@@ -16,33 +16,58 @@ from gapsweep.integrate.lanes.rows import LaneRows, dot, pointers, value_and_slo
 from gapsweep.integrate.motions import VANISHED
 from gapsweep.integrate.vectors import F64, I64, absolute, fma, mask_of, where
 
-from .series import Equation, Modes, extend, extend_lags, product_term, square_term
+from .law_series import contact_forces
+from .series import Equation, Modes, extend, extend_lags
+from .terms import product_term, square_term
 
 
-def _squares(coefficients, one):
-    """Series of (a.q)^2 of every cubic spring, from the series of the coordinates."""
-    layout = coefficients.layout
-    along, squares = ([[] for _ in range(layout.cubics)] for _ in range(2))
+class _Factors:
+    """Series with which the variational equation multiplies solutions.
 
-    def to(order):
-        for n in range(len(squares[0]), order - 1):
-            q = [coefficients[i * layout.n_terms + n] for i in range(layout.n)]
-            for number, (terms, square) in enumerate(zip(along, squares, strict=True)):
-                terms.append(dot(one.along[number], q, one.zero) if one.along else q[0])
-                square.append(square_term(terms, n))
+    Attributes
+    ----------
+    squares : list of list of Vec
+        Of (a.q)^2 of every cubic spring.
+    slopes : list of list of Vec
+        Of the slope of every contact's force, where contacts are not located.
+    """
 
-    if squares:
-        extend(one, squares, to)
-    return squares
+    def __init__(self, lanes, coefficients, one):
+        layout = coefficients.layout
+        along, self.squares = ([[] for _ in range(layout.cubics)] for _ in range(2))
+        self.slopes = [[] for _ in layout.laws]
+        gaps = [
+            [
+                coefficients[(layout.first_gap + k) * layout.n_terms + n]
+                for n in range(layout.n_terms)
+            ]
+            for k in range(len(layout.laws))
+        ]
+        laws = [law.slope() for law in contact_forces(lanes, gaps)]
+
+        def to(order):
+            for n in range(len((self.squares + self.slopes)[0]), order - 1):
+                q = [coefficients[i * layout.n_terms + n] for i in range(layout.n)]
+                for number, (terms, square) in enumerate(zip(along, self.squares, strict=True)):
+                    terms.append(dot(one.along[number], q, one.zero) if one.along else q[0])
+                    square.append(square_term(terms, n))
+                for terms, law in zip(self.slopes, laws, strict=True):
+                    terms.append(law[n])
+
+        if self.squares + self.slopes:
+            extend(one, self.squares + self.slopes, to)
 
 
-def _variation(lanes, one, squares):
+def _variation(lanes, one, factors):
     """Series, of coordinates and of first-order states, of the solution in the first rows."""
     layout = lanes.layout
     state = [lanes[layout.tangent_state + i] for i in range(layout.n_states)]
     y = [[state[i], state[layout.n + i]] for i in range(layout.n)]
     z = [[value] for value in state[2 * layout.n :]]
     gaps, along = [[] for _ in range(layout.contacts)], [[] for _ in range(layout.cubics)]
+    pressed = gaps
+    if factors.slopes:
+        pressed = [[] for _ in gaps]
 
     def to(order):
         for n in range(len(y[0]) - 2, order - 1):
@@ -50,8 +75,11 @@ def _variation(lanes, one, squares):
                 for k, terms in enumerate(series):
                     place = [x[n] for x in y]
                     terms.append(dot(directions[k], place, one.zero) if directions else place[0])
-            bends = [product_term(*pair, n) for pair in zip(squares, along, strict=True)]
-            forces = one.contact_forces(n, gaps) if one.rates else []
+            bends = [product_term(*pair, n) for pair in zip(factors.squares, along, strict=True)]
+            for terms, *pair in zip(pressed, factors.slopes, gaps, strict=False):
+                terms.append(product_term(*pair, n))
+            is_spring = one.is_located and not one.rates
+            forces = [] if is_spring else one.contact_forces(n, pressed)
             new = []
             for i, springs in enumerate(one.springs):
                 total = None
@@ -127,12 +155,12 @@ def _tangent_step(typingctx, at, lanes, coefficients, rtol, unclear):
         )
         is_tight = builder.fcmp_ordered("<", args[3], ir.Constant(F64, layout.tight))
         one = Equation(rows, Modes(rows, "mode_0"), is_tight, "tau_0")
-        squares, step = _squares(series, one), rows["step"]
+        factors, step = _Factors(rows, series, one), rows["step"]
         keeps = mask_of(builder, args[4], layout.width)
 
         def advance(number):
             solution, kept = solution_rows(rows, series, number)
-            commit_solution(solution, kept, _variation(solution, one, squares), step, keeps)
+            commit_solution(solution, kept, _variation(solution, one, factors), step, keeps)
 
         if layout.is_plain:  # a loop would take a tenth longer
             advance(ir.Constant(I64, 0))
