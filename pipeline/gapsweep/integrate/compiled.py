@@ -20,9 +20,8 @@ from gapsweep.integrate.stepping import batch, record
 from gapsweep.integrate.taylor.method import Taylor
 from gapsweep.integrate.taylor.smooth_scenes import smooth_scenes
 from gapsweep.model.contact import Piecewise
-from gapsweep.model.laws.arctan import Arctan
 from gapsweep.model.laws.fitted import Fitted
-from gapsweep.model.laws.logarctan import LogArctan
+from gapsweep.model.laws.sharpened import Sharpened
 from gapsweep.model.laws.tanh import Tanh
 from gapsweep.model.oscillator import CLASSIC, Oscillator
 from gapsweep.model.table import ForceTable
@@ -31,9 +30,6 @@ from gapsweep.model.user_law import UserLaw
 Array = NDArray[np.float64]
 Columns = Sequence[Array]
 
-# Largest relative tolerance at which a Taylor series of overlapping tanh layers costs no more than
-# Runge-Kutta steps.
-_THICK_LAYERS_UP_TO = 1e-5
 _LONGEST = 200  # characters of numba's message
 
 
@@ -91,14 +87,18 @@ def _by_taylor(models: Models, solver: Solver) -> bool:
     solver.check_located(n_located, len(laws), is_oscillator=_is_oscillator(models))
     if solver.controller != "native" or (n_located and solver.runge_kutta_setting):
         return not laws
-    if _is_oscillator(models) and isinstance(laws[0], Tanh):
-        return laws[0].has_thin_layers or solver.rtol <= _THICK_LAYERS_UP_TO
-    return _is_located(models) or all(isinstance(law, Arctan | LogArctan) for law in laws)
+    return _is_located(models) or all(isinstance(law, Sharpened) for law in laws)
 
 
 def _is_located(models: Models) -> bool:
     """Whether all contacts are located."""
     return models.n_located == len(models.laws[0])
+
+
+def _has_thin_layers(models: Models) -> bool:
+    """Whether steps cross the layers of an oscillator's tanh."""
+    law = models.laws[0][0]
+    return isinstance(law, Tanh) and law.has_thin_layers
 
 
 def _is_oscillator(models: Models) -> bool:
@@ -145,7 +145,7 @@ def _scenes(models: Models, solver: Solver, is_taylor: bool) -> SceneTable:
     walls = _walls(models)
     if _is_oscillator(models):
         of_contact = {name: column[:, 0] for name, column in walls.items()}
-        if is_taylor and isinstance(models.laws[0][0], Tanh):
+        if is_taylor and _has_thin_layers(models):
             of_contact["epsilon"] = models.of_laws(attrgetter("epsilon"))[:, 0]
         return scenes(**of_contact, **_oscillators(models), **tolerances)
     of_contacts = Walls(**walls)

@@ -7,8 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gapsweep.integrate.lanes import parameters
-from gapsweep.integrate.lanes.outcome import AT_START
 from gapsweep.integrate.lanes.law_rows import with_law_rows
+from gapsweep.integrate.lanes.outcome import AT_START
 from gapsweep.integrate.lanes.scene_table import SceneTable
 from gapsweep.integrate.problem import Solver
 from gapsweep.model.laws.tanh import SATURATION

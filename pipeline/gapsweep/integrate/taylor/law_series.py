@@ -274,9 +274,10 @@ class ContactForce:
         self._law = LAWS[lanes.layout.laws[number]]
         self._lanes, self._gap = lanes, Series(gap.__getitem__)
         self._first = lanes.layout.first["law"] + number * N_PARAMETERS
-        rows = rows_of(self._law)
-        # convergence parameter [1/m] of a law with layers
-        self.sharpness = self.row(rows["sharpness"]) if "sharpness" in rows else None
+        self.sharpness = None  # convergence parameter [1/m] of a law with layers
+        if self._law.is_sharpened:
+            self.sharpness = self.row(rows_of(self._law)["sharpness"])
+            self.approach = self._law.approach
         self.has_range = "fit_range" in arguments(self._law.formulas.force)
 
     def row(self, number):

@@ -136,19 +136,15 @@ def _off_grid(logarithm):
 
 
 def longest_step(motion):
-    """Longest step [s] that a series shows the layers of smooth contacts in.
-
-    A gap comes closer to a wall by at most three quarters of its distance and four layers more: of
-    a layer that is still far away the series shows nothing. Infinite without layers.
-    """
+    """Longest step [s] of gaps near smoothing layers, see `Sharpened.approach`; else infinite."""
     found = motion.q[0][0].constant(math.inf)
-    for law, gap in zip(motion.laws, motion.gaps, strict=True):
+    for law, (x, v, bend, *_) in zip(motion.laws, motion.gaps, strict=True):
         if law.sharpness is not None:
-            to_wall = minimum(
-                absolute(gap[0] - law.row(WALL_LOW)), absolute(gap[0] - law.row(WALL_HIGH))
-            )
-            most = fma(to_wall, 0.375, 2.0 / law.sharpness)
-            found = minimum(found, minimum(most / absolute(gap[1]), sqrt(most / absolute(gap[2]))))
+            part, layers = law.approach
+            to_wall = minimum(*(absolute(x - law.row(wall)) for wall in (WALL_LOW, WALL_HIGH)))
+            # half of it by the speed, half by the acceleration
+            most = fma(to_wall, 0.5 * part, 0.5 * layers / law.sharpness)
+            found = minimum(found, minimum(most / absolute(v), sqrt(most / absolute(bend))))
     return found
 
 

@@ -448,7 +448,8 @@ def taylor_step(typingctx, at, lanes, coefficients, rtol, x_bound, max_short):
     -------
     int64
         Four masks of `at.width` bits, lowest first: lanes not advanced because a crossing is
-        unclear, or, where contacts are not located, lanes whose walls may be miscounted; lanes at their end; lanes that failed; lanes that record (an unclear one perhaps).
+        unclear, or, where contacts are not located, lanes whose walls may be miscounted; lanes at
+        their end; lanes that failed; lanes that record (an unclear one perhaps).
     """
     signature = types.int64(at, lanes, coefficients, rtol, x_bound, max_short)
 
