@@ -47,7 +47,7 @@ def prepared(models: Models, solver: Solver) -> Integrate:
         if is_taylor:
             rows = [law.rows(mass, len(models)) for law in laws]
             pushes = np.abs(models.of_laws(lambda law: law.force(0.0).item())).T / mass
-            scenes = smooth_scenes(scenes, [law.kind.number for law in laws], rows, pushes)
+            scenes = smooth_scenes(scenes, [law.kind[:3] for law in laws], rows, pushes)
         else:
             scenes, method = runge_kutta_scenes(scenes, laws, mass, solver)
 
@@ -87,7 +87,7 @@ def _by_taylor(models: Models, solver: Solver) -> bool:
     solver.check_located(n_located, len(laws), is_oscillator=_is_oscillator(models))
     if solver.controller != "native" or (n_located and solver.runge_kutta_setting):
         return not laws
-    return _is_located(models) or all(isinstance(law, Sharpened) for law in laws)
+    return _is_located(models) or all(isinstance(law, Sharpened | Fitted) for law in laws)
 
 
 def _is_located(models: Models) -> bool:

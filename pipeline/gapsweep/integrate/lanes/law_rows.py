@@ -97,4 +97,5 @@ def with_law_rows(exact: SceneTable, at: RowLayout, laws: Sequence[Array]) -> Sc
         first = at.law + i * N_PARAMETERS
         table[:-1, first : first + N_PARAMETERS] = rows
         table[-1, first : first + N_PARAMETERS] = rows[0]
+        table[-1, first + STIFFNESS] = 0.0  # the idle point stays at rest
     return replace(exact, at=at, table=table)

@@ -36,7 +36,7 @@ from .parameters import N_PARAMETERS
 # Degrees of Taylor polynomials for loose and for tight tolerances, and the relative tolerance below
 # which these are tight: the cheapest pair measured. A step is compiled once for both degrees.
 _DEGREES, _TIGHT = (12, 16), 2e-8
-_SMOOTH_DEGREES, _SMOOTH_TIGHT = (8, 12), 2e-5
+_LAYER_DEGREES, _LAYER_TIGHT = (8, 12), 2e-5
 
 # Names of the blocks of rows and, by the counts of a `RowLayout`, how many rows each has.
 _ONE = (
@@ -81,8 +81,9 @@ class RowLayout:
         Whether the system is unforced: its section is then at the maxima of the first coordinate.
     is_located : bool
         Whether steps end where a contact passes a wall.
-    laws : tuple of int
-        Of a Taylor series the law of every contact, as its place in `LAWS`; empty if located.
+    laws : tuple of (int, int, int)
+        Of a Taylor series the law of every contact: its place in `LAWS`, numbers of coefficients of
+        numerator and denominator. Empty if contacts are located.
     is_taylor : bool
         Whether steps are those of a Taylor series; a Runge-Kutta method needs more rows.
     order : int
@@ -103,7 +104,7 @@ class RowLayout:
     is_free: bool = False
     is_located: bool = True
     is_taylor: bool = True
-    laws: tuple[int, ...] = ()
+    laws: tuple[tuple[int, int, int], ...] = ()
     order: int = 12
     tangent: int = 0
 
@@ -122,12 +123,12 @@ class RowLayout:
         """Degrees for which the code of a step is compiled."""
         if not self.is_taylor:
             return (self.order,)
-        return _SMOOTH_DEGREES if self.is_smooth else _DEGREES
+        return _LAYER_DEGREES if self.has_layers else _DEGREES
 
     @property
     def tight(self) -> float:
         """Relative tolerance below which a Taylor step has the larger degree."""
-        return _SMOOTH_TIGHT if self.is_smooth else _TIGHT
+        return _LAYER_TIGHT if self.has_layers else _TIGHT
 
     def with_degree(self, rtol: float) -> "RowLayout":
         """Return the layout with the degree of the Taylor polynomials at a tolerance."""
@@ -185,6 +186,11 @@ class RowLayout:
         return self.is_tanh or bool(self.laws)
 
     @property
+    def has_layers(self) -> bool:
+        """Whether contact forces are smooth within layers at the walls, as no fit is."""
+        return self.is_smooth and not any(top for _, top, _ in self.laws)
+
+    @property
     def has_laws(self) -> bool:
         """Whether contacts have rows of parameters of their laws."""
         return bool(self.laws) or not self.is_taylor
@@ -238,9 +244,11 @@ class RowLayout:
             # [1/s], sizes of lags relative to a metre
             **{"mass_root": n * n * several, "spring_root": n * n * several},
             **{"fastest": 1 * several, "decay": 1 * several, "slow": 1 * several, "lag_floor": m},
-            # parameters of the contacts' laws, whether the motion has left the range of a fit
+            # parameters of the contacts' laws, whether the motion has left the range of a fit,
+            # coefficients of fits
             "law": k * N_PARAMETERS * self.has_laws,
             "out_of_range": 1 * self.has_laws,
+            "fit": sum(top + bottom for _, top, bottom in self.laws),
             **self._runge_kutta_blocks(),
         }
 

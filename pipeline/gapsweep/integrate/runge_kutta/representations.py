@@ -14,6 +14,7 @@ from gapsweep.integrate.lanes import parameters
 from gapsweep.integrate.lanes.law_rows import rows_of, with_callees
 from gapsweep.model.contact import ContactLaw
 from gapsweep.model.laws import LAWS
+from gapsweep.model.laws.fitted import in_blocks
 from gapsweep.model.user_law import SLOPE_LENGTH, SLOPE_STEP
 
 from . import laws
@@ -82,7 +83,8 @@ def fitted(
     top, bottom = np.array(numerator, dtype=float), np.array(denominator, dtype=float)
     # To the loop a denominator that is not positive means that a pole was passed.
     sign = np.sign(np.polynomial.chebyshev.chebval(0.0, bottom))
-    return Law(Formula(LAWS.index(law), numerator=sign * top, denominator=sign * bottom), q)
+    series = {"numerator": in_blocks(sign * top), "denominator": in_blocks(sign * bottom)}
+    return Law(Formula(LAWS.index(law), **series), q)
 
 
 def table(points: ArrayLike, pieces: ArrayLike, j_1: float, j_2: float) -> Law:

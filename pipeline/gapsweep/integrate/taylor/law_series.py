@@ -18,7 +18,7 @@ from typing import Any
 from llvmlite import ir
 
 from gapsweep.integrate import elementary, vectors
-from gapsweep.integrate.lanes.law_rows import arguments, rows_of, with_callees
+from gapsweep.integrate.lanes.law_rows import SERIES, arguments, rows_of, with_callees
 from gapsweep.integrate.lanes.parameters import N_PARAMETERS
 from gapsweep.integrate.vectors import F64, Vec, absolute, where
 from gapsweep.model import arithmetic
@@ -231,6 +231,8 @@ def _fma(a, b, c):
         return a * b + c
     if isinstance(b, Series):
         a, b = b, a
+    if isinstance(b, float) and b == 0.0:
+        return c
     if not isinstance(a, Series):
         return c + a * b
     several = [each for each in (a, c) if isinstance(each, Series)]
@@ -258,6 +260,14 @@ def _emitted(formula: Callable[..., Any]) -> Any:
     return with_callees(formula, dict(_FORMS), lambda copy: copy)
 
 
+class _Coefficients(list):
+    """Coefficients of a fit, as formulas read them."""
+
+    @property
+    def size(self):
+        return len(self)
+
+
 class ContactForce:
     """Force of a contact per unit mass, and its slope, as series of the contact's gap.
 
@@ -271,9 +281,13 @@ class ContactForce:
     """
 
     def __init__(self, lanes, number, gap):
-        self._law = LAWS[lanes.layout.laws[number]]
+        laws = lanes.layout.laws
+        place, n_top, n_bottom = laws[number]
+        self._law = LAWS[place]
         self._lanes, self._gap = lanes, Series(gap.__getitem__)
         self._first = lanes.layout.first["law"] + number * N_PARAMETERS
+        fit = lanes.rows("fit")[sum(top + bottom for _, top, bottom in laws[:number]) :]
+        self._fit = {"numerator": fit[:n_top], "denominator": fit[n_top : n_top + n_bottom]}
         self.sharpness = None  # convergence parameter [1/m] of a law with layers
         if self._law.is_sharpened:
             self.sharpness = self.row(rows_of(self._law)["sharpness"])
@@ -289,7 +303,11 @@ class ContactForce:
         formula, rows = getattr(self._law.formulas, name), rows_of(self._law)
         if formula is None:
             return None
-        return _emitted(formula)(x, *(self.row(rows[each]) for each in arguments(formula)))
+        given = [
+            _Coefficients(self._fit[each]) if each in SERIES else self.row(rows[each])
+            for each in arguments(formula)
+        ]
+        return _emitted(formula)(x, *given)
 
     def force(self):
         """Return the series of the force, in the cheaper of two ways.

@@ -15,7 +15,10 @@ _SHORTER = 1e-7  # shortest step over that of the exact law: thin layers need fa
 
 
 def smooth_scenes(
-    exact: SceneTable, laws: Sequence[int], rows: Sequence[Array], pushes: Array
+    exact: SceneTable,
+    laws: Sequence[tuple[int, Array, Array]],
+    rows: Sequence[Array],
+    pushes: Array,
 ) -> SceneTable:
     """Return the table of the same systems with smooth laws.
 
@@ -23,15 +26,19 @@ def smooth_scenes(
     ----------
     exact : SceneTable
         n systems with located contacts.
-    laws : sequence of int
-        Law of every contact, as its place in `LAWS`.
+    laws : sequence of (int, ndarray, ndarray)
+        Law of every contact: its place in `LAWS`, coefficients of a fit's numerator and
+        denominator, `in_blocks`; empty for other laws.
     rows : sequence of ndarray, shape (n, N_PARAMETERS)
         Parameter rows of the law of every contact.
     pushes : ndarray, shape (n_contacts, n)
         Moduli of the contact forces per unit mass at rest.
     """
-    at = replace(exact.at, is_located=False, laws=tuple(laws)).with_degree(exact.rtol)
+    sizes = tuple((number, top.size, bottom.size) for number, top, bottom in laws)
+    at = replace(exact.at, is_located=False, laws=sizes).with_degree(exact.rtol)
     scenes = with_law_rows(exact, at, rows)
+    coefficients = np.concatenate([values for _, *fit in laws for values in fit])
+    scenes.table[:, at.fit : at.fit + at.blocks["fit"]] = coefficients
     table = scenes.table[:-1].T
     table[at.min_step] *= _SHORTER
     # Without it a motion from rest would have no scale, and no step.

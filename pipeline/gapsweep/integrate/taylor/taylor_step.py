@@ -263,7 +263,7 @@ class _Passings:
         For every contact, the gap and its rate at the end of the step.
     """
 
-    def __init__(self, lanes, motion, h):
+    def __init__(self, lanes, motion, h, is_last):
         none, one = h < h, h.constant(1.0)
         self.h = self.step = h
         self.crosses = self.is_unclear = none
@@ -291,8 +291,10 @@ class _Passings:
                 self.is_miscounted = self.is_miscounted | (turns & ~is_within)
                 self.is_out = self.is_out | (absolute(end) > reach)
                 denominator = law.value("denominator", end)
-                if denominator:
-                    self.has_pole = self.has_pole | (denominator <= 0.0)
+                if denominator is not None:
+                    # a step next to a pole is short, as the series converges up to the pole only
+                    is_next = (h < lanes["min_step"]) & ~is_last
+                    self.has_pole = self.has_pole | is_next | (denominator <= 0.0)
 
 
 def _state_at(motion, step):
@@ -363,7 +365,7 @@ def _emit_step(builder, layout, arrays, scalars):
     if layout.is_located:
         exits = _Exits(builder, motion, modes, h, layers)
     else:
-        exits = _Passings(lanes, motion, h)
+        exits = _Passings(lanes, motion, h, is_last)
     if layers:
         layers.cross(exits, left, fma(sizes.speed, rtol, lanes["floor"]))
     step, crosses, is_unclear = exits.step, exits.crosses, exits.is_unclear

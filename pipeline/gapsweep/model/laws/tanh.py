@@ -22,35 +22,40 @@ _THIN = 30.0  # gap over the width of a layer
 
 
 def _parts(x, ratio, sharpness, centre, half_gap):
-    """x - centre; of the near and the far wall the distances, switches, exponential, stiffnesses.
+    """Parts of both formulas; `near` and `far` of a name belong to the near and the far wall.
 
-    With s = |x - centre|, F/K = sign * ((s - g) p + (s + g) p2), where p = 1 / (1 + exp(-2 eps d))
-    is the switch at a distance d beyond a wall. Exponentials of negative arguments do not overflow,
-    and keep all digits of a small switch. A force between equal walls is odd about the centre to
-    the last bit. The stiffnesses are those of the near and the far wall over that of the upper one.
+    With s = |x - centre| the force over K is the sign of x - centre times
+    ``max(s - g, 0) - |s - g| q + (s + g) q2``, where q = 1 / (1 + exp(2 eps d)) for a wall at the
+    distance d reduces the exact law. It keeps all digits where it is small, its exponential does
+    not overflow, and a force between equal walls is odd about the centre to the last bit. The stiffnesses are relative to that of the upper wall.
     """
     y = x - centre
-    s = abs(y)
+    sign = copysign(1.0, y)
+    s = sign * y
     near, far = s - half_gap, s + half_gap
-    e, e2 = exp(-2.0 * sharpness * abs(near)), exp(-2.0 * sharpness * far)
-    p, p2 = select(near > 0.0, 1.0, e) / (1.0 + e), 1.0 / (1.0 + e2)
-    is_below = copysign(1.0, y) < 0.0  # by the sign that the force gets, also of a zero
+    side = copysign(1.0, near)
+    e, e2 = exp(side * (-2.0 * sharpness) * near), exp(-2.0 * sharpness * far)
+    is_below = sign < 0.0  # by the sign that the force gets, also of a zero
     weights = select(is_below, ratio, 1.0), select(is_below, 1.0, ratio)
-    return y, near, far, (p, p2), e2, weights
+    return sign, s, near, far, side, (e / (1.0 + e), e2 / (1.0 + e2)), weights
 
 
 def _force(x, stiffness, ratio, sharpness, centre, half_gap):
-    y, near, far, (p, p2), e2, (w, w2) = _parts(x, ratio, sharpness, centre, half_gap)
-    return copysign(stiffness, y) * fma(w * near, p, w2 * far * (e2 * p2))
+    parts = _parts(x, ratio, sharpness, centre, half_gap)
+    sign, s, near, _, side, (q, q2), (w, w2) = parts
+    q, q2 = side * w * q, w2 * q2
+    exact = select(side > 0.0, w, 0.0) * near
+    # one product of functions of x: a Taylor series of the force has one convolution less
+    return stiffness * sign * (exact + fma(s, q2 - q, half_gap * (q2 + q)))
 
 
 def _slope(x, stiffness, ratio, sharpness, centre, half_gap):
-    _, near, far, (p, p2), e2, (w, w2) = _parts(x, ratio, sharpness, centre, half_gap)
+    parts = _parts(x, ratio, sharpness, centre, half_gap)
+    _, _, near, far, side, (q, q2), (w, w2) = parts
     two_eps = 2.0 * sharpness
-    s2 = e2 * p2
-    t1 = fma(two_eps * near, p * (1.0 - p), p)
-    t2 = fma(-two_eps * far, s2 * p2, s2)
-    return stiffness * (w * t1 + w2 * t2)
+    t = side * q - two_eps * near * (q - q * q)
+    t2 = q2 - two_eps * far * (q2 - q2 * q2)
+    return stiffness * (select(side > 0.0, w, 0.0) + w2 * t2 - w * t)
 
 
 @called_as("gs.Tanh(1.4e4, gs.Gap(4e-4, 4e-4), epsilon=1e4), in N/m, m and 1/m")
