@@ -94,7 +94,7 @@ def client_child(folder: str, n_workers: int) -> None:
         Cache(Path(folder) / "cache") as store,
     ):
         begin = time.thread_time() + client.sync(of_loop)
-        execute.execute(study, plan, store, client, on_progress=lambda _: done.append(1))
+        execute.execute(replace(plan, cache=store), client, on_progress=lambda _: done.append(1))
         spent = time.thread_time() + client.sync(of_loop) - begin
     print(json.dumps({"us": 1e6 * spent / plan.n_points, "tasks": len(done) - 1}))
 

@@ -120,8 +120,8 @@ def _static() -> Iterator[tuple[str, ...]]:
 def _histories() -> Iterator[tuple[str, ...]]:
     for name, variable in histories.SCENE.items():
         yield _row(name, ["history"], variable)
-    for name, (dims, variable) in {**histories.VARIABLES, **histories.AXES}.items():
-        yield _row(name, dims, variable)
+    for name, variable in {**histories.VARIABLES, **histories.AXES}.items():
+        yield _row(name, variable.dims, variable)
 
 
 def _branches() -> Iterator[tuple[str, ...]]:
@@ -131,8 +131,8 @@ def _branches() -> Iterator[tuple[str, ...]]:
         yield _row(name, [continued.BRANCH], variable)
     for name, (_, variable) in continued.OF_ATTRACTOR.items():
         yield _row(f"attractor_{name}", [continued.ATTRACTOR, *variable.dims], variable)
-    for name, (over, variable) in branches.OF_STUDY.items():
-        yield _row(name, [over], variable)
+    for name, variable in branches.OF_STUDY.items():
+        yield _row(name, variable.dims, variable)
     for name, variable in branch_agreement.VARIABLES.items():
         yield _row(name, [branch_agreement.MATCH], variable)
 

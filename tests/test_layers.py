@@ -11,7 +11,7 @@ import gapsweep
 PACKAGE = Path(gapsweep.__file__).parent
 LAYERS = (
     {"errors", "status"},
-    {"variables"},
+    {"quantities", "variables"},
     {"user_code"},
     {"model"},
     {"integrate"},

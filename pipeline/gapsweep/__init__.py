@@ -29,11 +29,22 @@ if TYPE_CHECKING:
     from gapsweep.model.laws.fitted import Polynomial, RationalPolynomial
     from gapsweep.model.laws.logarctan import LogArctan
     from gapsweep.model.laws.tanh import Tanh
-    from gapsweep.model.system import Cubic, Harmonic, Lags, Modulation, System
+    from gapsweep.model.system import (
+        BaseMotion,
+        Cubic,
+        Harmonic,
+        Lags,
+        Modulation,
+        System,
+        Unbalance,
+    )
     from gapsweep.model.table import ForceTable
     from gapsweep.model.user_law import UserLaw
     from gapsweep.pipeline import plan, query, run
+    from gapsweep.report.model_figures import frequency_response
+    from gapsweep.report.model_figures import parameter_map as map
     from gapsweep.report.motion import plot
+    from gapsweep.response.absolute import absolute_range
     from gapsweep.response.respond import respond
     from gapsweep.response.result import Response, ResponseClass, Steady
     from gapsweep.store.netcdf import read as open
@@ -46,15 +57,19 @@ _ON_DEMAND = {
     **dict.fromkeys(("Arctan", "LogArctan", "Piecewise", "Polynomial"), "model.laws"),
     **dict.fromkeys(("RationalPolynomial", "Tanh"), "model.laws"),
     "ContactLaw": "model.contact",
-    **dict.fromkeys(("Cubic", "Harmonic", "Lags", "Modulation", "System"), "model.system"),
+    **dict.fromkeys(("BaseMotion", "Cubic", "Harmonic", "Lags"), "model.system"),
+    **dict.fromkeys(("Modulation", "System", "Unbalance"), "model.system"),
     **dict.fromkeys(("SystemTrajectory", "Trajectory"), "integrate.trajectory"),
     **dict.fromkeys(("plan", "query", "run"), "pipeline"),
     "ForceTable": "model.table",
     "UserLaw": "model.user_law",
     "Study": "study.study",
+    "absolute_range": "response.absolute",
     "basins": "analysis.datasets.basins",
     "branches": "continuation.follow",
     "explore": "explorer.widget",
+    "frequency_response": "report.model_figures",
+    "map": "report.model_figures",
     "open": "store.netcdf",
     "plot": "report.motion",
     "respond": "response.respond",
@@ -62,6 +77,17 @@ _ON_DEMAND = {
     "special_curve": "continuation.curves",
     "static_error": "analysis.datasets.contact_errors",
     "systems": "model.systems",
+}
+# Names of functions that differ here, to keep Python's own names free elsewhere.
+_NAMES = {"map": "parameter_map", "open": "read"}
+# Names that users of other software try, and what they find here.
+_ELSEWHERE = {
+    "attractors": "gs.basins(...), or attractors.nc of a study with several initial conditions",
+    "bifurcation": "ds.gapsweep.bifurcation() of a dataset, as from gs.query(...)",
+    "lyapunov": "gs.respond(...).lyapunov",
+    "poincare": "gs.respond(...).section, or gs.plot(gs.simulate(...))",
+    "sweep": "gs.frequency_response(...), or initial_condition = 'sweep_up' of a study",
+    "solve": "gs.simulate(...)",
 }
 # Names of modules.
 _MODULES = ("systems",)
@@ -71,6 +97,7 @@ _RETURN_DATASETS = ("basins", "branches", "open", "query", "run", "special_curve
 
 __all__ = [
     "Arctan",
+    "BaseMotion",
     "ClusterError",
     "ContactLaw",
     "Cubic",
@@ -98,13 +125,17 @@ __all__ = [
     "SystemTrajectory",
     "Tanh",
     "Trajectory",
+    "Unbalance",
     "UserLaw",
+    "absolute_range",
     "basins",
     "branches",
     "canonical_label",
     "contact_law",
     "explore",
+    "frequency_response",
     "law",
+    "map",
     "open",
     "plan",
     "plot",
@@ -126,10 +157,11 @@ def __getattr__(name: str) -> Any:
     if name == "__version__":
         return importlib.import_module("importlib.metadata").version("gapsweep")
     if name not in _ON_DEMAND:
-        raise AttributeError(f"module 'gapsweep' has no attribute {name!r}")
+        remedy = f"; use {_ELSEWHERE[name]}" if name in _ELSEWHERE else ""
+        raise AttributeError(f"module 'gapsweep' has no attribute {name!r}{remedy}")
     if name in _RETURN_DATASETS:
         importlib.import_module("gapsweep.report.accessor")
     module = importlib.import_module(f"gapsweep.{_ON_DEMAND[name]}")
     if name in _MODULES:
         return module
-    return getattr(module, "read" if name == "open" else name)
+    return getattr(module, _NAMES.get(name, name))

@@ -14,7 +14,6 @@ fails numerically raises nothing: its `Status` is part of the result.
 """
 
 import signal
-from collections.abc import Sequence
 from unicodedata import category
 
 # Signals of Ctrl-C, of the end of a batch job and of a terminal: a run stops and can be resumed.
@@ -37,11 +36,11 @@ class StudyError(GapsweepError, ValueError):
 
     Parameters
     ----------
-    problems : sequence of str
+    *problems : str
         Problems of the study, a line each; the first 100 are kept.
     """
 
-    def __init__(self, problems: Sequence[str]) -> None:
+    def __init__(self, *problems: str) -> None:
         more = [f"and {len(problems) - _MOST} more problems"] if len(problems) > _MOST else []
         self.problems = (*problems[:_MOST], *more)
         super().__init__("\n".join(self.problems))

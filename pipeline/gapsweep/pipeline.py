@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import AbstractContextManager, contextmanager, nullcontext
+from contextlib import AbstractContextManager, closing, contextmanager, nullcontext
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -45,7 +45,15 @@ from gapsweep.run_folder import (
     reason_to_make,
     run_folder,
 )
-from gapsweep.stages import POINTS, RunContext, make_file, make_files, stages_of, write_page
+from gapsweep.stages import (
+    POINTS,
+    RunContext,
+    make_file,
+    make_files,
+    meanwhile,
+    stages_of,
+    write_page,
+)
 from gapsweep.status import Status
 from gapsweep.store import netcdf
 from gapsweep.store.artefact import alone_in
@@ -179,13 +187,20 @@ def carry_out(
     folder, path = run_folder(study, out), cache_path(cache)
     check_writable(folder)
     check_owner(study, folder)
-    planned = plan(study, path, retry_failed=retry_failed, timeout=timeout, on_progress=on_progress)
+    _prepare(study, timeout, on_progress)
+    planned = make_plan(study, _opened(path), retry_failed=retry_failed)
     stages = stages_of(study)
     if planned.n_missing:
         check_modules(study)  # before the computation, although their files come last
+        planned = _writable(planned, path)
     say = partial(tell, on_progress, planned.progress)
     connect = partial(_connected, client, say, scheduler, workers=workers, dashboard=dashboard)
-    with Recorder(folder, study, path, planned, on_progress) as recorder:
+    run = RunContext(folder, study, cache=path, connect=connect, timeout=timeout)
+    of_points = replace(run, plan=planned)
+    with (
+        Recorder(folder, study, path, planned, on_progress) as recorder,
+        closing(meanwhile(of_points)) as steps,
+    ):
 
         def begin() -> None:
             # The state marks the folder as this study's before the computation begins.
@@ -194,38 +209,26 @@ def carry_out(
                 recorder.write()
 
         progress = _computed(
-            study,
             planned,
-            path,
             recorder,
             connect,
             begin,
             timeout=timeout,
             retry_failed=retry_failed,
             batch=batch,
+            meanwhile=steps,
         )
         recorder.write()
-        run = RunContext(
-            folder,
-            study,
-            cache=path,
-            connect=connect,
-            timeout=timeout,
-            say=partial(tell, recorder, progress),
-        )
+        say = partial(tell, recorder, progress)
         make = partial(make_files, n_points=progress.n_points, retry_failed=retry_failed)
         with alone_in(folder):
             check_owner(study, folder)
-            with Cache(path, read_only=True) as store:
-                # Even if nothing was missing: rows may have been deleted meanwhile.
-                planned = _as_stored(planned, store)
-                exports = [stage for stage in stages if POINTS in stage.sources]
-                make(exports, replace(run, points=(planned, store)))
-                failures = _failures(planned)
-                n_failed, why = sum(failures.values()), _reasons(planned, store)
-                recorder.state = replace(recorder.state, failed=n_failed, message=why)
-            del planned, store  # a tenth of a gigabyte of keys at a million points
-            make([stage for stage in stages if POINTS not in stage.sources], run)
+            exports = [stage for stage in stages if POINTS in stage.sources]
+            make(exports, replace(of_points, say=say, meanwhile=steps))
+            failures = _failures(planned)
+            n_failed, why = sum(failures.values()), _reasons(planned)
+            recorder.state = replace(recorder.state, failed=n_failed, message=why)
+            make([stage for stage in stages if POINTS not in stage.sources], replace(run, say=say))
     doubts = tuple(doubts_of_run(study, partial(netcdf.values, folder / RESPONSES)))
     motions = {stage.file: stage.failed_motions(folder) for stage in stages}
     failed = {file: counts for file, counts in motions.items() if counts}
@@ -280,53 +283,62 @@ def plan(
     """
     study = Study.of(study)
     _check_call(timeout=timeout)
-    path, say = cache_path(cache), partial(tell, on_progress, Progress(0, 0))
+    _prepare(study, timeout, on_progress)
+    return make_plan(
+        study, _opened(cache_path(cache)), selection=selection, retry_failed=retry_failed
+    )
+
+
+def _prepare(study: Study, timeout: float, on_progress: OnProgress | None) -> None:
+    """Try out the user laws of a study, and warn of numbers that may be in another unit."""
+    say = partial(tell, on_progress, Progress(0, 0))
     _try_out_own_laws(study, timeout, say)
     warn_of(doubts_of(study))
     say("looking up cached points")
-    if not path.exists():
-        return make_plan(study, selection=selection)
-    with Cache(path, read_only=True) as store:
-        return make_plan(study, store, selection=selection, retry_failed=retry_failed)
 
 
-def expected_seconds(plan: Plan, cache: str | Path | None, workers: int) -> float | None:
+def _opened(path: Path) -> Cache | None:
+    """The cache in a folder; None if there is no folder."""
+    return Cache(path, read_only=True) if path.exists() else None
+
+
+def _writable(planned: Plan, path: Path) -> Plan:
+    """The plan with a cache that results can be written to, before the user waits for workers."""
+    check_writable(path if path.exists() else path.parent, "another cache with --cache")
+    return planned if planned.cache is not None else replace(planned, cache=Cache(path))
+
+
+def expected_seconds(plan: Plan, workers: int) -> float | None:
     """Expected time [s] of the missing points, from stored costs; None without stored costs.
 
     The mean cost of stored points of the same representation, or of all where there are none.
     """
-    path = cache_path(cache)
-    if not path.exists():
+    if plan.cache is None:
         return None
-    with Cache(path, read_only=True) as store:
-        cost = store.seconds(plan.keys)
-    if np.isnan(cost).all():
+    n_left = plan.n_left.sum(axis=1)
+    seconds, n_known = np.zeros((2, len(n_left)))
+    for r, places in enumerate(np.split(plan.places, len(n_left))):
+        cost = plan.cache.seconds(places)
+        seconds[r], n_known[r] = np.nansum(cost), np.count_nonzero(np.isfinite(cost))
+    if not n_known.any():
         return None
-    representation = plan.representation(np.arange(plan.n_points))
-    total = 0.0
-    for r in np.unique(representation[plan.is_missing]).tolist():
-        here = representation == r
-        known = cost[here & np.isfinite(cost)]
-        mean = known.mean() if known.size else np.nanmean(cost)
-        total += mean * np.sum(plan.is_missing & here)
-    return float(total) / workers
+    mean = np.full(len(n_left), seconds.sum() / n_known.sum())
+    np.divide(seconds, n_known, out=mean, where=n_known > 0)
+    return float(n_left @ mean) / workers
 
 
-def stage_reasons(
-    study: Study, plan: Plan, out: str | Path | None, cache: str | Path | None
-) -> dict[str, str | None]:
+def stage_reasons(study: Study, plan: Plan, out: str | Path | None) -> dict[str, str | None]:
     """Reason to make each file of a run, by file; None for files that are up to date."""
-    folder, path = run_folder(study, out), cache_path(cache)
+    folder = run_folder(study, out)
     reasons: dict[str, str | None] = {}
-    with Cache(path, read_only=True) if path.exists() else nullcontext() as store:
-        run = RunContext(folder, study, points=(plan, store) if store else None)
-        for stage in stages_of(study):
-            made = ", ".join(name for name in stage.inputs if reasons.get(name))
-            if POINTS in stage.sources and (plan.n_missing or store is None):
-                reason: str | None = "sweep points are missing"
-            else:
-                reason = reason_to_make(folder / stage.file, stage.made_from(folder, run))
-            reasons[stage.file] = reason or (f"{made} will be made" if made else None)
+    run = RunContext(folder, study, plan=plan)
+    for stage in stages_of(study):
+        made = ", ".join(name for name in stage.inputs if reasons.get(name))
+        if POINTS in stage.sources and (plan.n_missing or plan.cache is None):
+            reason: str | None = "sweep points are missing"
+        else:
+            reason = reason_to_make(folder / stage.file, stage.made_from(folder, run))
+        reasons[stage.file] = reason or (f"{made} will be made" if made else None)
     return reasons
 
 
@@ -339,10 +351,9 @@ def explain(
     **wanted: Any,
 ) -> list[Explanation]:
     """Explain for the first `limit` selected points why they are in the cache or missing."""
-    selection, path = study.select(**wanted), cache_path(cache)
-    planned = plan(study, path, selection=selection, on_progress=on_progress)
-    with Cache(path, read_only=True) if path.exists() else nullcontext() as store:
-        return list(explanations(study, planned, store, limit))
+    selection = study.select(**wanted)
+    planned = plan(study, cache, selection=selection, on_progress=on_progress)
+    return list(explanations(planned, limit))
 
 
 def report(folder: str | Path, study: Study | None = None) -> Path:
@@ -408,7 +419,7 @@ def _make_one(file: str, study: Study, folder: Path) -> None:
     if stage is None:
         table, name = ("claims", "claims.py") if file == CLAIMS else ("report", "figures.py")
         example = f'name a Python file, as [{table}] module = "{name}"'
-        raise StudyError([f"{study.source}: {table}: missing; {example}"])
+        raise StudyError(f"{study.source}: {table}: missing; {example}")
     make_file(stage, RunContext(folder, study))
 
 
@@ -445,9 +456,7 @@ def bench(
         If the study has no ``[bench]``, or the output folder cannot be used.
     """
     if study.spec.bench is None:
-        raise StudyError(
-            [f"{study.source}: bench: missing; add [bench] with scenarios and methods"]
-        )
+        raise StudyError(f"{study.source}: bench: missing; add [bench] with scenarios and methods")
     _check_call(timeout=timeout)
     folder = run_folder(study, out)
     check_writable(folder)
@@ -522,21 +531,14 @@ def query(
     _check_call(client, scheduler, workers=workers)
     selection, path = study.select(**wanted), cache_path(cache)
     with progress_bar() if on_progress is None else nullcontext(on_progress) as observer:
-        _try_out_own_laws(study, DEFAULT_TIMEOUT, partial(tell, observer, Progress(0, 0)))
-        warn_of(doubts_of(study))
-        if path.exists():
-            # The cache is opened once: reading the index of a million points takes 0.3 s.
-            with Cache(path, read_only=True) as store:
-                planned = make_plan(study, store, selection=selection)
-                if not planned.n_missing:
-                    return _exported(study, planned, store, selection, planned.progress)
-        else:
-            planned = make_plan(study, selection=selection)
+        _prepare(study, DEFAULT_TIMEOUT, observer)
+        planned = make_plan(study, _opened(path), selection=selection)
+        if planned.n_missing:
+            planned = _writable(planned, path)
         say = partial(tell, observer, planned.progress)
         connect = partial(_connected, client, say, scheduler, workers=workers)
-        progress = _computed(study, planned, path, observer, connect)
-    with Cache(path, read_only=True) as store:
-        return _exported(study, _as_stored(planned, store), store, selection, progress)
+        progress = _computed(planned, observer, connect)
+    return _exported(planned, selection, progress)
 
 
 def _check_call(
@@ -561,34 +563,19 @@ def _check_call(
         )
 
 
-def _exported(
-    study: Study, planned: Plan, store: Cache, selection: Selection, progress: Progress
-) -> xr.Dataset:
+def _exported(planned: Plan, selection: Selection, progress: Progress) -> xr.Dataset:
     """Dataset of a selection of a study from the cache, with the counts of points as attributes."""
     counts = {name: getattr(progress, name) for name in ("n_points", "n_hits", "n_computed")}
     with (
         netcdf.passing({}) as others,
-        netcdf.passing(attributes_of(study)) as dataset,
+        netcdf.passing(attributes_of(planned.study)) as dataset,
     ):
-        fill(dataset, others, study, planned, store, selection)
+        fill(dataset, others, planned, selection)
         return netcdf.loaded(dataset).assign_attrs(counts)
 
 
-def _as_stored(planned: Plan, store: Cache) -> Plan:
-    """The plan after its computation, with the present status of every point."""
-    status = store.status(planned.keys)
-    if lost := int(np.sum(status < 0)):
-        raise StoreError(
-            f"{store.path}: {lost} points of this run were removed by another process or a disk "
-            "failure; run again to resume"
-        )
-    return replace(planned, status=status)
-
-
 def _computed(
-    study: Study,
     planned: Plan,
-    path: Path,
     on_progress: OnProgress | None,
     connect: Callable[[], AbstractContextManager[Client]],
     begin: Callable[[], None] = lambda: None,
@@ -603,19 +590,17 @@ def _computed(
     if not planned.n_missing:
         begin()
         return before
-    # Before the user waits for workers.
-    check_writable(path if path.exists() else path.parent, "another cache with --cache")
     from gapsweep.execution.execute import execute
 
     with connect() as connected:
         begin()
-        with Cache(path) as store:
-            try:
-                done = execute(study, planned, store, connected, on_progress=on_progress, **how)
-            except KeyboardInterrupt as interrupt:
-                tell(on_progress, before, "stopping the computation")
-                interrupt.add_note(f"computed points are in {store.path}; run again to resume")
-                raise
+        try:
+            done = execute(planned, connected, on_progress=on_progress, **how)
+        except KeyboardInterrupt as interrupt:
+            tell(on_progress, before, "stopping the computation")
+            assert planned.cache is not None
+            interrupt.add_note(f"computed points are in {planned.cache.path}; run again to resume")
+            raise
         tell(on_progress, done, "closing the cluster")
     return done
 
@@ -636,16 +621,17 @@ def _connected(
 
 
 def _failures(planned: Plan) -> dict[str, int]:
-    counts = {s.label: int(np.sum(planned.status == s)) for s in Status if s.failed}
+    counts = {s.label: int(np.count_nonzero(planned.status == s)) for s in Status if s.failed}
     return {label: n for label, n in counts.items() if n}
 
 
-def _reasons(planned: Plan, store: Cache) -> str:
+def _reasons(planned: Plan) -> str:
     """Numbers of failed points by status, each with the message of its first point."""
     reasons = []
     for status in filter(lambda status: status.failed, Status):
         rows = np.flatnonzero(planned.status == status)
-        if rows.size and (place := store.place(planned.keys[rows[:1]])):
-            message = place[1].responses.row(place[2]).message
+        if rows.size and planned.cache is not None:
+            found = planned.cache.found(planned.places[rows[:1]], planned.study.structure)
+            message = found.responses.messages.get(0, "")
             reasons.append(f"{rows.size} {status.label}: {message:.200}".rstrip(": "))
     return "; ".join(reasons)

@@ -8,7 +8,7 @@ up to date ends before they would be loaded.
 import gc
 import hashlib
 import warnings
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Generator, Iterable, Iterator
 from contextlib import AbstractContextManager, ExitStack, contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -47,7 +47,6 @@ from gapsweep.run_folder import (
 from gapsweep.status import Status
 from gapsweep.store import netcdf
 from gapsweep.store.artefact import digests, reading
-from gapsweep.store.cache import Cache
 from gapsweep.study.study import Study
 from gapsweep.study_code import (
     dataset_key,
@@ -80,8 +79,10 @@ class RunContext:
     folder : Path
         Of the run.
     study : Study
-    points : tuple of (Plan, Cache), optional
+    plan : Plan, optional
         The sweep points and where they are stored, for stages that read them.
+    meanwhile : iterator of bool
+        As of `meanwhile`, begun while points were computed; None if none was.
     cache : Path
         Folder of the cache.
     connect : callable, optional
@@ -100,7 +101,8 @@ class RunContext:
 
     folder: Path
     study: Study
-    points: tuple[Plan, Cache] | None = None
+    plan: Plan | None = None
+    meanwhile: Iterator[bool] | None = None
     cache: Path = Path()
     connect: Callable[[], AbstractContextManager[Any]] | None = None
     timeout: float = DEFAULT_TIMEOUT
@@ -246,7 +248,7 @@ def _own_stages(study: Study) -> list[Stage]:
         name = file.removesuffix(".nc")
         if name in taken:
             where = f"{study.claims_module}: DATASETS: {name!r}"
-            raise StudyError([f"{where}: the name of a file of gapsweep; choose another name"])
+            raise StudyError(f"{where}: the name of a file of gapsweep; choose another name")
         code = Source(f"code of {file}", partial(_own_code, function))
         stages.append(Stage(file, (), (SETTINGS, code), partial(_own_dataset, file, function)))
     return stages
@@ -294,13 +296,9 @@ def write_page(folder: Path) -> Path:
 
 
 def _points_digest(run: RunContext) -> str:
-    """Digest of the keys and of the stored results of a study's sweep points."""
-    assert run.points is not None, "stages that read points are made with them"
-    plan, cache = run.points
-    digest = hashlib.sha256(plan.keys.data)
-    for part in cache.checksums(plan.keys):
-        digest.update(part)
-    return digest.hexdigest()
+    """Digest of the stored results of a study's sweep points."""
+    assert run.plan is not None, "stages that read points are made with them"
+    return run.plan.digest()
 
 
 def _settings_digest(run: RunContext) -> str:
@@ -329,18 +327,36 @@ CLAIMS_MODULE = Source("claims module", lambda run: _code_key(run.study.claims_c
 REPORT_MODULE = Source("report module", lambda run: _code_key(run.study.report_code))
 
 
+def meanwhile(run: RunContext) -> Generator[bool, None, None]:
+    """Load the code of the report, and write ``responses.nc`` and ``attractors.nc``, in steps.
+
+    A run takes these steps while it waits for points; see `export`.
+    """
+    from gapsweep.report import html
+
+    yield bool(html)
+    yield from _export(run)
+
+
+def _export(run: RunContext) -> Iterator[bool]:
+    assert run.plan is not None
+    return export(
+        *(run.plan, run.folder / RESPONSES, run.folder / ATTRACTORS),
+        made_from=lambda: as_text(STAGES[0].made_from(run.folder, run)),
+    )
+
+
 def _responses(run: RunContext) -> None:
     """Write ``responses.nc`` and ``attractors.nc`` from the cache, both in one pass."""
-    assert run.points is not None
-    files = run.folder / RESPONSES, run.folder / ATTRACTORS
-    export(run.study, *run.points, *files, made_from=run.made_from)
+    for _ in run.meanwhile or _export(run):
+        pass
 
 
 def _static(run: RunContext) -> "xr.Dataset":
     from gapsweep.analysis.datasets.static import static
 
-    with run.datasets() as found:  # users' laws are called on workers only
-        return static(run.study, found.get("responses"), with_own_laws=False)
+    with run.datasets() as found:
+        return static(run.study, found.get("responses"))
 
 
 def _agreement(run: RunContext) -> "Content":

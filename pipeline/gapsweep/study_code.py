@@ -38,14 +38,14 @@ def own_datasets(study: Study) -> dict[str, Callable[[Study], Any]]:
     found = getattr(load_module(study.claims_code), "DATASETS", {})
     if not isinstance(found, Mapping):
         raise StudyError(
-            [f"{path}: DATASETS: must be a dict of functions, as DATASETS = {{'name': function}}"]
+            f"{path}: DATASETS: must be a dict of functions, as DATASETS = {{'name': function}}"
         )
     for name, function in found.items():
         where = f"{path}: DATASETS: {name!r}"
         if not isinstance(name, str) or not re.fullmatch("[a-z_]+", name):
-            raise StudyError([f"{where}: names must have the letters a to z and _ only"])
+            raise StudyError(f"{where}: names must have the letters a to z and _ only")
         if not callable(function):
-            raise StudyError([f"{where}: must be a function of the study, not {function!r:.40}"])
+            raise StudyError(f"{where}: must be a function of the study, not {function!r:.40}")
     return {f"{name}.nc": function for name, function in found.items()}
 
 
@@ -132,13 +132,12 @@ def _as_json(study: Study, table: str, path: Path, found: dict[str, Any]) -> dic
 
 
 def _claims_in(code: Snapshot) -> "list[Claim]":
-    """The claims that a user module defines."""
     from gapsweep.analysis.claims import stated
 
     try:
         return stated(vars(load_module(code)))
     except ValueError as error:
-        raise StudyError([f"{code.path}: {error}"]) from None
+        raise StudyError(f"{code.path}: {error}") from None
 
 
 def _sections_in(code: Snapshot) -> "Callable[[Run], Any]":
@@ -146,5 +145,5 @@ def _sections_in(code: Snapshot) -> "Callable[[Run], Any]":
     found: Callable[[Run], Any] | None = getattr(load_module(code), "sections", None)
     if not callable(found):
         message = f"{code.path}: function sections(run) is missing; it returns parts of the report"
-        raise StudyError([message])
+        raise StudyError(message)
     return found

@@ -32,7 +32,8 @@ class Variable:
     long_name: str
     missing: float = float("nan")  # value in cells that are no sweep point
     flags: tuple[tuple[str, int], ...] = ()  # meanings and values, for flag variables
-    # Dimensions within a point. An oscillator has no `COORDINATE`, `CONTACT` and `LAG`.
+    # Dimensions, those within a point for a variable of points. An oscillator has no `COORDINATE`,
+    # `CONTACT` and `LAG`.
     dims: tuple[str, ...] = ()
 
     @property
@@ -62,23 +63,17 @@ def canonical(value: float) -> float:
     return float(f"{value:.11e}") + 0.0  # -0.0 becomes 0.0
 
 
-# Dimensions and metadata of variables by name.
-Described = Mapping[str, tuple[tuple[str, ...], Variable]]
-
-
-def empty(table: Described, sizes: Mapping[str, int]) -> dict[str, Any]:
+def empty(table: Mapping[str, Variable], sizes: Mapping[str, int]) -> dict[str, Any]:
     """Arrays of a table's variables, filled with their missing values."""
     return {
-        name: np.full([sizes[dim] for dim in dims], variable.missing, variable.dtype)
-        for name, (dims, variable) in table.items()
+        name: np.full([sizes[dim] for dim in one.dims], one.missing, one.dtype)
+        for name, one in table.items()
     }
 
 
-def with_attributes(table: Described, arrays: Mapping[str, Any]) -> dict[str, Any]:
+def with_attributes(table: Mapping[str, Variable], arrays: Mapping[str, Any]) -> dict[str, Any]:
     """Return dimensions, values and attributes of every variable, as for `xarray.Dataset`."""
-    return {
-        name: (dims, arrays[name], variable.attributes) for name, (dims, variable) in table.items()
-    }
+    return {name: (one.dims, arrays[name], one.attributes) for name, one in table.items()}
 
 
 STATUS_FLAGS = tuple((status.label, int(status)) for status in Status)

@@ -45,32 +45,33 @@ def commit(cache, study, answer, host="here"):
     answer : callable
         From the point's place on every axis, by name, to a Response; None: is not stored.
     """
-    planned, grid = plan(study), study.grid
-    for rows, table in study.points(planned.cells):
-        at = np.transpose(np.unravel_index(planned.cells[rows], grid.shape)).tolist()
-        answers = [answer(dict(zip(grid.dims, place, strict=True))) for place in at]
-        kept = [i for i, one in enumerate(answers) if one is not None]
-        here = rows[kept]
-        responses = Responses.of([answers[i] for i in kept], study.structure)
-        previous = planned.previous(here)
-        for row, has_ended in enumerate(np.isfinite(responses.ends).all(axis=1)[:-1]):
-            if not has_ended and previous[row + 1] == planned.keys[here[row]]:
-                previous[row + 1] = previous[row]  # it started from where that did
-        cache.commit(
-            list(
-                slabs(
-                    *(table.kind.identity, table.numbers[kept], planned.keys[here], previous),
-                    *(responses, host, ""),
-                )
-            )
-        )
+    grid = study.grid
+    for block in plan(study).blocks():
+        for rows, table in study.points(block.cells):
+            at = np.transpose(np.unravel_index(block.cells[rows], grid.shape)).tolist()
+            answers = [answer(dict(zip(grid.dims, place, strict=True))) for place in at]
+            kept = [i for i, one in enumerate(answers) if one is not None]
+            here = rows[kept]
+            responses = Responses.of([answers[i] for i in kept], study.structure)
+            previous = block.previous(here)
+            for row, has_ended in enumerate(np.isfinite(responses.ends).all(axis=1)[:-1]):
+                if not has_ended and previous[row + 1] == block.keys[here[row]]:
+                    previous[row + 1] = previous[row]  # it started from where that did
+            about = table.kind.identity, table.numbers[kept], block.keys[here], previous
+            cache.commit(list(slabs(*about, responses, host, "")))
+
+
+def cells_and_keys(study):
+    """Flat positions in the grid and content keys of all points, in the order of computation."""
+    columns = zip(*((block.cells, block.keys) for block in plan(study).blocks()), strict=True)
+    return tuple(map(np.concatenate, columns))
 
 
 def all_keys(study):
     """Content keys by place on the axes."""
-    planned = plan(study)
-    places = np.transpose(np.unravel_index(planned.cells, study.grid.shape))
-    return dict(zip(map(tuple, places.tolist()), planned.keys.tolist(), strict=True))
+    cells, keys = cells_and_keys(study)
+    places = np.transpose(np.unravel_index(cells, study.grid.shape))
+    return dict(zip(map(tuple, places.tolist()), keys.tolist(), strict=True))
 
 
 def point(study, *place):
@@ -89,11 +90,9 @@ def rows(cache, keys):
 
 def stored(study, cache):
     """Stored responses of all points of a study, by place."""
-    planned = plan(study)
-    by_key = rows(cache, planned.keys)
-    places = np.transpose(np.unravel_index(planned.cells, study.grid.shape)).tolist()
-    keys = planned.keys.tolist()
-    return {tuple(p): by_key[k] for p, k in zip(places, keys, strict=True) if k in by_key}
+    keys = all_keys(study)
+    by_key = rows(cache, np.frombuffer(b"".join(keys.values()), KEY))
+    return {place: by_key[key] for place, key in keys.items() if key in by_key}
 
 
 def n_stored(path):
@@ -111,9 +110,9 @@ def messages(study, cache):
 
 def tile_rows(study, representation=0):
     """Responses of all points of a sweep, computed here in one tile."""
-    planned = plan(study)
-    rows = np.flatnonzero(planned.representation(np.arange(planned.n_points)) == representation)
-    ((_, table),) = study.points(planned.cells[rows])
+    block = plan(study).block(representation)
+    rows = np.arange(len(block.cells))
+    ((_, table),) = study.points(block.cells)
     nothing = np.zeros(len(rows), KEY)
     tile = Tile(table, "", nothing, nothing, np.array([len(rows)]), np.zeros((1, 2)), nothing[:1])
     return respond_to(tile).rows()

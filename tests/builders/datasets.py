@@ -123,6 +123,13 @@ def datasets(folder, study_tables, answer) -> tuple[xr.Dataset, xr.Dataset]:
     return datasets_by_place(folder, study, at)
 
 
+def exported(planned, folder):
+    """Write both files of a plan; points without a result are interrupted."""
+    planned.is_missing[:] = False
+    for _ in export(planned, folder / "responses.nc", folder / "attractors.nc"):
+        pass
+
+
 def datasets_by_place(folder, study, at) -> tuple[xr.Dataset, xr.Dataset]:
     """Both datasets of a study, with responses from a function of a point's place by axis."""
     folder = Path(folder)
@@ -130,7 +137,7 @@ def datasets_by_place(folder, study, at) -> tuple[xr.Dataset, xr.Dataset]:
     with Cache(folder / "cache") as cache:
         commit(cache, study, at)
         planned = plan(study, cache)
-        export(study, planned, cache, folder / "responses.nc", folder / "attractors.nc")
+        exported(planned, folder)
     return tuple(
         xr.load_dataset(folder / f"{name}.nc", engine="netcdf4")
         for name in ("responses", "attractors")

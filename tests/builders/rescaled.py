@@ -28,6 +28,8 @@ def rescaled_model(model, mass, length, time):
             c=model.c * mass / time,
             forcing=model.forcing * force,
             mean_load=model.mean_load * force,
+            unbalance=model.unbalance * mass * length,
+            base_amplitude=model.base_amplitude * length,
         )
     lags = model.lags and gs.Lags(
         model.lags.force * mass / time**2,
@@ -42,7 +44,7 @@ def rescaled_model(model, mass, length, time):
         stiffness=model.stiffness * mass / time**2,
         cubic=[replace(each, alpha=each.alpha * force / length**3) for each in model.cubic],
         forcing=[
-            replace(h, amplitude=h.amplitude * (mass * length if h.inertial else force))
+            replace(h, amplitude=h.amplitude * (force, force * time, mass * length)[h.power])
             for h in model.forcing
         ],
         lags=lags,

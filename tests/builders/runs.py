@@ -4,6 +4,7 @@ import io
 import os
 import subprocess
 import sys
+import time
 from contextlib import chdir, nullcontext, redirect_stderr, redirect_stdout
 from pathlib import Path
 from types import SimpleNamespace
@@ -31,10 +32,11 @@ def run(tables, client, folder, out="out", **options):
 def on_a_cluster(client):
     """A function of a folder and arguments that runs ``gapsweep`` there on the client's workers.
 
-    In this process, for runs that do not end it: without imports and a cluster.
+    In this process, for runs that do not end it: without imports and a cluster. It must end with
+    the exit code `code`, and show no traceback.
     """
 
-    def gapsweep(folder, *arguments, cache=None):
+    def gapsweep(folder, *arguments, cache=None, code=0):
         out, errors = io.StringIO(), io.StringIO()
         with (
             chdir(folder), redirect_stdout(out), redirect_stderr(errors),
@@ -47,8 +49,10 @@ def on_a_cluster(client):
                 patch.delenv("GAPSWEEP_CACHE", raising=False)
             else:
                 patch.setenv("GAPSWEEP_CACHE", cache)
-            code = exit_code(list(arguments))
-        return SimpleNamespace(returncode=code, stdout=out.getvalue(), stderr=errors.getvalue())
+            found = exit_code(list(arguments))
+        assert found == code, errors.getvalue()
+        assert "Traceback" not in errors.getvalue()
+        return SimpleNamespace(stdout=out.getvalue(), stderr=errors.getvalue())
 
     return gapsweep
 
@@ -62,12 +66,17 @@ def _process(folder, arguments, command, variables):
     return [*command, *arguments], {"cwd": folder, "env": environment, "text": True}
 
 
-def in_a_process(folder, *arguments, command=None, timeout=300, variables=None, **options):
-    """``gapsweep`` with these arguments in a process, ended, with the text that it has written."""
+def in_a_process(folder, *arguments, command=None, variables=None, code=0, **options):
+    """The text that ``gapsweep`` with these arguments writes in a process.
+
+    It must end with the exit code `code`, and show no traceback.
+    """
     command, settings = _process(folder, arguments, command, variables)
-    return subprocess.run(
-        command, capture_output=True, timeout=timeout, check=False, **settings | options
-    )
+    options = {"capture_output": True, "timeout": 300} | settings | options
+    done = subprocess.run(command, check=False, **options)
+    assert done.returncode == code, done.stdout + done.stderr
+    assert "Traceback" not in done.stderr
+    return done
 
 
 def started(folder, *arguments, command=None, variables=None, **options):
@@ -75,3 +84,20 @@ def started(folder, *arguments, command=None, variables=None, **options):
     command, settings = _process(folder, arguments, command, variables)
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
     return subprocess.Popen(command, start_new_session=True, **pipes | settings | options)
+
+
+def wait_until(is_so, seconds=60):
+    """Wait until a function returns something true; fail after that many seconds."""
+    deadline = time.monotonic() + seconds
+    while not is_so():
+        assert time.monotonic() < deadline
+        time.sleep(0.02)
+
+
+def replaced(path, old, new):
+    """An edit of equal size that leaves the time of modification as it was."""
+    text, before = path.read_text(), path.stat()
+    assert old in text
+    assert len(old) == len(new)
+    path.write_text(text.replace(old, new))
+    os.utime(path, ns=(before.st_atime_ns, before.st_mtime_ns))

@@ -9,12 +9,11 @@ import shutil
 import signal
 import subprocess
 import sys
-import time
 
 import psutil
 import pytest
 from tests.builders.cache import damaged_row, n_stored
-from tests.builders.runs import ENTRY, in_a_process, started
+from tests.builders.runs import ENTRY, in_a_process, started, wait_until
 from tests.builders.studies import study_text
 
 # A stage and its time, told of what takes longer than a moment.
@@ -38,7 +37,6 @@ def finished_once(tmp_path_factory):
     folder = tmp_path_factory.mktemp("finished")
     (folder / "tiny.toml").write_text(QUICK)
     done = in_a_process(folder, "run", "tiny.toml")
-    assert done.returncode == 0, done.stderr
     assert done.stdout.startswith("4 points: 0 from the cache, 4 computed\n")
     return folder
 
@@ -162,7 +160,7 @@ def test_query_prints_what_was_selected_and_computes_only_the_rest(gapsweep, fin
     done = gapsweep(finished, "query", "more.toml", "--sel", "omega=12:20", "--to", "csv")
     assert done.stderr == "4 points, 4 from the cache\n"
     rows = list(csv.DictReader(io.StringIO(done.stdout)))
-    assert {(r["representation"], float(r["omega"])) for r in rows} == {
+    assert {(r["representation"], float(r["omega [Hz]"])) for r in rows} == {
         (label, omega) for label in ("piecewise", "tanh-1e4") for omega in (12.0, 20.0)
     }
     assert {r["status"] for r in rows} == {"ok"}
@@ -173,31 +171,39 @@ def test_query_prints_what_was_selected_and_computes_only_the_rest(gapsweep, fin
     assert planned(gapsweep, finished, "more.toml")["missing"] == 1
 
 
+def rows_of(text):
+    return list(csv.DictReader(io.StringIO(text)))
+
+
 def test_query_prints_the_columns_and_digits_asked_for(gapsweep, finished):
-    given = ("--sel", "representation=piecewise", "--columns", "x_max,status", "--digits", "3")
-    rows = list(
-        csv.DictReader(io.StringIO(gapsweep(finished, "query", "tiny.toml", *given).stdout))
-    )
-    assert [float(row["x_max"]) for row in rows] == [
-        float(f"{float(r['x_max']):.3g}") for r in rows
+    given = ("--sel", "representation=piecewise", "--columns", "x_max,status")
+    rounded = rows_of(gapsweep(finished, "query", "tiny.toml", *given, "--digits", "3").stdout)
+    exact = rows_of(gapsweep(finished, "query", "tiny.toml", *given).stdout)
+    assert [row["x_max [mm]"] for row in rounded] == [
+        str(float(f"{float(row['x_max [mm]']):.3g}")) for row in exact
     ]
-    assert list(rows[0])[-2:] == ["x_max", "status"]
+    assert list(exact[0])[-2:] == ["x_max [mm]", "status"]
+    lines = gapsweep(finished, "query", "tiny.toml", *given, "--to", "json").stdout.splitlines()
+    assert [1e3 * json.loads(line)["x_max"] for line in lines] == pytest.approx(
+        [float(row["x_max [mm]"]) for row in exact]
+    )
     shown = gapsweep(finished, "query", "tiny.toml", "--to", "table")
     table = shown.stdout
     assert max(map(len, table.splitlines())) <= 80
     assert table.count("piecewise") == 2
     assert "x_max" not in table
-    assert "or --to csv" in shown.stderr
+    assert "--columns" in shown.stderr
 
 
 def test_query_says_how_to_have_other_columns_to_one_who_names_none(gapsweep, finished):
-    whole = gapsweep(finished, "query", "tiny.toml")
-    header = whole.stdout.splitlines()[0].split(",")
-    assert {"x_max", "x_min", "amplitude", "lyapunov", "n_steps"} <= {*header}
-    assert "--to table" in whole.stderr
-    asked = gapsweep(finished, "query", "tiny.toml", "--to", "csv")
-    assert asked.stdout == whole.stdout
-    assert "--to" not in asked.stderr
+    short = gapsweep(finished, "query", "tiny.toml")
+    (header, *_) = rows_of(short.stdout)
+    assert {"x_max [mm]", "force_max [N]", "contact_share"} <= {*header}
+    assert "n_steps" not in header
+    assert "--columns all" in short.stderr
+    whole = gapsweep(finished, "query", "tiny.toml", "--columns", "all")
+    assert {*header, "n_steps", "cpu_time [s]"} <= {*rows_of(whole.stdout)[0]}
+    assert "--columns" not in whole.stderr
 
 
 def test_explain_names_the_field_that_differs(gapsweep, finished):
@@ -213,7 +219,7 @@ def test_explain_names_the_field_that_differs(gapsweep, finished):
 
 def test_explain_needs_no_cache(gapsweep, finished):
     found = gapsweep(finished, "explain", "tiny.toml", cache="none-yet")
-    assert (found.returncode, found.stdout.count(": missing")) == (0, 4)
+    assert found.stdout.count(": missing") == 4
     assert not (finished / "none-yet").exists()
 
 
@@ -221,19 +227,19 @@ def test_cache_commands(gapsweep, finished):
     info = json.loads(gapsweep(finished, "cache", "info", "--json").stdout)
     assert (info["points"], info["current"], info["status"]) == (4, 4, {"ok": 4})
     done = gapsweep(finished, "cache", "verify")
-    assert (done.returncode, done.stdout) == (0, "4 intact points, 0 damaged segments\n")
+    assert done.stdout == "4 intact points, 0 damaged segments\n"
     assert "0 points" in gapsweep(finished, "cache", "gc").stdout
     damaged_row(shutil.copytree(finished / "data" / "cache", finished / "copy"))
     copy = ("--cache", "copy")
-    done = gapsweep(finished, "cache", "verify", *copy)
+    done = gapsweep(finished, "cache", "verify", *copy, code=1)
     # Runs begin at a random point, so segments hold one to three of the four points.
     n = int(done.stdout.split()[0])
     assert 0 < n < 4
-    assert (done.returncode, done.stdout) == (1, f"{n} intact points, 1 damaged segments\n")
+    assert done.stdout == f"{n} intact points, 1 damaged segments\n"
     again = gapsweep(finished, "run", "tiny.toml", *copy)
     assert again.stdout.startswith(f"4 points: {n} from the cache, {4 - n} computed\n")
     assert again.stderr.count(".seg: damaged, ") == 1
-    assert gapsweep(finished, "cache", "verify", *copy).returncode == 0
+    gapsweep(finished, "cache", "verify", *copy)
 
 
 def test_report_is_rebuilt_from_the_datasets_alone(gapsweep, finished):
@@ -241,7 +247,7 @@ def test_report_is_rebuilt_from_the_datasets_alone(gapsweep, finished):
     before = (run / "report" / "index.html").read_text()
     (run / "report" / "index.html").unlink()
     shutil.rmtree(finished / "data" / "cache")
-    assert gapsweep(finished, "report", "data/runs/tiny").returncode == 0
+    gapsweep(finished, "report", "data/runs/tiny")
     assert (run / "report" / "index.html").read_text() == before
 
 
@@ -249,11 +255,10 @@ def test_failed_points_end_with_their_own_exit_code(gapsweep, folder):
     (folder / "springs.py").write_text("def bad(x):\n    return 1.0 if x == 0 else {}[x]\n")
     text = QUICK.replace('"tanh-1e4"', '"springs:bad"')
     (folder / "tiny.toml").write_text(text + '[solver]\nengine = "scipy"\n')
-    done = gapsweep(folder, "run", "tiny.toml")
-    assert done.returncode == 3
+    done = gapsweep(folder, "run", "tiny.toml", code=3)
     assert "failed points: 2 error" in done.stderr
     told = [json.loads(gapsweep(folder, "status", "data/runs/tiny", "--json").stdout)]
-    assert gapsweep(folder, "run", "tiny.toml").returncode == 3
+    gapsweep(folder, "run", "tiny.toml", code=3)
     told += [json.loads(gapsweep(folder, "status", "data/runs/tiny", "--json").stdout)]
     counts = [[state[name] for name in ("hits", "computed", "failed")] for state in told]
     assert counts == [[0, 4, 2], [4, 0, 2]]
@@ -267,17 +272,11 @@ def test_failed_points_end_with_their_own_exit_code(gapsweep, folder):
         (("[study]", "[study"), "tiny.toml: not valid TOML"),
         (("[study]", f"a = {9999 * '['}"), "not valid TOML: brackets are nested too deeply"),
         (("tanh-1e4", "tanhh-1e4"), "sweep[0].representation[1] = 'tanhh-1e4': unknown"),
-        (("1.4e4]", "-1.4e4]"), "sweep[0].K_c[0] = -14000.0: must be >= 0"),
-        (("[[0.4e-3,", "[[-0.4e-3,"), "sweep[0].gap[0][0] = -0.0004: must be >= 0"),
-        (("12.0", "nan"), "sweep[0].omega[0] = nan: must be finite"),
-        (("12.0", "0"), "sweep[0].omega[0] = 0: must be > 0"),
-        (("n_periods", "periods"), "steady.periods = 16: unknown key"),
     ],
 )
 def test_bad_study_is_one_clear_line(gapsweep, folder, change, message):
     (folder / "tiny.toml").write_text(QUICK.replace(*change))
-    done = gapsweep(folder, "run", "tiny.toml")
-    assert done.returncode == 1
+    done = gapsweep(folder, "run", "tiny.toml", code=1)
     assert [message in line for line in done.stderr.splitlines()] == [True]
     assert not (folder / "data").exists()
 
@@ -287,7 +286,6 @@ def test_bad_study_is_one_clear_line(gapsweep, folder, change, message):
     [
         (("run", "none.toml"), "none.toml: cannot be read: No such file"),
         (("run", "tiny.toml", "--out", "tiny.toml/out"), "tiny.toml/out: cannot be written"),
-        (("run", "tiny.toml", "--out", "/proc/out"), "/proc/out: cannot be written"),
         (("run", "tiny.toml", "--scheduler", "tcp://127.0.0.1:9"), "tcp://127.0.0.1:9: cannot be"),
         (("run", "tiny.toml", "--scheduler", "nonsense://x"), "nonsense://x: cannot be reached"),
         (("run", "tiny.toml", "--cache", "tiny.toml"), "tiny.toml: must be a folder"),
@@ -311,9 +309,7 @@ def test_bad_study_is_one_clear_line(gapsweep, folder, change, message):
     ],
 )
 def test_impossible_request_is_one_clear_line(gapsweep, folder, arguments, message):
-    done = gapsweep(folder, *arguments)
-    assert done.returncode == 1, done.stderr
-    assert "Traceback" not in done.stderr
+    done = gapsweep(folder, *arguments, code=1)
     (line,) = [line for line in done.stderr.splitlines() if not PROGRESS.search(line)]
     assert message in line
     assert sorted(p.name for p in folder.iterdir()) == ["tiny.toml"]
@@ -334,7 +330,6 @@ def test_a_wall_that_is_never_reached_is_noticed(gapsweep, folder, right, wrong,
     largest = []
     for command in ("plan", "run"):
         done = gapsweep(folder, command, "tiny.toml")
-        assert done.returncode == 0, done.stderr
         last = done.stdout.splitlines()[-1]
         assert named in done.stdout
         gap = re.search(r"the wall is never reached: .* ([0-9.e-]+) mm, gap ([0-9.]+) mm", last)
@@ -356,9 +351,9 @@ def test_a_wall_that_is_reached_is_no_matter(gapsweep, finished_once):
 
 
 def test_wrong_command_line_is_clicks_own(folder):
-    assert in_a_process(folder, "run").returncode == 2
-    assert in_a_process(folder, "run", "tiny.toml", "--workers", "0").returncode == 2
-    assert in_a_process(folder, "--help").returncode == 0
+    in_a_process(folder, "run", code=2)
+    in_a_process(folder, "run", "tiny.toml", "--workers", "0", code=2)
+    in_a_process(folder, "--help")
 
 
 NOHUP = ("nohup",)
@@ -409,14 +404,7 @@ def slow_run(folder, *prefix):
 
 
 def wait_for_points(folder, n):
-    wait_until(lambda: stored_points(folder) >= n, 60)
-
-
-def wait_until(is_so, seconds):
-    deadline = time.monotonic() + seconds
-    while not is_so():
-        assert time.monotonic() < deadline
-        time.sleep(0.02)
+    wait_until(lambda: stored_points(folder) >= n)
 
 
 def stored_points(folder):

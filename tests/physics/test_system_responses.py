@@ -10,6 +10,7 @@ from numpy.testing import assert_allclose
 
 import gapsweep as gs
 from gapsweep.integrate.stepping import batch
+from gapsweep.model.structure import general_form
 
 GAP = gs.Gap(4e-4, 6e-4)
 # Damped so that each scene has one attractor: which one a start ends on is another question.
@@ -432,11 +433,51 @@ def test_the_largest_force_of_a_stiffness_that_changes_is_not_said():
     assert np.isnan(found.force_max).all()
 
 
-@pytest.mark.parametrize("omega", [{}, {"omega": None}, {"omega": 3.0}, {"omega": "fast"}])
-def test_basins_of_a_system_are_refused_before_anything_else(omega):
+def test_basins_over_two_states_of_a_system_are_those_of_its_responses():
+    pair, laws = gs.systems.two_masses(), gs.systems.two_masses_law()
+    q, v = np.linspace(-2.0, 2.0, 5), np.array([-1.0, 1.0])
+    found = gs.basins(pair, laws, 0.1176, x=("x_2", q), v=("v_x_1", v))
+    assert found["attractor"].dims == ("v_x_1", "x_2")
+    second, first_v = np.meshgrid(q, v)
+    zero = np.zeros_like(second)
+    states = np.stack([zero, second], axis=-1), np.stack([first_v, zero], axis=-1)
+    expected = gs.respond(pair, laws, 0.1176, q_0=states[0], v_0=states[1])
+    number = found["attractor"].values
+    assert len(found["attractor_number"]) > 1
+    period = found["period_multiple"].values[number]
+    np.testing.assert_array_equal(period, expected.period_multiple)
+    np.testing.assert_allclose(found["x_max"].values[number], expected.x_max, rtol=1e-5)
+
+
+def test_basins_of_an_oscillator_and_of_its_general_form_are_equal():
+    machine, law = gs.systems.paper_oscillator(), gs.Piecewise(1.4e4, gs.Gap(4e-4, 4e-4))
+    axes = np.linspace(-2e-3, 2e-3, 4), np.linspace(-0.1, 0.1, 3)
+    found = gs.basins(machine, law, 13.0, x=axes[0], v=axes[1])
+    general = gs.basins(general_form(machine), law, 13.0, x=axes[0], v=axes[1])
+    assert len(found["attractor_number"]) > 1
+    np.testing.assert_array_equal(found["attractor"].values, general["attractor"].values)
+
+
+def test_basins_of_an_unforced_system_are_over_its_states():
+    section = gs.systems.typical_section(14.0), gs.systems.typical_section_law()
+    found = gs.basins(*section, x=("alpha", [0.02, 0.03]), v=("z_1", [0.0]))
+    assert found["attractor"].shape == (1, 2)
+    assert (found["attractor"] >= 0).all()
+
+
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        ({"omega": None}, "omega"),
+        ({"omega": 3.0, "x": ("x", [0.0])}, "states: q_1, q_2, v_q_1, v_q_2"),
+        ({"omega": 3.0, "x": ("q_2", [0.0]), "v": ("q_2", [0.0])}, "two states"),
+        ({"omega": 3.0, "x": ("q_2", [])}, "not empty"),
+    ],
+)
+def test_bad_states_of_basins_are_named(given, words):
     system, law = coupled()
-    with pytest.raises(gs.ModelError, match=r"pass arrays of initial states to gapsweep\.respond"):
-        gs.basins(system, law, **omega, x=[0.0], v=[0.0])
+    with pytest.raises(gs.ModelError, match=words):
+        gs.basins(system, law, **{"x": [0.0], "v": [0.0], **given})
 
 
 @pytest.mark.extended

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 from scipy.integrate import quad
 from tests.builders.cache import point
+from tests.builders.datasets import tables
 from tests.builders.studies import PAPER, TOML
 
 import gapsweep as gs
@@ -170,19 +171,9 @@ def test_expected_range_includes_slow_motions_of_strong_damping(zeta, forcing):
 
 
 def test_a_fit_that_does_not_reach_the_walls_is_left_out():
-    tables = {
-        "study": {"name": "fits"},
-        "oscillator": PAPER,
-        "sweep": [
-            {
-                "representation": ["piecewise", "auto", "poly-13"],
-                "K_c": [1.4e4],
-                "gap": [[0.4e-3, 0.4e-3], [5e-3, 5e-3]],  # the default range is 4 mm
-                "omega": [6.0],
-            }
-        ],
-    }
-    found = advice(gs.Study.from_dict(tables)).sel(approximation="poly-13")
+    study = tables(["piecewise", "auto", "poly-13"], [6.0])
+    study["sweep"][0]["gap"] = [[0.4e-3, 0.4e-3], [5e-3, 5e-3]]  # the default range is 4 mm
+    found = advice(gs.Study.from_dict(study)).sel(approximation="poly-13")
     assert np.isfinite(found.force_error.values.ravel()).tolist() == [True, False]
 
 

@@ -26,6 +26,7 @@ from gapsweep.analysis.agreement.comparison import agreement
 from gapsweep.analysis.claims import Run
 from gapsweep.analysis.datasets.timing import repeatability, widened
 from gapsweep.model.labels import Representation
+from gapsweep.report.inputs import Inputs
 from gapsweep.report.scales import NamedValue
 from gapsweep.report.sections import findings
 from gapsweep.report.verdicts import (
@@ -428,7 +429,7 @@ def responses(tmp_path_factory):
 
 
 def found_in(responses, *several):
-    texts = next(findings.sections(responses)).sentences
+    texts = next(findings.sections(Inputs(responses, xr.Dataset()))).sentences
     return " ".join([*texts, *findings.counted(several)])
 
 
@@ -563,7 +564,9 @@ def test_a_second_run_on_a_busy_machine_changes_no_sentence(papers, papers_respo
     def texts(run):
         found = judged_of(run)
         without_times = page(run).partition("**(b)")[0]
-        told = next(findings.sections(run["responses"], run["agreement"])).sentences
+        told = next(
+            findings.sections(Inputs(run["responses"], xr.Dataset(), run["agreement"]))
+        ).sentences
         said = (finding(run), *answer(run), *in_words(found), *told)
         return *said, signs(found), without_times
 

@@ -24,6 +24,7 @@ from gapsweep.integrate.problem import Solver
 from gapsweep.integrate.runge_kutta import representations
 from gapsweep.model.equilibria import equilibria, linear_stiffness
 from gapsweep.report.bench_figures import STATUS_LETTERS, atlas, worst
+from gapsweep.report.inputs import Inputs
 from gapsweep.report.sections.benchmarks import conclusions
 from gapsweep.report.sections.benchmarks import stability as section_of
 from gapsweep.status import Status
@@ -329,7 +330,7 @@ def test_false_wells_are_predicted(mixed):
 
 
 def test_report_lists_scenes_and_laws(mixed):
-    [part] = section_of(mixed)
+    [part] = section_of(Inputs(mixed, mixed, stability=mixed))
     assert part.sentences[0].endswith(": 0.")
     assert [row[0] for row in part.tables[0].rows] == ["hard", "strong", "without"]
     assert len(part.figures) == 2

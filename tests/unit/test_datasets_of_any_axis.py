@@ -154,7 +154,7 @@ def test_few_values_of_another_axis_have_curves_each_and_rows_of_their_own(force
     for force in FORCING:  # too few for an axis
         where = f"piecewise, K_c = 14000 N/m, gap 0.4/0.4 mm, forcing = {force:g} N"
         assert f"Peak displacement of every attractor: {where}" in page
-    (part,) = sections(forced[0], timing(forced[0]), agreement(*forced), forced[1])
+    (part,) = sections(Inputs(forced[0], timing(forced[0]), agreement(*forced), forced[1]))
     (compared, costs) = part.tables
     rows = {row[0]: row[-1] for row in compared.rows}  # each scene's own
     for force in FORCING:
@@ -166,7 +166,7 @@ def test_few_values_of_another_axis_have_curves_each_and_rows_of_their_own(force
 
 def test_one_parameter_alone_is_a_bifurcation_diagram(forced):
     files = [ds.isel(omega=[0]) for ds in forced]
-    (part,) = sections(files[0], timing(files[0]), attractors=files[1])
+    (part,) = sections(Inputs(files[0], timing(files[0]), attractors=files[1]))
     figures = list(part.figures)
     said = [figure.description.partition(",")[0] for figure in figures]
     assert said == ["Bifurcation diagram", "Attractors and their basins"] * 2
@@ -184,13 +184,13 @@ def test_branches_along_a_parameter_lie_in_its_figures_and_have_a_table(forced):
     found = branches([[1, 1, 0, 0]] * 2, [[0, 1, 0, 0]] * 2, representation=labels)
     found = found.rename(omega="forcing").assign_attrs(along="forcing")
     found["forcing"][:] = found["forcing"] - 4.0
-    (part,) = sections(files[0], timing(files[0]), None, files[1], branches=found)
+    (part,) = sections(Inputs(files[0], timing(files[0]), None, files[1], branches=found))
     has_lines = ["dashed where unstable" in figure.caption for figure in part.figures]
     assert has_lines == [True, True, False, False]
     titles = [table.title for table in part.tables]
     assert "Special points of the branches" in titles
     for other in (found.assign_attrs(along="x_max"), None):
-        (part,) = sections(files[0], timing(files[0]), None, files[1], branches=other)
+        (part,) = sections(Inputs(files[0], timing(files[0]), None, files[1], branches=other))
         assert [table.title for table in part.tables] == titles[:-1]
 
 
@@ -199,7 +199,7 @@ def test_many_starts_at_one_place_are_a_map_of_the_starts(tmp_path):
     states = [[1e-5 * i, 1e-3 * k] for i in range(26) for k in range(20)]
     study["sweep"][0]["initial_condition"] = states
     responses, found = datasets(tmp_path, study, lambda *_: periodic([(1e-3, 0.0)], 5.0))
-    (figure,) = next(sections(responses, timing(responses), attractors=found)).figures
+    (figure,) = next(sections(Inputs(responses, timing(responses), attractors=found))).figures
     axes = figure.figure.axes[0]
     assert axes.get_xlabel() == "initial displacement [mm]"
     assert axes.images[0].get_array().shape[:2] == (20, 26)
@@ -236,7 +236,7 @@ def test_a_law_has_no_empty_pictures_where_it_was_not_swept(forced):
     here = responses["representation"] == "tanh-1e4", responses["forcing"] == FORCING[1]
     is_left = here[0] & here[1]
     responses["status"] = responses["status"].where(~is_left, Status.NOT_REQUESTED)
-    (part,) = sections(responses, timing(responses), attractors=attractors)
+    (part,) = sections(Inputs(responses, timing(responses), attractors=attractors))
     figures = list(part.figures)
     of_tanh = [one.description for one in figures if "tanh" in one.description]
     assert of_tanh
@@ -252,7 +252,7 @@ def test_coordinates_share_maps_of_classes_and_have_amplitudes_of_their_own(tmp_
     both = [responses[names]] * 2
     two = xr.concat(both, xr.DataArray(["q_1", "q_2"], dims=COORDINATE, name=COORDINATE))
     responses = responses.drop_vars(names).assign(two.transpose(..., COORDINATE))
-    (figure,) = next(sections(responses, timing(responses))).figures
+    (figure,) = next(sections(Inputs(responses, timing(responses)))).figures
     labels = [axes.get_ylabel() for axes in figure.figure.axes if axes.get_label() == "<colorbar>"]
     assert [label.partition(":")[0] for label in labels] == ["q_1", "q_2"]
     assert figure.caption.startswith("Class, period, amplitude: tanh-1e4, K_c")

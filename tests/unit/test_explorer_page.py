@@ -8,7 +8,6 @@ import stat
 import subprocess
 import sys
 import threading
-import time
 import tomllib
 import urllib.request
 from dataclasses import replace
@@ -21,6 +20,7 @@ import pytest
 import xarray as xr
 from bokeh.document import Document
 from tests.builders.datasets import branches, datasets, periodic, tables
+from tests.builders.runs import wait_until
 from tests.builders.studies import PAPER
 from tornado.httpclient import AsyncHTTPClient, HTTPClientError, HTTPRequest
 from tornado.websocket import websocket_connect
@@ -383,9 +383,7 @@ def test_an_error_of_any_kind_is_a_word_and_the_next_question_is_answered():
 
     latest = Latest(raising, lambda *_: answered.set(), lambda _, problem: said.append(problem))
     latest.ask(1)
-    deadline = time.monotonic() + SOON
-    while not said:
-        assert time.monotonic() < deadline
+    wait_until(lambda: said, SOON)
     latest.ask(2)
     assert answered.wait(SOON)
     latest.stop()

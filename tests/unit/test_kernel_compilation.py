@@ -134,6 +134,7 @@ def test_numba_keeps_and_loads_machine_code_by_the_cache_of_jit(folder):
     assert jit.entry(chaos)(0.3, np.empty(3)) == chaos(0.3, np.empty(3))
     counts = sentence("_compile_for_args is not called to compile", "measures loading by it")
     assert LOADING.seconds > before, counts
+    assert LOADING.elapsed >= LOADING.seconds
     files = [path.name for path in folder.rglob("*.code")]
     kept = sentence("machine code is not kept by dispatcher._cache", "replaces that cache")
     assert len(files) == 1, kept
@@ -167,4 +168,32 @@ def test_one_kernel_serves_all_tolerances_and_sizes_of_batches(law):
     for rtol in (1e-3, 1e-6, 1e-12):
         assert run(9.0, rtol) > 0
         assert np.all(run(np.linspace(8.0, 9.0, 20), rtol) > 0)
+    assert len(advance.signatures) == before
+
+
+def in_parts(n, n_modulations=1):
+    """A system whose load, cubic spring and periodic stiffness are n equal parts each."""
+    modulation = gs.Modulation(depth=0.2 / n_modulations, k=2, phase=0.4)
+    return gs.System(
+        mass=[[3.0]],
+        stiffness=[[3e3]],
+        damping=[[5.0]],
+        contacts={"stop": [1.0]},
+        forcing=[gs.Harmonic(amplitude=[4.0 / n], k=3, phase=0.3)] * n,
+        cubic=[gs.Cubic(along=[1.0], alpha=7e8 / n)] * n,
+        modulation={"stop": [modulation] * n_modulations},
+    )
+
+
+def test_one_kernel_serves_all_numbers_of_loads_springs_and_modulations():
+    law = gs.Piecewise(1.4e4, gs.Gap(4e-4, 4e-4))
+    given = {"n_periods": 3, "rtol": 1e-12, "tangent": True}
+    whole = gs.simulate(in_parts(1), law, 4.0, **given)
+    assert whole.n_contacts > 0
+    before = len(advance.signatures)
+    for system in (in_parts(2), in_parts(7, 3)):
+        run = gs.simulate(system, law, 4.0, **given)
+        np.testing.assert_allclose(run.q_end, whole.q_end, rtol=1e-9)
+        np.testing.assert_allclose(run.v_end, whole.v_end, rtol=1e-9)
+        np.testing.assert_allclose(run.monodromy, whole.monodromy, rtol=1e-9, atol=1e-9)
     assert len(advance.signatures) == before

@@ -40,7 +40,7 @@ IN_A_STUDY = {
         "zeta",
         "damping",
         "oscillator.damping = 0.03: unknown key; known keys: zeta, omega_n, mass, alpha, forcing, "
-        "mean_load, c",
+        "mean_load, c, unbalance, base_amplitude, base_damping",
     ),
     "misspelt table": (
         "[oscillator]",
@@ -50,10 +50,14 @@ IN_A_STUDY = {
     "one bracket": ("[[sweep]]", "[sweep]", "sweep: must be a list of tables; write [[sweep]]"),
     "unit in the number": (
         "[1.4e4]",
-        '"14 kN/m"',
-        "sweep[0].K_c[0] = '14 kN/m': must be a number, in N/m",
+        '"14 kN"',
+        "sweep[0].K_c[0] = '14 kN': must be a number in N/m, or a quantity of this dimension",
     ),
-    "per cent": ("0.03", '"3 %"', "oscillator.zeta = '3 %': must be a number"),
+    "per cent": (
+        "0.03",
+        '"3 m"',
+        "oscillator.zeta = '3 m': must be a number or a quantity without dimension, as 2 %",
+    ),
     "range of MATLAB": (
         GRID,
         '"1:30"',
@@ -111,7 +115,7 @@ IN_PYTHON = {
         lambda: gs.law("tanh-1e4", 1.4e4, GAP),
         "for the law of a label use gapsweep.contact_law(label, K_c, gap)",
     ),
-    "text for a number": (lambda: paper_oscillator(mass="3 kg"), "mass = '3 kg': must be a number"),
+    "text for a number": (lambda: paper_oscillator(mass="3"), "mass = '3': must be a number"),
 }
 ON_THE_COMMAND_LINE = {
     "study by its name": (

@@ -12,7 +12,10 @@ from tests.builders.datasets import datasets_by_place, periodic, tables
 
 import gapsweep as gs
 from gapsweep.errors import STOPPING
+from gapsweep.execution.assemble import export
+from gapsweep.execution.plan import plan
 from gapsweep.store import netcdf
+from gapsweep.store.cache import Cache
 
 
 def small():
@@ -29,6 +32,34 @@ def test_written_dataset_is_read_back(tmp_path):
     with gs.open(tmp_path / "sub" / "small.nc") as read:
         xr.testing.assert_identical(read["x"].load(), small()["x"])
         assert {"created", "versions", "host", "thread_settings"} <= set(read.attrs)
+
+
+def test_files_of_points_are_written_piece_by_piece_while_points_arrive(tmp_path, monkeypatch):
+    monkeypatch.setattr("gapsweep.execution.layout.PIECE", 3)
+    study = gs.Study.from_dict(tables(["piecewise"], np.arange(1.0, 13.0)))
+    folder = tmp_path / "whole"
+    whole, _ = datasets_by_place(
+        folder, study, lambda at: periodic([[1e-4, 0.0]], 1.0 + at["omega"])
+    )
+    paths = tmp_path / "responses.nc", tmp_path / "attractors.nc"
+    with Cache(folder / "cache", read_only=True) as cache:
+        planned = plan(study, cache)
+        planned.is_missing[[4, 11]] = True
+        steps = export(planned, *paths)
+        assert [next(steps) for _ in range(4)] == [True, True, False, False]
+        planned.is_missing[4] = False
+        assert [next(steps) for _ in range(2)] == [True, False]
+        assert not any(path.exists() for path in paths)
+        planned.is_missing[11] = False
+        assert list(steps) == [True]
+        with xr.open_dataset(paths[0]) as found:
+            xr.testing.assert_equal(found.load(), whole)
+        before = paths[0].stat().st_mtime_ns
+        steps = export(planned, *paths)
+        next(steps)
+        steps.close()
+    assert paths[0].stat().st_mtime_ns == before
+    assert {*tmp_path.iterdir()} == {folder, *paths, tmp_path / "SHA256SUMS"}, "no temporary file"
 
 
 @pytest.mark.filterwarnings("ignore:.*not checked for damage")

@@ -61,12 +61,12 @@ from gapsweep.study.study import Study
 
 def found_in(responses, **files):
     """The findings of some files of a run."""
-    (part,) = findings.sections(responses, **files)
+    (part,) = findings.sections(Inputs(responses, xr.Dataset(), **files))
     return part.sentences
 
 
 def model(responses):
-    (part,) = model_section.sections(responses)
+    (part,) = model_section.sections(Inputs(responses, xr.Dataset()))
     return part.content["pairs"]
 
 
@@ -106,10 +106,8 @@ def in_own_units(responses):
 EQUAL = {"piecewise": 1.0, "piecewise@half": 1.001, "tanh-1e4": 1.02, "poly-13": 1.3}
 
 
-def test_sections_name_the_files_that_a_report_is_made_from():
-    """As the fields of `Inputs`, which the page is made from."""
-    named = {name for section in SECTIONS for name in (*section.needs, *section.uses)}
-    assert named == {field.name for field in fields(Inputs)}
+def test_a_page_is_made_from_the_fields_of_inputs():
+    named = {field.name for field in fields(Inputs)}
     assert named == {file.partition(".")[0] for file in PAGE.inputs}
 
 
@@ -175,7 +173,7 @@ def test_no_law_is_judged_by_a_wall_that_the_exact_law_never_touches(
     """As where gaps are meant in millimetres; one touch at one frequency is enough."""
     responses, attractors = touching(tmp_path, gaps)
     compared = agreement(responses, attractors)
-    (top,) = answer.sections(responses, compared)
+    (top,) = answer.sections(Inputs(responses, xr.Dataset(), compared))
     sentences = found_in(responses, agreement=compared)
     assert [len(rows) > 1 for _, rows in top.content["numbers"]] == [gap < 1e-3 for gap in gaps]
     for part in said:
@@ -385,7 +383,9 @@ def static_of(errors, K_c=(1.4e4,)):
 )
 def test_force_errors_are_judged_by_the_rule(K_c, errors, header, rows):
     """At most 0.001 is accurate, 0.1 and more is too coarse: docs/explanation/rule.md."""
-    (part,) = force_errors.sections(static_of(errors, K_c))
+    (part,) = force_errors.sections(
+        Inputs(xr.Dataset(), xr.Dataset(), static=static_of(errors, K_c))
+    )
     (table,) = part.tables
     assert table.header == ["Representation", *header]
     assert table.rows == rows
@@ -394,7 +394,9 @@ def test_force_errors_are_judged_by_the_rule(K_c, errors, header, rows):
 
 
 def test_without_a_forcing_there_are_no_force_errors():
-    assert [*force_errors.sections(static_of([np.nan] * 3))] == []
+    assert [
+        *force_errors.sections(Inputs(xr.Dataset(), xr.Dataset(), static=static_of([np.nan] * 3)))
+    ] == []
 
 
 def written(folder, responses, attractors, sections):
@@ -493,11 +495,11 @@ def test_the_studys_own_answer_comes_before_that_of_the_rules(page):
 def test_the_studys_own_answer_needs_no_exact_law(run):
     table = {"title": "T", "header": ["h"], "rows": [["1"]]}
     own = PART | {"anchor": "own-answer", "sentences": ["Mine."], "tables": [table]}
-    (part,) = answer.sections(run[0], sections=[own])
+    (part,) = answer.sections(Inputs(run[0], xr.Dataset(), sections=[own]))
     assert part.sentences == ["Mine."]
     assert [one.title for one in part.tables] == ["T"]
     assert part.content["map"] is None
-    assert [*answer.sections(run[0])] == []
+    assert [*answer.sections(Inputs(run[0], xr.Dataset()))] == []
 
 
 @pytest.mark.parametrize("law", ["tanh-1e4", "poly-13"])
@@ -623,7 +625,8 @@ def test_solvers_are_told_with_what_they_take_from_elsewhere(tmp_path):
             "moved": {"start_jitter": 1e-9},
         },
     }
-    (part,) = provenance.sections(responses.assign_attrs(study_json=json.dumps(study)))
+    responses = responses.assign_attrs(study_json=json.dumps(study))
+    (part,) = provenance.sections(Inputs(responses, xr.Dataset()))
     told = dict(part.content["pairs"])
     usual = "engine compiled, rtol 0.0001, atol rtol × static deflection, controller ode45"
     assert told["Solver"] == f"{usual}, restart True, contact_force by_mode"

@@ -17,6 +17,7 @@ import gapsweep as gs
 from gapsweep.cli.options import selected
 from gapsweep.explorer import question
 from gapsweep.model.oscillator import OSCILLATOR
+from gapsweep.report.inputs import Inputs
 from gapsweep.report.sections import model as report_model
 from gapsweep.study import points
 from gapsweep.study.axes import OscillatorTable
@@ -121,9 +122,43 @@ def test_sobol_starts_are_reproducible_and_inside_their_box(tables):
 def test_sweeps_are_chains_in_their_own_direction(tables):
     down = tables["sweep"][0] | {"initial_condition": "sweep_down", "representation": ["piecewise"]}
     study = study_of(tables, sweep=[down])
-    cells, follows = study.grid.order(study.grid.requested)
-    assert [study.grid.omega[cell] for cell in cells] == [20.0, 12.0, 7.0]
-    assert follows.tolist() == [False, True, True]
+    (block,) = study.plan(cache="none").blocks()
+    assert [study.grid.omega[cell] for cell in block.cells] == [20.0, 12.0, 7.0]
+    assert block.follows.tolist() == [False, True, True]
+
+
+def test_numbers_in_the_order_of_computation_are_those_of_cells(tables):
+    starts = [[0.0, 0.0], "sweep_down", "sweep_up"]
+    (block,) = tables["sweep"]
+    grid = study_of(tables, sweep=[block | {"initial_condition": starts, "zeta": [0.1, 0.2]}]).grid
+    numbers = np.arange(grid.requested.size)
+    cells = grid.cells(numbers)
+    assert np.array_equal(np.sort(cells), numbers)
+    assert np.array_equal(grid.numbers(cells), numbers)
+    _, _, _, omega, zeta, start = np.unravel_index(cells, grid.shape)
+    n = len(grid.omega)
+    assert omega[: 3 * n].tolist() == [0, 1, 2, 2, 1, 0, 0, 1, 2]
+    assert start[: 3 * n : n].tolist() == [0, 1, 2]
+    assert zeta[: 6 * n : 3 * n].tolist() == [0, 1]
+
+
+def test_a_plan_without_a_cache_computes_keys_of_one_block(tables, monkeypatch):
+    n_keys, keys = [], points.Points.keys
+
+    def counted(table, follows=None):
+        n_keys.append(len(table))
+        return keys(table, follows)
+
+    monkeypatch.setattr(points.Points, "keys", counted)
+    omega = {"start": 1.0, "stop": 30.0, "num": 1000}
+    (block,) = tables["sweep"]
+    block |= {"representation": ["piecewise"], "omega": omega, "K_c": omega | {"num": 100}}
+    planned = study_of(tables, sweep=[block]).plan(cache="none")
+    assert (planned.n_points, planned.n_missing, len(planned.ends)) == (10**5, 10**5, 7)
+    assert sum(n_keys) <= 16384
+    assert sorted(number for one in planned.blocks() for number in one.numbers.tolist()) == [
+        *range(10**5)
+    ]
 
 
 def test_a_list_of_starts_is_a_block_for_each(tables):
@@ -330,7 +365,7 @@ def test_all_problems_are_reported_at_once(tables):
         ({"start": 3.0, "stop": 1.0, "step": 1.0}, "stop 1 must be >= start 3"),
         ({"start": 1.0, "stop": 3.0, "step": 0.0}, "sweep[0].omega.step = 0.0"),
         ({"start": 1.0, "stop": 3.0}, "sweep[0].omega: give step or num"),
-        ({"start": 1.0, "stop": 1e9, "step": 1e-3}, "sweep points: must be <= 10000000"),
+        ({"start": 1.0, "stop": 1e9, "step": 1e-3}, "step 0.001: must give <= 10000000 values"),
         ("all", "sweep[0].omega[0] = 'all'"),
     ],
 )
@@ -342,7 +377,7 @@ def test_absurd_grids_are_refused_before_anything_is_allocated(tables, omega, pa
 
 def test_sparse_blocks_that_span_a_huge_dataset_are_refused(tables):
     block = tables["sweep"][0] | {"representation": ["piecewise"]}
-    n = 2000
+    n = 20_000
     wide = [
         block | {"omega": {"start": 1.0, "stop": 30.0, "num": n}},
         block | {"K_c": [float(k) for k in range(1, n)], "omega": [1.0]},
@@ -464,7 +499,11 @@ def test_blocks_that_do_not_sweep_a_number_keep_that_of_the_oscillator(tables):
             {"forcing": {"start": -1e308, "stop": 1e308, "num": 3}},
             "forcing.stop = 1e+308: must be within -1e+50..1e+50",
         ),
-        ({"zeta": {"start": 0.1, "stop": 1.0, "step": 1e-320}}, "sweep points: must be <="),
+        ({"zeta": {"start": 0.1, "stop": 1.0, "step": 1e-320}}, "must give <= 10000000 values"),
+        (
+            {"initial_condition": {"grid": [4000, 4000], "x": [0.0, 1.0], "v": [0.0, 1.0]}},
+            "grid = [4000, 4000]: must have <= 10000000 initial conditions",
+        ),
         ({"omega": 1e300}, "omega[0] = 1e+300: must be within -1e+50..1e+50"),
         ({"omega": 5e-324}, "omega[0] = 5e-324: must be >= 1e-50"),
         ({"omega": True}, "sweep[0].omega[0] = True: must be a number, in Hz"),
@@ -475,8 +514,11 @@ def test_blocks_that_do_not_sweep_a_number_keep_that_of_the_oscillator(tables):
             "sweep[0].initial_condition.grid[0] = 1: must be >= 2",
         ),
         (
-            {"forcing": {"start": 0.0, "stop": 1.0, "num": 10**7}},
-            "sweep points: must be <= 10000000",
+            {
+                "forcing": {"start": 0.0, "stop": 1.0, "num": 10**7},
+                "zeta": {"start": 0.0, "stop": 1.0, "num": 10**3},
+            },
+            "sweep points: must be <= 1000000000",
         ),
     ],
 )
@@ -567,11 +609,12 @@ def test_every_number_of_the_oscillator_is_known_wherever_they_are_listed(tables
     assert set(OscillatorTable.model_fields) == numbers
     assert numbers <= set(COORDINATES)
     assert numbers <= set(question.numbers(question.of_model()))
-    values = {name: 1.125 + i for i, name in enumerate(OSCILLATOR)}
+    values = {name: 1.125 + i for i, name in enumerate(OSCILLATOR)} | {"base_damping": 0.625}
     tables["sweep"][0] |= {"representation": "piecewise", "omega": [7.0]}
     study = study_of(tables, oscillator=values)
     coords = {"representation": ["piecewise"], "K_c": [1.4e4], "omega": [7.0], "gap": ["0.4/0.4"]}
-    (part,) = report_model.sections(xr.Dataset({"x_max": 0.1}, coords, study.attributes))
+    responses = xr.Dataset({"x_max": 0.1}, coords, study.attributes)
+    (part,) = report_model.sections(Inputs(responses, xr.Dataset()))
     in_report = dict(part.content["pairs"])["Numbers"]
     assert [value for value in values.values() if f" {value:g}" not in in_report] == []
 

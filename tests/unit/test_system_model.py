@@ -63,8 +63,8 @@ def test_what_is_no_system_is_refused_by_name(changes, words):
 def test_numbers_too_large_for_a_float_are_refused():
     with pytest.raises(gs.ModelError, match="phase"):
         gs.Harmonic(amplitude=[1.0, 0.0], phase=HUGE)
-    with pytest.raises(gs.ModelError, match="inertial: a constant load"):
-        gs.Harmonic(amplitude=[1.0, 0.0], k=0, inertial=True)
+    with pytest.raises(gs.ModelError, match=r"power = 2: must be .* 0\.\.0"):
+        gs.Harmonic(amplitude=[1.0, 0.0], k=0, power=2)
 
 
 @pytest.mark.parametrize(

@@ -2,10 +2,7 @@
 
 import json
 import os
-import subprocess
-import sys
 from copy import deepcopy
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,6 +11,7 @@ from hypothesis import strategies as st
 from numpy.testing import assert_array_equal
 from scipy.integrate import solve_ivp
 from tests.builders.random_systems import as_gapsweep, random_case
+from tests.builders.runs import COMMAND, in_a_process
 from tests.builders.studies import PAPER, SECTION, TWO_MASSES, changed
 
 import gapsweep as gs
@@ -54,7 +52,7 @@ def test_rows_hold_loads_modulation_and_lags():
         assert Structure.read(json.loads(json.dumps(vars_of(structure)))) == structure
         for ours, theirs in zip(again.forcing, system.forcing, strict=True):
             assert_array_equal(ours.amplitude, theirs.amplitude)
-            assert (ours.k, ours.phase, ours.inertial) == (theirs.k, theirs.phase, theirs.inertial)
+            assert (ours.k, ours.phase, ours.power) == (theirs.k, theirs.phase, theirs.power)
         terms = [*again.modulation.values()], [*system.modulation.values()]
         assert [[vars_of(t) for t in each] for each in terms[0] if each] == [
             [vars_of(t) for t in each] for each in terms[1] if each
@@ -353,17 +351,14 @@ def test_the_library_that_fits_a_contact_is_part_of_the_key():
         assert ("scipy" in json.loads(points.kind.identity)["versions"]) == has_scipy
 
 
-def told(tmp_path, module, text, more, *command):
+def told(tmp_path, module, text, more, *command, code=0):
     """A command on a study whose system a function `make` of a module in the folder makes."""
     (tmp_path / f"{module}.py").write_text(text)
     (tmp_path / "s.toml").write_text(
         f'[study]\nname = "s"\n[system]\nfunction = "{module}:make"\n[parameters]\nk = 4.0\n'
         f'[[sweep]]\nrepresentation = "piecewise"\n{more}'
     )
-    program = Path(sys.executable).with_name("gapsweep")
-    return subprocess.run(
-        [program, *command], cwd=tmp_path, capture_output=True, text=True, check=False
-    )
+    return in_a_process(tmp_path, *command, command=[COMMAND], code=code)
 
 
 def test_a_function_in_the_current_folder_is_found_from_the_command_line(tmp_path):
@@ -373,7 +368,6 @@ def test_a_function_in_the_current_folder_is_found_from_the_command_line(tmp_pat
     )
     more = "K_c = 5.0\ngap = [0.1, 0.1]\nk = [1.0, 2.0]\n"
     done = told(tmp_path, "my_sys", text, more, "plan", "s.toml")
-    assert done.returncode == 0, done.stderr
     assert "points  2" in done.stdout
 
 
@@ -396,8 +390,7 @@ def test_what_a_function_prints_is_no_part_of_what_a_command_says(tmp_path):
     ],
 )
 def test_a_function_that_ends_its_process_ends_no_command(tmp_path, body, said):
-    done = told(tmp_path, "ending", f"def make(k):\n    {body}\n", "", "run", "s.toml")
-    assert done.returncode == 1
+    done = told(tmp_path, "ending", f"def make(k):\n    {body}\n", "", "run", "s.toml", code=1)
     assert said in done.stderr
     assert "s.toml: system: ending:make: " in done.stderr
 
@@ -408,8 +401,7 @@ def test_a_function_that_ends_its_process_at_a_swept_value_ends_no_command(tmp_p
         "def make(k):\n    if k == 2.0:\n        os._exit(0)\n"
         "    return gs.System(mass=[[1.0]], damping=[[1.0]], stiffness=[[k]])\n"
     )
-    done = told(tmp_path, "late", text, "k = [1.0, 2.0]\n", "run", "s.toml")
-    assert done.returncode == 1
+    done = told(tmp_path, "late", text, "k = [1.0, 2.0]\n", "run", "s.toml", code=1)
     assert "s.toml: system at k = 2: late:make: its process ended with exit code 0" in done.stderr
 
 

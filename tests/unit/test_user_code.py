@@ -1,7 +1,6 @@
 """A study's own code as a snapshot: what it holds, what its key tells apart, how it is executed."""
 
 import json
-import os
 import pickle
 import shutil
 import subprocess
@@ -11,6 +10,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from tests.builders.cache import cells_and_keys
+from tests.builders.runs import replaced
 
 import gapsweep as gs
 from gapsweep import study_code
@@ -37,15 +38,6 @@ def own(tmp_path):
         return Snapshot.of_module("own.laws", [tmp_path])
 
     return write
-
-
-def replaced(path, old, new):
-    """An edit of equal size that leaves the time of modification as it was."""
-    text, before = path.read_text(), path.stat()
-    assert old in text
-    assert len(old) == len(new)
-    path.write_text(text.replace(old, new))
-    os.utime(path, ns=(before.st_atime_ns, before.st_mtime_ns))
 
 
 CODE = {
@@ -236,12 +228,12 @@ def test_a_study_reads_a_law_once_and_a_new_run_reads_it_again(tables, tmp_path)
     path.write_text("CALLS = []\nK = 1.0\ndef spring(x):\n    CALLS.append(x)\n    return K * x\n")
     tables["sweep"][0]["representation"] = ["near:spring"]
     study = gs.Study.from_dict(tables, str(tmp_path / "study.toml"))
-    first = plan(study).keys.tolist()
+    first = cells_and_keys(study)[1].tolist()
     replaced(path, "1.0", "3.0")
-    assert plan(study).keys.tolist() == first
+    assert cells_and_keys(study)[1].tolist() == first
     assert study.law("near:spring", 0.0, gs.Gap(0.0, 0.0)).force(1.0) == 1.0
     again = gs.Study.of(study)
-    assert not {*plan(again).keys.tolist()} & {*first}
+    assert not {*cells_and_keys(again)[1].tolist()} & {*first}
     assert again.law("near:spring", 0.0, gs.Gap(0.0, 0.0)).force(1.0) == 3.0
     assert load(study.own_law("near:spring").source).CALLS[:1] == [0.0]
 
@@ -268,10 +260,10 @@ def hertz(tables, tmp_path):
 
 
 def keys_on_grid(study):
-    planned = plan(study)
-    keys = np.empty(study.grid.shape, planned.keys.dtype)
-    keys.flat[planned.cells] = planned.keys
-    return keys
+    cells, keys = cells_and_keys(study)
+    found = np.empty(study.grid.shape, keys.dtype)
+    found.flat[cells] = keys
+    return found
 
 
 def test_parameters_of_a_law_are_an_axis_and_part_of_keys(hertz):
@@ -321,7 +313,7 @@ def test_a_table_travels_as_its_numbers(tables, tmp_path):
         (tmp_path / "measured.py").write_text(table)
         tables["sweep"][0]["representation"] = ["measured:wall"]
         study = gs.Study.from_dict(tables, str(tmp_path / "study.toml"))
-        ((_, points),) = study.points(plan(study).cells[:1])
+        ((_, points),) = study.points(cells_and_keys(study)[0][:1])
         assert isinstance(points.kind.own.source, gs.ForceTable)
         keys.append(points.keys().tolist())
     assert keys[0] == keys[1] != keys[2]

@@ -235,9 +235,7 @@ def test_bench_measures_afresh_and_the_report_shows_it(tmp_path):
     study = gs.Study.load(path)
     created = [netcdf.attributes(out / name)["created"] for name in said if name.endswith(".nc")]
     assert len(created) == 2
-    stages = pipeline.stage_reasons(
-        study, pipeline.plan(study, tmp_path / "c"), out, tmp_path / "c"
-    )
+    stages = pipeline.stage_reasons(study, pipeline.plan(study, tmp_path / "c"), out)
     assert {"work_precision.nc", "stability.nc"} <= set(stages)
     with netcdf.read(out / "work_precision.nc") as bench:
         assert all({"units", "long_name"} <= set(v.attrs) for v in bench.variables.values())

@@ -15,15 +15,24 @@ from gapsweep.cli.options import echo
 from gapsweep.console import print_table, print_text
 from gapsweep.errors import StoreError
 from gapsweep.execution.layout import Layout
+from gapsweep.report.scales import shown_unit
 from gapsweep.store.artefact import replacing
 from gapsweep.study.study import Study
 from gapsweep.variables import to_dataframe
 
-# Variables that fit a terminal next to the dimensions.
-_COLUMNS = ("amplitude", "period_multiple", "response_class", "status")
+# Variables of a table, which fits a terminal, and of a CSV file, next to the dimensions; those that
+# the responses have.
+_SHORT = {
+    "table": ("amplitude", "period_multiple", "response_class", "status"),
+    "csv": (
+        *("start", "x_max", "x_min", "amplitude", "force_max", "contact_share", "period_multiple"),
+        *("multiplier_abs", "lyapunov", "response_class", "status"),
+    ),
+}
+_ALL = "all"
 _DIGITS = 4
-_OF_TABLE = "more columns: --columns x_max,x_min,... or --to csv; more digits: --digits 6"
-_OF_CSV = "output: csv with all columns and digits; for a short table: --to table"
+_OF_TABLE = "more columns: --columns x_max,x_min,... or all; more digits: --digits 6"
+_OF_CSV = "output: csv; for all columns: --columns all; for a short table: --to table"
 # A longer name has two lines above its column.
 _LONG = 10
 
@@ -33,7 +42,8 @@ class Form:
     """Format of the output."""
 
     kind: str  # ``table``, ``csv``, ``json`` or ``nc``
-    columns: Sequence[str] = ()  # variables in addition to the dimensions; all if empty
+    # Variables in addition to the dimensions; all if empty, those of `_SHORT` if None.
+    columns: Sequence[str] | None = ()
     digits: int | None = None  # significant digits; all if None
     hint: str = ""  # printed below the output: how to select columns; empty if columns were named
 
@@ -45,7 +55,7 @@ class Form:
         hint = ""
         if kind is None:
             kind = "table" if output is None and sys.stdout.isatty() else "csv"
-            hint = _OF_CSV if kind == "csv" and output is None and not columns else ""
+            hint = _OF_CSV if kind == "csv" and not columns else ""
         if kind == "nc" and output is None:
             raise click.UsageError("--to nc needs --output FILE")
         if kind == "nc" and (columns or digits):
@@ -56,16 +66,17 @@ class Form:
             raise click.UsageError(
                 "--to table prints on the terminal; with --output use csv, json or nc"
             )
-        named = tuple(columns.split(",")) if columns else ()
+        short = None if kind in _SHORT else ()
+        named = () if columns == _ALL else tuple(columns.split(",")) if columns else short
         if kind == "table":
-            return cls(kind, named or _COLUMNS, digits or _DIGITS, "" if named else _OF_TABLE)
+            return cls(kind, named, digits or _DIGITS, "" if columns else _OF_TABLE)
         return cls(kind, named, digits, hint)
 
     def check(self, study: Study) -> None:
         """Raise an error for columns that the study's responses do not have."""
         layout = Layout.of(study.grid, study.steady)
-        wanted = [_base(name) for name in self.columns]
-        _chosen(wanted, [*study.grid.coordinates(), *layout.variables])
+        known = [*study.grid.coordinates(), *layout.variables]
+        _chosen([_base(name) for name in self.columns or ()], known)
 
 
 def check_output(output: Path) -> None:
@@ -105,7 +116,8 @@ def written(responses: xr.Dataset, form: Form, output: Path | None) -> None:
 def _text(responses: xr.Dataset, form: Form) -> str:
     frame = _frame(responses, form)
     if form.kind == "csv":
-        return str(frame.to_csv(index=False))
+        named = {name: f"{name}{_units(responses, name, ' [{}]')}" for name in frame.columns}
+        return str(frame.rename(columns=named).to_csv(index=False))
     rows = json.loads(frame.to_json(orient="records", double_precision=15))
     return "".join(json.dumps(row) + "\n" for row in rows)
 
@@ -114,7 +126,7 @@ def _print(responses: xr.Dataset, form: Form) -> None:
     """Print a table; dimensions with one value are printed once above it."""
     frame = _frame(responses, form)
     dims = [str(dim) for dim in responses["status"].dims]
-    same = [dim for dim in dims if frame[dim].nunique() == 1 and dim not in form.columns]
+    same = [dim for dim in dims if frame[dim].nunique() == 1 and dim not in (form.columns or ())]
     if same:
         words = [f"{dim} {_word(frame[dim].iloc[0])}{_units(responses, dim)}" for dim in same]
         print_text(", ".join(words))
@@ -127,25 +139,36 @@ def _word(value: Any) -> str:
     return f"{value:.12g}" if isinstance(value, float) else str(value)
 
 
-def _units(responses: xr.Dataset, name: str) -> str:
-    units = responses[_base(name)].attrs.get("units", "1")
-    return "" if units == "1" else f" {units}"
+def _units(responses: xr.Dataset, name: str, form: str = " {}") -> str:
+    """The unit in which tables show a variable, in a text; empty if it has none."""
+    unit = shown_unit(responses[_base(name)])[1]
+    return form.format(unit) if unit else ""
 
 
 def _head(responses: xr.Dataset, name: str) -> str:
     base, bracket, of = name.partition("[")
     title = base.replace("_", "_\n", 1) if len(base) > _LONG else base
     title += f"\n{bracket}{of}" if of else ""
-    units = _units(responses, name)
-    return f"{title}\n[{units.strip()}]" if units else title
+    return title + _units(responses, name, "\n[{}]")
 
 
 def _frame(responses: xr.Dataset, form: Form) -> Any:
-    """DataFrame with a row per sweep point and the selected variables; flags as words."""
+    """DataFrame with a row per sweep point and the selected variables; flags as words.
+
+    Lengths are in millimetres in a table and in CSV, which have units in their headers, as in
+    figures; in metres in JSON.
+    """
     points = responses["status"].dims
     frame = to_dataframe(responses)
-    if form.columns:
-        frame = frame[list(dict.fromkeys([*points, *_chosen(form.columns, frame.columns)]))]
+    columns = form.columns
+    if columns is None:
+        known = {_base(name) for name in frame.columns}
+        columns = [name for name in _SHORT[form.kind] if name in known]
+    if columns:
+        frame = frame[list(dict.fromkeys([*points, *_chosen(columns, frame.columns)]))]
+    if form.kind != "json":
+        for name in frame.select_dtypes("floating").columns:
+            frame[name] *= shown_unit(responses[_base(name)])[0]
     if form.digits is not None:
         floats = frame.select_dtypes("floating").columns.difference(points)
         frame[floats] = frame[floats].map(lambda value: float(f"{value:.{form.digits}g}"))

@@ -95,13 +95,14 @@ def plan(
     """
     from gapsweep import pipeline
     from gapsweep.console import print_table
+    from gapsweep.execution.plan import BYTES
     from gapsweep.study.unit_check import bounded, doubts_of
 
     loaded = options.loaded(study, engine)
     with options.at_work() as observer:
         planned = pipeline.plan(loaded, cache, retry_failed=retry_failed, on_progress=observer)
-        expected = pipeline.expected_seconds(planned, cache, workers)
-        stages = pipeline.stage_reasons(loaded, planned, out, cache)
+        expected = pipeline.expected_seconds(planned, workers)
+        stages = pipeline.stage_reasons(loaded, planned, out)
     doubts = [*doubts_of(loaded, bounded(loaded))]
     numbers = {
         "points": planned.n_points,
@@ -118,6 +119,7 @@ def plan(
     unknown = "unknown (no comparable points cached)"
     time = unknown if expected is None else f"{timedelta(seconds=round(expected))} (h:mm:ss)"
     echo(f"expected  {time}")
+    echo(f"    disk  about {planned.n_points * BYTES / 1e6:.3g} MB when all points are stored")
     states = {
         file: f"to be written: {why}" if why else "up to date" for file, why in stages.items()
     }
@@ -139,13 +141,14 @@ def plan(
     "--to",
     "form",
     type=click.Choice(["table", "csv", "json", "nc"]),
-    help="Format: a short table, csv or json lines with a row per point, or NetCDF (nc).  "
+    help="Format: a short table, csv or json lines with a row per point, or NetCDF (nc). Lengths "
+    "are in mm in table and csv, which have units in their headers, else in m.  "
     "[default: table on a terminal, else csv]",
 )
 @click.option(
     "--columns",
     metavar="NAME,...",
-    help="Variables to print.  [default: four in a table, else all]",
+    help="Variables to print, or all.  [default: four in a table, eleven in csv, all in json]",
 )
 @click.option(
     "--digits",
@@ -294,11 +297,13 @@ def advise(study: Path, error: float | None, share: float, as_json: bool) -> int
 
 
 def _case(scene: dict[str, Any]) -> str:
-    from gapsweep.study.schema import UNITS
+    from gapsweep.quantities import UNITS, written
 
     words = [f"K_c = {scene['K_c']:g} N/m", f"gap {scene['gap']} mm"]
     swept = scene.keys() - {"K_c", "gap", "starts", "approximations", "laws", "j_1", "j_2"}
-    others = [f"{name} = {scene[name]:g} {UNITS.get(name, '')}".strip() for name in sorted(swept)]
+    others = [
+        f"{name} = {scene[name]:g} {written(UNITS.get(name, ''))}".strip() for name in sorted(swept)
+    ]
     return ", ".join(words + others)
 
 

@@ -12,6 +12,7 @@ from gapsweep.continuation.recognise import Branch
 from gapsweep.continuation.seed import Attractor
 from gapsweep.continuation.special import Special
 from gapsweep.model.oscillator import Oscillator
+from gapsweep.quantities import UNITS
 from gapsweep.variables import COORDINATE, PARTS, POINT, Variable
 
 if TYPE_CHECKING:
@@ -67,9 +68,6 @@ OF_ATTRACTOR = {
 }
 CURVE_KIND = "curve_kind"
 OF_CURVE = {CURVE_KIND: Variable("i1", "1", "kind of special points", 0, SPECIAL_FLAGS)}
-_UNITS = {"omega": "Hz", "amplitude": "m", "K_c": "N m-1", "forcing": "N", "mass": "kg"}
-_UNITS |= {"j_1": "m", "j_2": "m", "gap": "m", "omega_n": "Hz", "alpha": "N m-3"}
-_UNITS |= {"c": "N s m-1", "mean_load": "N", "zeta": "1", "K_ratio": "1"}
 
 
 def dataset(found: Branches) -> "xr.Dataset":
@@ -84,7 +82,7 @@ def dataset(found: Branches) -> "xr.Dataset":
     sizes |= {STATE: equations.n_states, MULTIPLIER: equations.n_states - equations.has_period}
     names = [each.name for each in equations.windows if each.name != AMPLITUDE]
     swept = {
-        name: Variable("f8", _UNITS.get(name, ""), f"{name} along the branch") for name in names
+        name: Variable("f8", UNITS.get(name, ""), f"{name} along the branch") for name in names
     }
     table = swept | VARIABLES
     is_neutral = family.is_conservative or len(equations.windows) > 1  # as on curves

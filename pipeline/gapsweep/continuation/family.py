@@ -18,6 +18,7 @@ from gapsweep.model.oscillator import Gap, Oscillator, checked, is_number
 from gapsweep.model.structure import general_form
 from gapsweep.model.system import System
 from gapsweep.model.user_law import UserLaw
+from gapsweep.quantities import without_units
 
 Array = NDArray[np.float64]
 
@@ -51,7 +52,7 @@ class Window:
             If `between` is not two numbers in ascending order, or out of the parameter's range.
         """
         try:
-            low, high = map(float, between)
+            low, high = map(float, without_units(f"between of {name}", between))
         except (TypeError, ValueError):
             raise ModelError(
                 f"between = {between!r}: must be the two ends of {name}, as between=(1.0, 30.0)"
@@ -205,16 +206,28 @@ class Family:
             return model
         here = {name: value for name, value in values.items() if name in _names(model)}
         model = replace(model, **here) if here else model
-        if AMPLITUDE in self.names and not model.forcing:
+        if AMPLITUDE in self.names and not model.is_loaded:
             return replace(general_form(model), forcing=())
         return model
 
     def laws_at(self, values: Mapping[str, float]) -> tuple[ContactLaw, ...]:
         """The laws of all contacts, in the model's order, at parameter values."""
+        if self._names_of_laws.isdisjoint(values):
+            return self._laws_of_contacts
+        return tuple(_law_at(law, values) for law in self._laws_of_contacts)
+
+    @cached_property
+    def _laws_of_contacts(self) -> tuple[ContactLaw, ...]:
+        """The laws of all contacts as they were given."""
         contacts = self.example.contacts
-        laws = [self.law[c] for c in contacts] if isinstance(self.law, Mapping) else [self.law]
-        laws = [_law_at(law, values) for law in laws]
-        return tuple(laws) if len(laws) == len(contacts) else tuple(laws * len(contacts))
+        if isinstance(self.law, Mapping):
+            return tuple(self.law[contact] for contact in contacts)
+        return (self.law,) * len(contacts)
+
+    @cached_property
+    def _names_of_laws(self) -> frozenset[str]:
+        """Names of parameters that a law may have."""
+        return frozenset(_GAP).union(*map(_names, self._laws))
 
     def value_of(self, name: str, values: Mapping[str, float]) -> float:
         """A parameter's value where others have some.

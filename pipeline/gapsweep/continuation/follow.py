@@ -23,6 +23,8 @@ from gapsweep.integrate.problem import Model, Models, Solver
 from gapsweep.integrate.simulate import AnyLaw, simulate
 from gapsweep.model.doubts import doubts, warn_of
 from gapsweep.model.oscillator import called_as, checked, whole
+from gapsweep.model.system import numbers
+from gapsweep.quantities import without_units
 from gapsweep.response.respond import respond_models
 from gapsweep.response.result import Response, ResponseClass, Steady
 
@@ -280,7 +282,7 @@ def _free(equations: OrbitEquations, state: Array) -> Attractor:
 
 
 def _inside(window: Window, at: ArrayLike, name: str = "at") -> list[float]:
-    values: list[float] = _numbers(name, at).tolist()
+    values: list[float] = _numbers(name, without_units(window.name, at)).tolist()
     if not values or not all(window.low <= value <= window.high for value in values):
         raise ModelError(
             f"{name} = {at!r}: must lie within between = ({window.low:g}, {window.high:g})"
@@ -290,10 +292,7 @@ def _inside(window: Window, at: ArrayLike, name: str = "at") -> list[float]:
 
 def _numbers(name: str, value: ArrayLike) -> Array:
     """A flat array of finite numbers."""
-    try:
-        found = np.asarray(value, float).ravel()
-    except (TypeError, ValueError):
-        found = np.array([np.nan])
+    found = np.ravel(numbers(name, value, "numbers"))
     if not np.isfinite(found).all():
         raise ModelError(f"{name} = {value!r}: must be numbers")
     return found

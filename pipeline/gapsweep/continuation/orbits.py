@@ -153,11 +153,12 @@ class OrbitEquations:
                 other = places.copy()
                 other[:, k] = np.clip(other[:, k] + sign * difference, 0.0, 1.0)
                 shifted.append(other)
+        n_shifted = len(shifted)
         found, models = self._motions(
-            np.tile(y, (len(shifted), 1)),
-            None if period is None else np.tile(period, len(shifted)),
+            np.concatenate([y] * n_shifted),
+            None if period is None else np.concatenate([period] * n_shifted),
             np.concatenate(shifted),
-            np.tile(reference.multiple, len(shifted)),
+            np.concatenate([reference.multiple] * n_shifted),
         )
         ends, monodromy = found.state.reshape(-1, m, n), found.monodromy
         assert monodromy is not None

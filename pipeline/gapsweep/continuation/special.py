@@ -17,7 +17,8 @@ parameters, and a resonance 1:1 (R1) or 1:2 (R2) where two μ are 1 or -1.
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from enum import IntEnum
-from functools import partial
+from functools import cache, partial
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -122,8 +123,14 @@ def characteristic(orbit: Orbit, at: float, order: int = 0) -> float:
 
 def torus(orbit: Orbit) -> float:
     """Product of all ``1 - μ_i μ_j`` [-]; 1 of fewer than two multipliers."""
-    i, j = np.triu_indices(len(orbit.multipliers), 1)
+    i, j = _pairs(len(orbit.multipliers))
     return float(np.prod(1.0 - orbit.multipliers[i] * orbit.multipliers[j]).real)
+
+
+@cache
+def _pairs(n: int) -> tuple[Any, Any]:
+    """Numbers of all pairs of n items."""
+    return np.triu_indices(n, 1)
 
 
 def crossing_kind(equations: OrbitEquations, orbit: Orbit) -> Special:

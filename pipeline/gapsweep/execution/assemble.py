@@ -8,58 +8,76 @@ are a property of a parameter set, not of a point: they are grouped here.
 
 import json
 import math
+from collections import deque
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import netCDF4
 import numpy as np
 from numpy.typing import NDArray
 
+from gapsweep.errors import StoreError
 from gapsweep.execution.layout import Arrays, Layout, Piece, define, define_attractors, set_flags
-from gapsweep.execution.plan import Plan
+from gapsweep.execution.plan import ABSENT, Plan
 from gapsweep.model.table import ForceTable
 from gapsweep.response.attractors import NONE, Attractors, Grouping
 from gapsweep.response.result import ResponseClass, Responses
 from gapsweep.status import Status
-from gapsweep.store.cache import Cache, Found
-from gapsweep.store.netcdf import writing
+from gapsweep.store.cache import Found
+from gapsweep.store.netcdf import LOCK, writing
 from gapsweep.study.grid import Grid, Selection
 from gapsweep.study.study import Study
 from gapsweep.user_code.package_digest import numerics_fingerprint
 from gapsweep.variables import EXTREMUM, MULTIPLIER, SECTION_POINT
 
+_LOOKED_AT = 256  # pieces of the grid in search of one that is complete
+
 
 def export(
-    study: Study,
     plan: Plan,
-    cache: Cache,
     responses: Path,
     attractors: Path,
     *,
-    made_from: str = "",
-) -> None:
-    """Write ``responses.nc`` and ``attractors.nc`` from the cache.
+    made_from: Callable[[], str] = str,
+) -> Iterator[bool]:
+    """Write ``responses.nc`` and ``attractors.nc`` from the cache, while points are computed.
+
+    Each step writes a piece of the grid if all its points are stored. The files take their places
+    at the end; if the iteration is left before, nothing remains of them.
 
     Parameters
     ----------
-    made_from : str
-        Value of the files' attribute `made_from`.
+    plan : Plan
+        Results that are stored meanwhile are entered in it.
+    made_from : callable
+        Returns the value of the files' attribute `made_from`; called when all points are stored.
+
+    Yields
+    ------
+    bool
+        Whether a piece was written; otherwise points of all pieces looked at are missing.
 
     Raises
     ------
     StoreError
         If a file cannot be written.
     """
-    attributes = attributes_of(study) | {"made_from": made_from}
+    attributes = attributes_of(plan.study)
     with writing(attractors, attributes) as others, writing(responses, attributes) as dataset:
-        fill(dataset, others, study, plan, cache)
+        filling = _Filling(dataset, others, plan)
+        while filling.pieces:
+            yield filling.step()
+        digests = made_from()
+        with LOCK:
+            filling.finish()
+            for each in (others, dataset):
+                each.made_from = digests
 
 
 def fill(
     dataset: netCDF4.Dataset,
     others: netCDF4.Dataset,
-    study: Study,
     plan: Plan,
-    cache: Cache,
     selection: Selection | None = None,
 ) -> None:
     """Fill empty datasets with the cached responses and attractors of a study.
@@ -71,34 +89,70 @@ def fill(
     selection : Selection, optional
         Part of the study to write; attractors are then those of the selected initial conditions.
     """
-    grid = study.grid if selection is None else study.grid.cut(selection)
-    laws = {label: study.own_law(label) for label in grid.representations}
-    uneven = [label for label, own in laws.items() if own is not None and not own.is_odd]
-    mean_load = study.spec.model.get("mean_load", 0.0)
-    layout = Layout.of(grid, study.steady, uneven=uneven, mean_load=mean_load)
-    numbers = _numbers(plan, grid, selection)
-    hosts: list[str] = []
-    versions: set[str] = set()
-    define(dataset, layout)
-    define_attractors(others, layout)
-    for piece in layout.pieces():
-        requested = numbers[piece] >= 0
+    filling = _Filling(dataset, others, plan, selection)
+    while filling.pieces:
+        filling.step()
+    filling.finish()
+
+
+class _Filling:
+    """The pieces of the grid that are still to be written into both datasets."""
+
+    def __init__(
+        self,
+        dataset: netCDF4.Dataset,
+        others: netCDF4.Dataset,
+        plan: Plan,
+        selection: Selection | None = None,
+    ) -> None:
+        self.dataset, self.others = dataset, others
+        self.plan, self.selection, study = plan, selection, plan.study
+        grid = study.grid if selection is None else study.grid.cut(selection)
+        laws = {label: study.own_law(label) for label in grid.representations}
+        uneven = [label for label, own in laws.items() if own is not None and not own.is_odd]
+        mean_load = study.spec.model.get("mean_load", 0.0)
+        self.layout = Layout.of(grid, study.steady, uneven=uneven, mean_load=mean_load)
+        self.hosts: list[str] = []
+        self.versions: set[str] = set()
+        with LOCK:
+            define(dataset, self.layout)
+            define_attractors(others, self.layout)
+        self.pieces = deque(self.layout.pieces())
+
+    def step(self) -> bool:
+        """Write the next piece whose points are all stored; False if there is none among a few."""
+        for _ in range(min(len(self.pieces), _LOOKED_AT)):
+            piece = self.pieces.popleft()
+            numbers = _numbers(self.plan, self.layout.grid, self.selection, piece)
+            if not self.plan.is_missing[numbers[numbers >= 0]].any():
+                with LOCK:
+                    self._write(piece, numbers)
+                return True
+            self.pieces.append(piece)
+        return False
+
+    def finish(self) -> None:
+        """Write what is known only when all pieces are written."""
+        set_flags(self.dataset["host"], tuple((name, i) for i, name in enumerate(self.hosts)))
+        self.dataset.computed_with = "; ".join(sorted(self.versions - {""}))
+
+    def _write(self, piece: Piece, numbers: NDArray[np.int64]) -> None:
+        layout, requested = self.layout, numbers >= 0
         if not requested.any():
-            continue
-        stored = _PieceResults(plan, cache, study, numbers[piece])
-        units, directions = _sections(study, layout, piece, stored, requested)
+            return
+        stored = _PieceResults(self.plan, numbers)
+        units, directions = _sections(self.plan.study, layout, piece, stored, requested)
         attractors, ids = _grouped(layout, piece, stored, units)
         of_scenes = _attractor_arrays(layout, attractors, requested.shape[:-1], directions)
-        _write(others, piece[:-1], of_scenes)
+        _write(self.others, piece[:-1], of_scenes)
         for starts in layout.starts():
             found, at = stored.of(starts)
-            versions |= found.versions
+            self.versions |= found.versions
+            hosts = self.hosts
             hosts += [host for host in np.unique(found.host).tolist() if {host} - {"", *hosts}]
             values = _point_arrays(layout, requested[..., starts], found, at, hosts, directions)
             values["attractor"] = ids[..., starts]
-            _write(dataset, (*piece[:-1], starts), values)
-    set_flags(dataset["host"], tuple((name, i) for i, name in enumerate(hosts)))
-    dataset.computed_with = "; ".join(sorted(versions - {""}))
+            _write(self.dataset, (*piece[:-1], starts), values)
 
 
 def attributes_of(study: Study) -> dict[str, str]:
@@ -122,47 +176,53 @@ def _tables(study: Study) -> dict[str, str]:
     return {"tables_json": json.dumps(found)} if found else {}
 
 
-def _numbers(plan: Plan, grid: Grid, selection: Selection | None) -> NDArray[np.int32]:
-    """Number in the plan of the point of every cell that is written, -1 without a point."""
-    number = np.full(plan.shape, -1, np.int32)
-    number.flat[plan.cells] = np.arange(plan.n_points)
-    if selection is not None:
-        number = number[np.ix_(*selection)]
-    return np.where(grid.requested, number, np.int32(-1))
+def _numbers(
+    plan: Plan, grid: Grid, selection: Selection | None, piece: Piece
+) -> NDArray[np.int64]:
+    """Number in the plan of the point of every cell of a piece, -1 without a point."""
+    whole = plan.study.grid
+    some = selection or [np.arange(n) for n in whole.shape]
+    at = np.ix_(*(axis[part] for axis, part in zip(some, piece, strict=True)))
+    numbers = whole.numbers(np.ravel_multi_index(at, whole.shape))
+    is_point = (plan.status[numbers] != ABSENT) & grid.requested[piece]
+    return np.where(is_point, numbers, -1)
 
 
 class _PieceResults:
     """Cached results of a piece of the grid, for part of its initial conditions at a time.
 
     The results are read twice, to group them and to write them. Most pieces have one part, which is
-    kept in memory. The second reading of others takes only points that were found the first time,
-    since other runs write to the cache.
+    kept in memory.
     """
 
-    def __init__(self, plan: Plan, cache: Cache, study: Study, numbers: NDArray[np.int32]) -> None:
-        self._plan, self._cache, self._structure = plan, cache, study.structure
-        self._numbers, self._seen = numbers, np.zeros(numbers.shape, bool)
-        self._known: set[int] = set()
+    def __init__(self, plan: Plan, numbers: NDArray[np.int64]) -> None:
+        assert plan.cache is not None, "where the results are stored"
+        self._plan, self._cache, self._numbers = plan, plan.cache, numbers
         self._kept: tuple[slice, tuple[Found, NDArray[np.intp]]] | None = None
 
     def of(self, starts: slice) -> tuple[Found, NDArray[np.intp]]:
-        """Results of some initial conditions, and the cell of each in the piece, as indices."""
-        if self._kept is not None and self._kept[0] == starts:
-            return self._kept[1]
-        self._kept = None
-        numbers, seen = self._numbers[..., starts], self._seen[..., starts]
-        if starts.start in self._known:
-            return self._find(np.where(seen, numbers, -1))
-        found, at = self._find(numbers)
-        seen[*at] = True
-        self._known.add(starts.start)
-        self._kept = starts, (found, at)
-        return found, at
+        """Results of some initial conditions, and the cell of each in the piece, as indices.
 
-    def _find(self, numbers: NDArray[np.int32]) -> tuple[Found, NDArray[np.intp]]:
-        here = np.nonzero(numbers >= 0)
-        found = self._cache.find(self._plan.keys[numbers[here]], self._structure)
-        return found, np.array(here)[:, found.at]
+        Points without a result are left out.
+
+        Raises
+        ------
+        StoreError
+            If some are no longer stored.
+        """
+        if self._kept is None or self._kept[0] != starts:
+            numbers = self._numbers[..., starts]
+            here = np.nonzero(numbers >= 0)
+            self._kept = None
+            places = self._plan.places[numbers[here]]
+            found = self._cache.found(places, self._plan.study.structure)
+            if lost := int((places["slab"] >= 0).sum()) - len(found.at):
+                raise StoreError(
+                    f"{self._cache.path}: {lost} points of this run were removed by another "
+                    "process or a disk failure; run again to resume"
+                )
+            self._kept = starts, (found, np.array(here)[:, found.at])
+        return self._kept[1]
 
 
 def _point_arrays(

@@ -9,6 +9,7 @@ as failed.
 
 import time
 from collections import deque
+from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
@@ -16,21 +17,13 @@ from functools import partial
 import numpy as np
 from distributed import Client, Future, as_completed
 from distributed.scheduler import KilledWorker
+from numpy.typing import NDArray
 
 from gapsweep.errors import ClusterError
 from gapsweep.execution.cluster import check_workers
 from gapsweep.execution.isolated import LONGEST
-from gapsweep.execution.plan import Plan
-from gapsweep.execution.portions import (
-    MAX_BATCH,
-    Costs,
-    Rows,
-    cut,
-    is_first_of_sweep,
-    once,
-    repeated,
-    shuffled,
-)
+from gapsweep.execution.plan import BLOCK, Block, Plan
+from gapsweep.execution.portions import Costs, Rows, cut, is_first_of_sweep, shuffled
 from gapsweep.execution.progress import DEFAULT_TIMEOUT, OnProgress, Progress, tell
 from gapsweep.execution.sweeps import start_of
 from gapsweep.execution.task import Task, TaskResult, Tile, compute, compute_isolated, process
@@ -38,11 +31,11 @@ from gapsweep.integrate.problem import DEFAULT_ENGINE
 from gapsweep.response.result import Response, Responses
 from gapsweep.status import Status
 from gapsweep.store.cache import Cache
+from gapsweep.store.index import words
 from gapsweep.store.slab import Slab
 from gapsweep.store.work_locks import WorkLocks
 from gapsweep.study.points import KEY
 from gapsweep.study.software import software
-from gapsweep.study.study import Study
 
 # A task takes at most this part of a thread's share of the points, so that all end together.
 _PART_OF_SHARE = 0.5
@@ -55,6 +48,9 @@ _COMMIT_POINTS = 4096
 _MAX_ATTEMPTS = 5
 _MAX_LOSSES = 20  # lost results of a job: far more than workers die of other causes
 _WAIT_SECONDS = 0.1
+_COUNT_SECONDS = 1.0  # between two looks at the threads of the cluster
+# Points that are computed together; numbers in their block, ascending.
+Portion = tuple[Block, Rows]
 _CLUSTER_LOST = "the cluster was lost; run again to resume"
 
 
@@ -62,7 +58,8 @@ _CLUSTER_LOST = "the cluster was lost; run again to resume"
 class _Job:
     """The points of one task, with its numbers of failed attempts and of lost results."""
 
-    rows: Rows  # shape (n,); all of one representation
+    block: Block
+    rows: Rows  # shape (n,)
     claimed: tuple[int, int]  # first and last number claimed
     tiles: list[Tile]
     rest: Rows  # later points of their sweeps
@@ -71,20 +68,21 @@ class _Job:
 
 
 def execute(
-    study: Study,
     plan: Plan,
-    cache: Cache,
     client: Client,
     *,
     batch: int | None = None,
     timeout: float = DEFAULT_TIMEOUT,
     retry_failed: bool = False,
     on_progress: OnProgress | None = None,
+    meanwhile: Iterator[bool] | None = None,
 ) -> Progress:
     """Compute all missing points of a plan and store them.
 
     Parameters
     ----------
+    plan : Plan
+        Status and places of results are entered when they are stored.
     batch : int, optional
         Points per task; None chooses it from measured costs.
     timeout : float
@@ -93,6 +91,9 @@ def execute(
         Whether to recompute points with a stored failure.
     on_progress : callable, optional
         Called with the `Progress` after every task.
+    meanwhile : iterator of bool, optional
+        Other work of this process, a step each, while no result has arrived. False: nothing can
+        be done until further points are stored.
 
     Raises
     ------
@@ -101,10 +102,12 @@ def execute(
     """
     timeout = min(timeout, LONGEST)
     check_workers(client, partial(tell, on_progress, plan.progress, "waiting for workers"))
-    with WorkLocks(cache.path, plan.keys.data) as claims:
-        run = _Execution(study, plan, cache, claims, client, batch, timeout, retry_failed)
+    cache = plan.cache
+    assert cache is not None, "where results are stored"
+    with WorkLocks(cache.path, plan.mark) as claims:
+        run = _Execution(plan, cache, claims, client, batch, timeout, retry_failed)
         try:
-            run.finish(on_progress)
+            run.finish(on_progress, meanwhile or iter(()))
         finally:
             run.cancel()
             run.commit()
@@ -117,7 +120,6 @@ class _Execution:
 
     def __init__(
         self,
-        study: Study,
         plan: Plan,
         cache: Cache,
         claims: WorkLocks,
@@ -126,45 +128,42 @@ class _Execution:
         timeout: float,
         retry_failed: bool,
     ) -> None:
-        self.study, self.plan, self.cache, self.claims = study, plan, cache, claims
+        self.plan, self.cache, self.claims, study = plan, cache, claims, plan.study
         self.client, self.batch, self.timeout = client, batch, timeout
         # The last windows of all points of a task are in memory at once, state by state.
-        self.largest_batch = 2 * MAX_BATCH // study.structure.n_states
+        self.largest_batch = 2 * BLOCK // study.structure.n_states
         self.largest_hit = Status.OUT_OF_FIT_RANGE if retry_failed else max(Status)
-        # Stored points to recompute: failures, and later points of their sweeps.
-        self.is_stale = plan.is_missing & (plan.status >= 0)
         self.progress = plan.progress
-        self.is_repeated = repeated(plan)
-        missing = once(plan, self.is_repeated)
-        self.blocks = shuffled(plan, missing)
-        self.n_new = len(missing)
-        is_swept = plan.follows | np.append(plan.follows[1:], False)
-        self.kinds = plan.representation(np.arange(plan.n_points)), is_swept.astype(int)
-        self.n_left = np.zeros((plan.shape[0], 2), int)
-        self._count(missing, 1)
-        self.n_once = plan.n_missing - len(missing)  # computed under another label only
+        self.blocks = shuffled(plan)
+        self.n_missing = self.n_new = plan.n_missing
+        self.n_left = plan.n_left
         # Points taken before new ones: the rest of a block, and of long sweeps.
-        self.begun: deque[Rows] = deque()
-        # Points claimed by another run: tried when no other points are left.
-        self.elsewhere: list[Rows] = []
-        self.n_threads = 1
+        self.begun: deque[Portion] = deque()
+        # Points claimed by another run, or equal to points in flight under another label: tried
+        # when no other points are left.
+        self.elsewhere: list[Portion] = []
+        self.computing: set[int] = set()  # heads of the keys of points in flight
+        self.n_threads, self.counted = 1, -np.inf  # of the cluster, and when they were counted
         self.suspects: deque[_Job] = deque()
         self.in_flight: dict[Future, _Job] = {}
         self.arrived: list[Slab] = []
-        self.held: list[tuple[int, int]] = []  # claims on the points of those slabs
+        self.held: list[_Job] = []  # the jobs of those slabs, with claims on their points
+        self.stored: set[bytes] = set()  # checksums of slabs that this run has stored
         self.last_commit = time.monotonic()
-        self.costs = Costs(study.spec.solver.engine or DEFAULT_ENGINE, timeout, plan.shape[0])
+        self.costs = Costs(study.spec.solver.engine or DEFAULT_ENGINE, timeout, len(self.n_left))
 
-    def finish(self, on_progress: OnProgress | None) -> None:
+    def finish(self, on_progress: OnProgress | None, meanwhile: Iterator[bool]) -> None:
         completed = as_completed(loop=self.client.loop)
         while True:
             self._refill(completed)
             if on_progress is not None:
                 n_known = self.progress.n_done - self.progress.n_hits
-                if n_known >= _KNOWN * self.plan.n_missing:
+                if n_known >= _KNOWN * self.n_missing:
                     self.progress.seconds_left = self.costs.seconds_left(self.n_left)
                 on_progress(self.progress)
             if self.in_flight:
+                while not completed.has_ready() and next(meanwhile, False):
+                    pass
                 future = next(completed)
                 self._receive(future, self.in_flight.pop(future))
             elif self.elsewhere:
@@ -173,17 +172,16 @@ class _Execution:
                 time.sleep(_WAIT_SECONDS)
             else:
                 break
-        self.progress.n_computed += self.n_once
-        if self.n_once and on_progress is not None:
-            on_progress(self.progress)
 
     # --- sending ---------------------------------------------------------------------------------
 
     def _refill(self, completed: as_completed) -> None:
-        try:
-            self.n_threads = max(sum(self.client.nthreads().values()), 1)
-        except OSError:  # the scheduler left in this very moment
-            raise ClusterError(_CLUSTER_LOST) from None
+        if (now := time.monotonic()) > self.counted + _COUNT_SECONDS:
+            try:
+                self.n_threads = max(sum(self.client.nthreads().values()), 1)
+            except OSError:  # the scheduler left in this very moment
+                raise ClusterError(_CLUSTER_LOST) from None
+            self.counted = now
         # Tasks are small until a cost is known: a second one in the queue of a worker gains little.
         window = _WINDOW if self.costs.n_points.any() else 1
         while len(self.in_flight) < window * self.n_threads:
@@ -199,39 +197,49 @@ class _Execution:
     def _next_job(self) -> _Job | None:
         """A job of claimed points that fill one task; None if no points are available now."""
         while (drawn := self._drawn()) is not None:
-            rows, rest = drawn
-            claimed = int(rows[0]), int(max(rows[-1], rest[-1] if rest.size else 0))
-            if not self.claims.take(*claimed):
-                self.elsewhere.append(np.union1d(rows, rest))
+            block, rows, rest = drawn
+            claimed = _ends(block, np.append(rows, rest))
+            if not self._take(block, rows, claimed):
+                self.elsewhere.append((block, np.union1d(rows, rest)))
                 continue
             # After the claim: the lookup sees all results stored before it.
             self.n_new -= len(rows)
-            wanted = self._not_stored(rows)
+            wanted = self._not_stored(block, rows)
             if wanted.size:
-                return _Job(wanted, claimed, self._tiles(wanted), rest)
+                self.computing.update(_heads(block, wanted).tolist())
+                return _Job(block, wanted, claimed, self._tiles(block, wanted), rest)
             self.claims.release(*claimed)
             if rest.size:
-                self.begun.append(rest)
+                self.begun.append((block, rest))
         return None
 
-    def _drawn(self) -> tuple[Rows, Rows] | None:
+    def _take(self, block: Block, rows: Rows, claimed: tuple[int, int]) -> bool:
+        """Claim points; False if another run has claimed some, or equal ones are in flight."""
+        is_free = self.computing.isdisjoint(_heads(block, rows).tolist())
+        return is_free and self.claims.take(*claimed)
+
+    def _drawn(self) -> tuple[Block, Rows, Rows] | None:
         """Points that fill a task, and the later points of their sweeps; None if none is left."""
         # Until the cost of a law is known, take another law: workers then compile in parallel.
-        if not self.begun or not self.costs.knows(self._kind(self.begun[0][0])):
-            block = next(self.blocks, None)
-            if block is not None:
-                self.begun.appendleft(block)
+        is_known = bool(self.begun) and self.costs.knows(_kind(*self.begun[0]))
+        if not is_known and (new := next(self.blocks, None)) is not None:
+            block, rows = new
+            # Equal points, as of laws that do not depend on a swept parameter, once.
+            _, first = np.unique(_heads(block, rows), return_index=True)
+            self.begun.appendleft((block, rows[np.sort(first)]))
+            if len(first) < len(rows):
+                self.elsewhere.append((block, np.delete(rows, first)))
         if not self.begun:
             self._take_back()
         if not self.begun:
             return None
-        rows = self.begun.popleft()
-        drawn, rest, others = cut(rows, self.plan.follows, self._room(rows[0]))
+        block, rows = self.begun.popleft()
+        drawn, rest, others = cut(rows, block.follows, self._room(_kind(block, rows)))
         if others.size:
-            self.begun.appendleft(others)
-        return drawn, rest
+            self.begun.appendleft((block, others))
+        return block, drawn, rest
 
-    def _room(self, point: np.intp) -> int:
+    def _room(self, kind: tuple[int, int]) -> int:
         """Return the points of a task: `batch`, or a share that lets all threads end together.
 
         The share is at least as large as one client can send to all threads in time, but takes
@@ -239,51 +247,49 @@ class _Execution:
         """
         if self.batch:
             return self.batch
-        kind, of_thread = self._kind(point), self.plan.n_missing // self.n_threads
+        of_thread = self.n_missing // self.n_threads
         least = min(self.costs.least(kind, self.n_threads), of_thread)
         share = int(_PART_OF_SHARE * self.n_new / self.n_threads)
         return min(max(share, least, _MIN_BATCH), self.costs.room(kind), self.largest_batch)
 
-    def _kind(self, point: np.intp) -> tuple[int, int]:
-        representation, is_swept = self.kinds
-        return int(representation[point]), int(is_swept[point])
-
-    def _count(self, rows: Rows, sign: int) -> None:
-        """Add points to the counts of missing points (`sign` 1), or subtract them (-1)."""
-        representation, is_swept = self.kinds
-        np.add.at(self.n_left, (representation[rows], is_swept[rows]), sign)
+    def _count(self, block: Block, rows: Rows) -> None:
+        """Subtract points from the counts of missing points."""
+        self.n_left[block.representation] -= np.bincount(block.is_swept[rows], minlength=2)
 
     def _take_back(self) -> None:
         """Queue points that other runs had claimed and have released."""
         held = []
-        for rows in self.elsewhere:
-            ends = int(rows[0]), int(rows[-1])
-            if self.claims.take(*ends):
+        for block, rows in self.elsewhere:
+            ends = _ends(block, rows)
+            if self._take(block, rows, ends):
                 self.claims.release(*ends)
-                self.begun.append(rows)
+                self.begun.append((block, rows))
             else:
-                held.append(rows)
+                held.append((block, rows))
         self.elsewhere = held
 
-    def _not_stored(self, rows: Rows) -> Rows:
+    def _not_stored(self, block: Block, rows: Rows) -> Rows:
         """The points without a stored result; points found in the cache are counted as done.
 
         This run has stored them under another label, or another run has.
         """
-        status = self.cache.status(self.plan.keys[rows])
-        is_hit = (status >= 0) & (status <= self.largest_hit) & ~self.is_stale[rows]
-        hits = rows[is_hit & self.plan.is_missing[rows]]
-        n_ours = int(self.is_repeated[hits].sum())
+        held = self.cache.held(block.keys[rows])
+        is_ours = self.cache.is_in(held, self.stored)
+        is_stale = block.status[rows] >= 0  # to be recomputed, although stored
+        is_stored = (held["status"] >= 0) & (held["status"] <= self.largest_hit) & ~is_stale
+        is_hit = is_ours | is_stored
+        n_ours, n_hits = int(is_ours.sum()), int(is_hit.sum())
         self.progress.n_computed += n_ours
-        self.progress.n_shared += len(hits) - n_ours
-        self._count(hits, -1)
+        self.progress.n_shared += n_hits - n_ours
+        self._count(block, rows[is_hit])
+        self.plan.enter(block.numbers[rows[is_hit]], held[is_hit])
         return rows[~is_hit]
 
-    def _tiles(self, rows: Rows) -> list[Tile]:
-        keys, previous = self.plan.keys[rows], self.plan.previous(rows)
-        is_first = is_first_of_sweep(rows, self.plan.follows)
+    def _tiles(self, block: Block, rows: Rows) -> list[Tile]:
+        keys, previous = block.keys[rows], block.previous(rows)
+        is_first = is_first_of_sweep(rows, block.follows)
         tiles = []
-        for at, points in self.study.points(self.plan.cells[rows]):
+        for at, points in block.points(rows):
             firsts = np.flatnonzero(is_first[at])
             lengths = np.diff(firsts, append=len(at))
             states = np.zeros((len(firsts), points.kind.n_states))
@@ -349,7 +355,7 @@ class _Execution:
         self.arrived += result.slabs
         self.progress.n_computed += len(job.rows)
         self.progress.n_failed += sum(slab.n_failed for slab in result.slabs)
-        self._count(job.rows, -1)
+        self._count(job.block, job.rows)
         whole = sum(slab.seconds for slab in result.slabs)
         for is_swept in (False, True) if result.seconds else ():
             some = [slab for slab in result.slabs if slab.kind.is_sweep == is_swept]
@@ -357,22 +363,25 @@ class _Execution:
                 # Points of refused models take no measured time, but their tasks do.
                 seconds = sum(slab.seconds for slab in some)
                 share = seconds / whole if whole else n / len(job.rows)
-                kind = self._kind(job.rows[0])[0], int(is_swept)
+                kind = job.block.representation, int(is_swept)
                 self.costs.add(kind, n, share * result.seconds, share * result.spent)
-        self.held.append(job.claimed)
+        self.held.append(job)
         due = time.monotonic() - self.last_commit > COMMIT_SECONDS
         n_arrived = sum(slab.n_points for slab in self.arrived)
         if job.rest.size or due or n_arrived >= _COMMIT_POINTS:
             self.commit()
         if job.rest.size:
-            self.begun.append(job.rest)
+            self.begun.append((job.block, job.rest))
 
     def commit(self) -> None:
         """Store the completed results, and then release the claims on their points."""
         if self.arrived:
-            self.cache.commit(self.arrived)
-        for claimed in self.held:
-            self.claims.release(*claimed)
+            self.stored.update(self.cache.commit(self.arrived))
+        for job in self.held:
+            numbers, keys = job.block.numbers[job.rows], job.block.keys[job.rows]
+            self.plan.enter(numbers, self.cache.recorded(keys))
+            self.claims.release(*job.claimed)
+            self.computing.difference_update(_heads(job.block, job.rows).tolist())
         self.arrived, self.held = [], []
         self.last_commit = time.monotonic()
 
@@ -380,6 +389,21 @@ class _Execution:
         with suppress(Exception):  # Dask may raise any error if the cluster has ended
             self.client.cancel(list(self.in_flight))
         self.in_flight.clear()
+
+
+def _kind(block: Block, rows: Rows) -> tuple[int, int]:
+    """Kind of some points, as of `Costs`, by the first of them."""
+    return block.representation, int(block.is_swept[rows[0]])
+
+
+def _ends(block: Block, rows: Rows) -> tuple[int, int]:
+    """First and last number of some points in the order of computation."""
+    return int(block.numbers[rows.min()]), int(block.numbers[rows.max()])
+
+
+def _heads(block: Block, rows: Rows) -> NDArray[np.uint64]:
+    """First eight bytes of the keys of some points: they tell keys from each other."""
+    return words(block.keys[rows])[:, 0]
 
 
 def is_gone(future: Future) -> bool:

@@ -3,18 +3,18 @@
 import json
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from itertools import islice
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gapsweep.execution.plan import Plan
-from gapsweep.store.cache import Cache
+from gapsweep.quantities import UNITS, written
 from gapsweep.store.maintenance import contents_of
 from gapsweep.store.slab import Slab, Stored
 from gapsweep.study.grid import Starts
 from gapsweep.study.points import Points
-from gapsweep.study.schema import UNITS
 from gapsweep.study.study import Study
 
 # Fields in which two points differ, each with the requested and the stored value.
@@ -45,28 +45,33 @@ class Explanation:
     differences: Differences | None = None
 
 
-def explain(study: Study, plan: Plan, cache: Cache | None, limit: int) -> Iterator[Explanation]:
-    """Explain the first points of a plan, at most `limit`; `cache` is None if there is none."""
-    points = range(min(plan.n_points, limit))
+def explain(plan: Plan, limit: int) -> Iterator[Explanation]:
+    """Explain the first points of a plan, at most `limit`."""
+    study, cache = plan.study, plan.cache
+    each = ((block, row) for block in plan.blocks() for row in range(len(block.keys)))
+    points = list(islice(each, limit))
     nearest: dict[int, Differences] = {}
-    if cache and (missing := [point for point in points if plan.status[point] < 0]):
-        asked = [study.points(plan.cells[[point]])[0][1] for point in missing]
-        previous = plan.previous(np.array(missing))
+    missing = [number for number, (block, row) in enumerate(points) if block.status[row] < 0]
+    if cache and missing:
+        asked, previous = [], []
+        for block, row in (points[number] for number in missing):
+            asked.append(study.points(block.cells[[row]])[0][1])
+            previous.append(block.previous(np.array([row])))
         for _, slab in cache.slabs():
             if (contents := contents_of(slab)) is not None:
-                for point, one, before in zip(missing, asked, previous[:, None], strict=True):
+                for number, one, before in zip(missing, asked, previous, strict=True):
                     found = _differing(one, before, slab, contents)
-                    if point not in nearest or len(found) < len(nearest[point]):
-                        nearest[point] = found
-    for point in points:
-        label = _label(study, int(plan.cells[point]))
-        place = cache.place(plan.keys[[point]]) if cache else None
+                    if number not in nearest or len(found) < len(nearest[number]):
+                        nearest[number] = found
+    for number, (block, row) in enumerate(points):
+        label = _label(study, int(block.cells[row]))
+        place = cache.place(block.keys[[row]]) if cache else None
         if place is not None:
-            slab, contents, row = place
-            response = contents.responses.row(row)
+            slab, contents, row_of_slab = place
+            response = contents.responses.row(row_of_slab)
             yield Explanation(label, response.status.label, slab.host, response.message)
         else:
-            yield Explanation(label, "missing", differences=nearest.get(point))
+            yield Explanation(label, "missing", differences=nearest.get(number))
 
 
 def _differing(
@@ -120,7 +125,7 @@ def _label(study: Study, cell: int) -> str:
         elif name == "gap":
             words.append(f"gap {value} mm" if in_metres else f"gap {value}")
         else:
-            unit = UNITS.get(name, "") if in_metres else ""
+            unit = written(UNITS.get(name, "")) if in_metres else ""
             words.append(f"{name} = {value:g} {unit}".rstrip())
     return ", ".join(words)
 

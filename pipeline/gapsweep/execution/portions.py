@@ -8,16 +8,15 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from gapsweep.execution.plan import Plan
+from gapsweep.execution.plan import BLOCK, Block, Plan
 
 # Short enough for progress and for the loss by a kill. The more points share the lanes, the less
 # each costs: in a task of 16,384 a third of the cost in a task of 250.
 _TASK_SECONDS = 4.0
-# Client and scheduler take 200 to 400 tasks a second.
-_CLIENT_SECONDS = 0.005
+# Client and scheduler take 200 to 400 tasks a second: twice the time, so that they keep up.
+_CLIENT_SECONDS = 0.01
 # A task has the time limit of one point: it aims at this part of it, since costs differ.
 _PART_OF_TIMEOUT = 0.25
-MAX_BATCH = 16384
 _RECENT_SECONDS = 60.0
 _FEW = np.array([256, 16])  # points of each kind with a weight equal to the mean of other kinds
 # Before any cost is known: a compiled kernel wants its lanes filled, scipy takes seconds a point.
@@ -25,26 +24,8 @@ _FIRST_BATCH = {"compiled": 16, "scipy": 1}
 # A long sweep is computed in parts, so that a kill loses one part and not the whole sweep.
 SWEEP_PART = 16
 
-# Numbers of points in the plan, ascending.
+# Numbers of points in a block, ascending.
 Rows = NDArray[np.intp]
-
-
-def repeated(plan: Plan) -> NDArray[np.bool_]:
-    """Mask of points that occur under several labels of a study, with equal keys."""
-    # By the first eight bytes: numbers are sorted faster than whole keys, and in less memory.
-    heads = plan.keys.view(np.uint64)[:: plan.keys.itemsize // 8]
-    _, number, counts = np.unique(heads, return_inverse=True, return_counts=True)
-    return np.asarray(counts[number] > 1)
-
-
-def once(plan: Plan, is_repeated: NDArray[np.bool_]) -> Rows:
-    """The missing points; only the first of equal points with a fixed initial condition."""
-    in_sweep = plan.follows | np.append(plan.follows[1:], False)
-    alone = np.flatnonzero(plan.is_missing & is_repeated & ~in_sweep)
-    _, first = np.unique(plan.keys[alone], return_index=True)
-    is_left = plan.is_missing.copy()
-    is_left[np.delete(alone, first)] = False
-    return np.flatnonzero(is_left)
 
 
 def is_first_of_sweep(rows: Rows, follows: NDArray[np.bool_]) -> NDArray[np.bool_]:
@@ -127,34 +108,37 @@ class Costs:
     def _computed_in(self, seconds: float, kind: tuple[int, int]) -> int:
         """Number of points that take some CPU time [s], of which a task has room."""
         cost = self.seconds[kind] / self.n_points[kind]
-        return int(min(seconds / max(cost, 1e-9), MAX_BATCH))
+        return int(min(seconds / max(cost, 1e-9), BLOCK))
 
 
-def shuffled(plan: Plan, missing: Rows) -> Iterator[Rows]:
-    """The missing points in blocks of neighbours, in random order; neighbours have similar costs.
+def shuffled(plan: Plan) -> Iterator[tuple[Block, Rows]]:
+    """The missing points of blocks in random order; neighbours have similar costs.
 
-    A block has at most the size of a task, one representation, and whole sweeps. One block of each
-    representation comes first, in the study's order, so that workers compile different kernels:
-    mostly the exact law's and another one.
+    One block of each representation comes first, in the study's order, so that workers compile
+    different kernels: mostly the exact law's and another one.
     """
-    if not missing.size:
-        return iter(())
-    firsts = np.flatnonzero(is_first_of_sweep(missing, plan.follows))
-    representation = plan.representation(missing[firsts])
-    block = np.cumsum(np.diff(firsts, append=len(missing))) // MAX_BATCH
-    is_new = (np.diff(representation, prepend=-1) != 0) | (np.diff(block, prepend=-1) > 0)
-    blocks = np.split(missing, firsts[is_new][1:])
-    random.shuffle(blocks)
-    _, leading = np.unique(
-        plan.representation(np.array([block[0] for block in blocks])), return_index=True
-    )
-    others = np.setdiff1d(np.arange(len(blocks)), leading)
-    heads, tails = zip(*(_halves(block, plan.follows) for block in blocks), strict=True)
-    order = [tails[i] for i in leading] + [heads[i] for i in leading]
-    return filter(len, order + [half[i] for i in others for half in (tails, heads)])
+    wanted = [i for i, (a, b) in enumerate(plan.ends.tolist()) if plan.is_missing[a:b].any()]
+    random.shuffle(wanted)
+    _, leading = np.unique(plan.representation(plan.ends[wanted, 0]), return_index=True)
+    heads = []
+    for block in (plan.block(wanted[i]) for i in leading.tolist()):
+        head, tail = _halves(block)
+        heads.append((block, head))
+        yield block, tail
+    while heads:
+        block, head = heads.pop(0)
+        if head.size:
+            yield block, head
+    for number in np.delete(wanted, leading).tolist():
+        block = plan.block(number)
+        yield from ((block, half) for half in _halves(block)[::-1] if half.size)
 
 
-def _halves(block: Rows, follows: NDArray[np.bool_]) -> tuple[Rows, Rows]:
-    """Cut a block in two at a random sweep: runs without common locks then do different work."""
-    at = random.choice(np.flatnonzero(is_first_of_sweep(block, follows)))
-    return block[:at], block[at:]
+def _halves(block: Block) -> tuple[Rows, Rows]:
+    """The missing points of a block, cut in two at a random sweep.
+
+    Runs without common locks then do different work.
+    """
+    missing = np.flatnonzero(block.is_missing)
+    at = random.choice(np.flatnonzero(is_first_of_sweep(missing, block.follows)))
+    return missing[:at], missing[at:]

@@ -46,7 +46,7 @@ def try_out_system(function: str, path: Path) -> None:
                 isolated(_makes, some)
         except CallError as lost:
             if lost.status in (Status.KILLED, Status.TIMED_OUT):
-                raise StudyError([f"{path}: system{at}: {function}: {lost.message}"]) from None
+                raise StudyError(f"{path}: system{at}: {function}: {lost.message}") from None
 
 
 def _loads(path: Path) -> list[dict[str, float]]:
@@ -94,14 +94,14 @@ def try_out(study: Study, timeout: float, say: Callable[[str], None]) -> None:
                     isolated(function, own, study.model.default, some, ends)
                 except CallError as lost:
                     if lost.status is Status.MODEL_INVALID and label in compiled:
-                        raise StudyError([f"{study.source}: {lost.message}"]) from None
+                        raise StudyError(f"{study.source}: {lost.message}") from None
                     if lost.status is Status.MODEL_INVALID:
                         break  # the plan refuses it; in a history it is the status
                     why = lost.message
                     if lost.status is Status.TIMED_OUT and timeout < LONGEST_TRIAL:
                         why += f"; allow up to {LONGEST_TRIAL:g} s with --timeout"
                     where = f"{study.source}: {step.format(label)}"
-                    raise StudyError([f"{where}: {why}"]) from None
+                    raise StudyError(f"{where}: {why}") from None
 
 
 def _imports(own: OwnLaw, *_: Any) -> None:

@@ -2,15 +2,12 @@
 
 import threading
 from collections.abc import Callable, Iterator
-from typing import Generic, TypeVar
+from typing import Any
 
 from gapsweep.errors import GapsweepError, described
 
-Q = TypeVar("Q")
-A = TypeVar("A")
 
-
-class Latest(Generic[Q, A]):
+class Latest:
     """Computes results of questions in one thread; a newer question replaces all older ones.
 
     The first result of a question is always delivered, so that a figure follows a moving slider;
@@ -28,19 +25,19 @@ class Latest(Generic[Q, A]):
 
     def __init__(
         self,
-        answers: Callable[[Q], Iterator[A]],
-        deliver: Callable[[Q, A], None],
-        refuse: Callable[[Q, str], None],
+        answers: Callable[[Any], Iterator[Any]],
+        deliver: Callable[[Any, Any], None],
+        refuse: Callable[[Any, str], None],
     ) -> None:
         self._answers, self._deliver, self._refuse = answers, deliver, refuse
-        self._wanted: list[Q] = []  # at most one
+        self._wanted: list[Any] = []  # at most one
         self._is_over = False
         self._news = threading.Condition()
         # A page that is closed must not keep the process alive.
         self._thread = threading.Thread(target=self._work, name="explorer", daemon=True)
         self._thread.start()
 
-    def ask(self, question: Q) -> None:
+    def ask(self, question: Any) -> None:
         """Replace the current question."""
         with self._news:
             self._wanted[:] = [question]
@@ -52,7 +49,8 @@ class Latest(Generic[Q, A]):
             self._is_over = True
             self._news.notify()
 
-    def _next(self) -> Q | None:
+    def _next(self) -> Any:
+        """The newest question, waited for; None after `stop`."""
         with self._news:
             self._news.wait_for(lambda: self._wanted or self._is_over)
             return None if self._is_over else self._wanted.pop()

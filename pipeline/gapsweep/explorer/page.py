@@ -58,20 +58,15 @@ _NOTE = (
     "Click a dot, an initial condition or a point of the map to see its motion."
 )
 # In dark mode the light page is inverted, with hues rotated back.
-_STYLE = """
+_TEMPLATE = """
+{% block title %}gapsweep explore{% endblock %}
+{% block postamble %}<meta name="viewport" content="width=device-width, initial-scale=1">
+<style>
 :root { color-scheme: light; background: white; font-family: system-ui, sans-serif; }
 body { margin: 12px 16px; }
 @media (prefers-color-scheme: dark) { :root { filter: invert(0.92) hue-rotate(180deg); } }
+</style>{% endblock %}
 """
-_TEMPLATE = (
-    """
-{% block title %}gapsweep explore{% endblock %}
-{% block postamble %}<meta name="viewport" content="width=device-width, initial-scale=1">
-<style>"""
-    + _STYLE
-    + """</style>{% endblock %}
-"""
-)
 # On a narrow screen the sliders stay above the figures that follow them.
 _ABOVE = """@media (max-width: 700px) {
   :host { position: sticky; top: 0; z-index: 9; min-width: 100%; max-height: 42vh;

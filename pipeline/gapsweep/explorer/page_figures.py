@@ -54,20 +54,26 @@ class Figures:
     """
 
     def __init__(self) -> None:
-        self.response = blank("forcing frequency ω [Hz]", "peak displacement [mm]", 330)
+        self.response = blank(
+            "forcing frequency ω [Hz]", "peak displacement [mm]", 330, title="Frequency response"
+        )
         self.response.y_range = DataRange1d(start=0.0)
-        self.phase = blank("displacement x [mm]", "velocity v [mm/s]", 300)
+        plane = "displacement x [mm]", "velocity v [mm/s]", 300
+        self.phase = blank(*plane, title="Phase portrait")
         # With separate ranges, the numerical noise of a few points would fill the figure.
         self.section = blank(
-            "displacement x [mm]", "velocity v [mm/s]", 300,
+            *plane, title="Stroboscopic section",
             x_range=self.phase.x_range, y_range=self.phase.y_range,
         )  # fmt: skip
-        self.history = blank("time t [s]", "displacement x [mm]", 230)
+        self.history = blank(
+            "time t [s]", "displacement x [mm]", 230,
+            title=f"Time history, {_N_SHOWN} forcing periods",
+        )  # fmt: skip
         self.spectrum = blank(
             "frequency [Hz]", "amplitude [mm]", 300, y_axis_type="log",
+            title=f"Amplitude spectrum to {_ORDERS} ω",
             x_range=Range1d(0.0, 1.0), y_range=Range1d(1e-6, 1.0),
         )  # fmt: skip
-        self._name()
         self._branches = ColumnDataSource(_empty(_BRANCH), name="branches")
         self.response.multi_line(
             "x", "y", source=self._branches, line_color="colour", line_dash="dash", line_alpha=0.7
@@ -83,8 +89,8 @@ class Figures:
             if slot == 0 or protocol == REST
         }
         self._lines = {
-            name: [_line(shown, name, slot) for slot in range(MAX_APPROXIMATIONS + 1)]
-            for name, shown in self._of_motions().items()
+            name: [_line(getattr(self, name), name, n) for n in range(MAX_APPROXIMATIONS + 1)]
+            for name in ("phase", "section", "history", "spectrum")
         }
         self.planes = Planes()
         self._at = guide(self.response, "height", "solid")
@@ -96,21 +102,6 @@ class Figures:
         ]
         dots = [one for one in self.response.renderers if one.data_source is not self._branches]
         self.response.add_tools(HoverTool(tooltips=_TIPS, renderers=dots))
-
-    def _of_motions(self) -> dict[str, figure]:
-        names = ("phase", "section", "history", "spectrum")
-        return {name: getattr(self, name) for name in names}
-
-    def _name(self) -> None:
-        titles = {
-            self.response: "Frequency response",
-            self.phase: "Phase portrait",
-            self.section: "Stroboscopic section",
-            self.history: f"Time history, {_N_SHOWN} forcing periods",
-            self.spectrum: f"Amplitude spectrum to {_ORDERS} ω",
-        }
-        for shown, title in titles.items():
-            shown.title.text = title
 
     def _dots(self, name: str, marker: str, size: float) -> ColumnDataSource:
         source = ColumnDataSource(_empty(_RESPONSE), name=name)

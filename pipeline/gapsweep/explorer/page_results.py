@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from gapsweep.analysis.spectra import spectrum
+from gapsweep.analysis.spectra import repetition, spectrum
 from gapsweep.explorer.question import Question
 from gapsweep.integrate.simulate import simulate
 from gapsweep.model.contact import ContactLaw
@@ -20,7 +20,7 @@ from gapsweep.model.labels import EXACT
 from gapsweep.model.oscillator import Oscillator
 from gapsweep.response.respond import respond
 from gapsweep.response.result import ResponseClass, Steady
-from gapsweep.response.section import period_multiple, scaled, unit_of
+from gapsweep.response.section import unit_of
 from gapsweep.status import Status
 
 Array = NDArray[np.float64]
@@ -41,8 +41,6 @@ N_STARTS, N_MAP = 48, 40
 _BEYOND = 1.3  # largest initial displacement relative to walls and the highest response
 _LEAST = 1e-6  # m, smallest range of initial displacements
 _CHUNK = 20  # frequencies of a sweep between two checks for a newer question
-# Section points closer than this share of the largest displacement count as one.
-_SAME_POINT = 1e-4
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -298,8 +296,7 @@ def settled(oscillator: Oscillator) -> Steady:
 
 def _atol(oscillator: Oscillator) -> float:
     """Absolute tolerance [m], small even for motions of micrometres."""
-    stiffness = oscillator.mass * (2.0 * math.pi * oscillator.omega_n) ** 2
-    deflection = abs(oscillator.forcing) / stiffness
+    deflection = oscillator.deflection
     return min(_ATOL, _OF_DEFLECTION * deflection) if deflection else _ATOL
 
 
@@ -342,17 +339,15 @@ def motion(question: Question, label: str) -> Motion:
         return Motion(label, omega, none, none, none, np.zeros((0, 2)), none, none, problem=problem)
     x, v = run.sample(begin + t)
     steady = run.section[first:]
-    n_bins = t.size // 2 + 1
-    same = _SAME_POINT * float(np.max(np.abs(x)))
-    latest = scaled(steady[-2 * N_PERIODS :], unit_of(omega))
-    n_periods = period_multiple(latest, same, N_PERIODS)
+    latest, n_bins = steady[-2 * N_PERIODS :], t.size // 2 + 1
+    n_periods = repetition(latest, float(np.max(np.abs(x))), omega)
     return Motion(
         label,
         omega,
         t,
         x,
         v,
-        steady[-2 * N_PERIODS :] if n_periods else steady,  # without the end of a transient
+        latest if n_periods else steady,  # without the end of a transient
         np.arange(n_bins, dtype=np.float64) * np.float64(omega / N_PERIODS),
         spectrum(x),
         n_periods,

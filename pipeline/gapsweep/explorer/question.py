@@ -179,6 +179,9 @@ _DIALS: dict[str, tuple[str, str, float, float, float, float]] = {
     "alpha": ("Cubic stiffness α", "10⁹ N/m³", 1e9, 0.0, 5.0, 1e9),
     "mean_load": ("Mean load p₀", "N", 1.0, 0.0, 5.0, 1.0),
     "c": ("Added damping c", "N s/m", 1.0, 0.0, 5.0, 10.0),
+    "unbalance": ("Unbalance u", "g m", 1e-3, 0.0, 5.0, 1e-2),
+    "base_amplitude": ("Amplitude of the base a", "mm", 1e-3, 0.0, 5.0, 1e-3),
+    "base_damping": ("Share of the damping at the base s", "", 1.0, 0.0, 1.0, 1.0),
 }
 
 

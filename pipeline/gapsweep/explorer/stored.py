@@ -12,10 +12,10 @@ from gapsweep.explorer.page_results import STORED, Curve
 from gapsweep.explorer.question import not_computed, of_study, refuse_systems
 from gapsweep.model.labels import Representation
 from gapsweep.model.oscillator import OSCILLATOR
+from gapsweep.quantities import written
 from gapsweep.report import branch_lines
 from gapsweep.run_folder import BRANCHES, RESPONSES, is_of_run
 from gapsweep.store import netcdf
-from gapsweep.study.schema import written
 from gapsweep.study.study import Study
 
 _SHOWN = ("x_max", "section_x", "section_v", "response_class", "period_multiple")
@@ -41,7 +41,7 @@ class StoredRun:
         self._dataset = netcdf.read(folder / RESPONSES)
         path = folder / BRANCHES
         self._branches = netcdf.read(path) if path.exists() and is_of_run(path) else None
-        tables = _tables(self._dataset)
+        tables = json.loads(self._dataset.attrs["study_json"])
         refuse_systems(tables, folder)
         study = Study.from_dict(tables, source=str(folder))
         self.question, self.ranges = of_study(study)
@@ -76,12 +76,6 @@ class StoredRun:
         labels = np.broadcast_to(found["representation"].values, found.sizes["branch"]).tolist()
         drawn = branch_lines.lines(found, "omega", "x_max")
         return [(labels[number], is_stable, points) for number, is_stable, points in drawn]
-
-
-def _tables(dataset: xr.Dataset) -> dict[str, Any]:
-    """The tables of the study of a run."""
-    found: dict[str, Any] = json.loads(dataset.attrs["study_json"])
-    return found
 
 
 def _scenes(dataset: xr.Dataset) -> Any:

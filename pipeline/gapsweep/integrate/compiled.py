@@ -1,6 +1,5 @@
-"""The compiled engine: the exact law and tanh by Taylor series, all others by Runge–Kutta."""
+"""The compiled engine: laws of this package by Taylor series, all others by Runge–Kutta."""
 
-from collections.abc import Sequence
 from operator import attrgetter
 from typing import Any
 
@@ -28,7 +27,6 @@ from gapsweep.model.table import ForceTable
 from gapsweep.model.user_law import UserLaw
 
 Array = NDArray[np.float64]
-Columns = Sequence[Array]
 
 _LONGEST = 200  # characters of numba's message
 
@@ -52,25 +50,35 @@ def prepared(models: Models, solver: Solver) -> Integrate:
             scenes, method = runge_kutta_scenes(scenes, laws, mass, solver)
 
     def integrate(problems: Problems) -> Motions:
-        contacts = problems.contacts or (problems.contact_time and not is_located)
-        given = {"contacts": contacts, "sampled": problems.sampled, **_given(problems)}
-        run = batch.run(scenes, method, start=problems.start, **given)
+        run = batch.run(
+            scenes,
+            method,
+            problems.which,
+            problems.start,
+            problems.t_0,
+            problems.t_end,
+            problems.record_from,
+            queue=_queue(problems),
+            follows=problems.follows,
+            section_only=problems.section_only,
+            tangent=problems.tangent,
+            dense_output=problems.dense_output,
+            sampled=problems.sampled,
+            contacts=problems.contacts or (problems.contact_time and not is_located),
+        )
 
         def events() -> Events:
-            head = record.POINT, record.TIME, record.WHICH
-            turns = [run.turns[:, column] for column in (*head, record.VALUE)]
-            sections = *(run.sections[:, i] for i in head[:2]), run.sections[:, record.STATE :]
-            contacts = [run.contacts[:, column] for column in head]
-            return _events(len(problems), turns, sections, contacts)
+            return _events(len(problems), run)
 
+        n_steps = run.n_steps
         return Motions(
             t=run.t,
             state=run.state,
             status=run.status,
             n_contacts=run.n_contacts,
-            n_steps=run.n_steps,
+            n_steps=n_steps,
             n_rejected=run.n_rejected,
-            nfev=run.nfev,
+            nfev=n_steps if is_taylor else run.nfev,
             reach=run.reach,
             events=events,
             sampler=run.sample,
@@ -107,8 +115,9 @@ def _is_oscillator(models: Models) -> bool:
 
 
 def _oscillators(models: Models) -> dict[str, Any]:
-    columns = models.of_systems(attrgetter(*CLASSIC)).T
-    return {**dict(zip(CLASSIC, columns, strict=True)), "omega": models.omega}
+    *columns, inertial = models.of_systems(attrgetter(*CLASSIC, "inertial_load")).T
+    found = dict(zip(CLASSIC, columns, strict=True)) | {"omega": models.omega}
+    return found | {"forcing": found["forcing"] + inertial * (2.0 * np.pi * models.omega) ** 2}
 
 
 def _walls(models: Models) -> dict[str, Any]:
@@ -119,25 +128,13 @@ def _walls(models: Models) -> dict[str, Any]:
     return {"K_c": stiffness, "K_ratio": ratio, "j_1": -low, "j_2": high}
 
 
-def _given(problems: Problems) -> dict[str, Any]:
-    """Arguments of `batch.run`; its queue begins with the longest motions."""
+def _queue(problems: Problems) -> NDArray[np.intp]:
+    """Return the motions that follow no other, the longest ones first."""
     effort = problems.t_end - problems.t_0 if problems.effort is None else problems.effort
     if problems.follows is None:
-        queue = (-effort).argsort(kind="stable")
-    else:
-        heads = np.flatnonzero(~problems.follows)
-        queue = heads[(-np.add.reduceat(effort, heads)).argsort(kind="stable")]
-    return {
-        "which": problems.which,
-        "t_0": problems.t_0,
-        "t_end": problems.t_end,
-        "record_from": problems.record_from,
-        "queue": queue,
-        "follows": problems.follows,
-        "section_only": problems.section_only,
-        "tangent": problems.tangent,
-        "dense_output": problems.dense_output,
-    }
+        return (-effort).argsort(kind="stable")
+    heads = np.flatnonzero(~problems.follows)
+    return np.asarray(heads[(-np.add.reduceat(effort, heads)).argsort(kind="stable")])
 
 
 def _scenes(models: Models, solver: Solver, is_taylor: bool) -> SceneTable:
@@ -152,29 +149,26 @@ def _scenes(models: Models, solver: Solver, is_taylor: bool) -> SceneTable:
     return system_scenes(models.systems, models.system, of_contacts, models.omega, **tolerances)
 
 
-def _events(n: int, turns: Columns, sections: Columns, contacts: Columns) -> Events:
-    """Return the `Events` of n motions, from columns of the recorded ones.
-
-    Parameters
-    ----------
-    turns, sections, contacts : sequence of ndarray
-        Columns, sorted by motion: number of the motion, time; for turns and contacts the number of
-        the coordinate or contact; then the value of a turn or the state of a section point.
-    """
-    counts = [
-        np.bincount(log[0].astype(np.int64), minlength=n) for log in (turns, sections, contacts)
-    ]
+def _events(n: int, run: batch.Batch) -> Events:
+    """Return the `Events` of n motions."""
+    turns, contacts, sections = run.turns, run.contacts, run.sections
+    n_extrema, n_contacts, n_section = (
+        np.bincount(log[:, record.POINT].astype(np.int64), minlength=n)
+        if len(log)
+        else np.zeros(n, np.int64)
+        for log in (turns, contacts, sections)
+    )
     return Events(
-        t_extrema=turns[1].copy(),
-        extrema=turns[3].copy(),
-        extrema_of=turns[2].astype(np.int64),
-        t_contacts=contacts[1].copy(),
-        contacts_of=contacts[2].astype(np.int64),
-        t_section=sections[1].copy(),
-        section=sections[2].copy(),
-        n_extrema=counts[0],
-        n_section=counts[1],
-        n_contacts=counts[2],
+        t_extrema=turns[:, record.TIME].copy(),
+        extrema=turns[:, record.VALUE].copy(),
+        extrema_of=turns[:, record.WHICH].astype(np.int64),
+        t_contacts=contacts[:, record.TIME].copy(),
+        contacts_of=contacts[:, record.WHICH].astype(np.int64),
+        t_section=sections[:, record.TIME].copy(),
+        section=sections[:, record.STATE :].copy(),
+        n_extrema=n_extrema,
+        n_section=n_section,
+        n_contacts=n_contacts,
     )
 
 

@@ -203,15 +203,16 @@ def entry(function: Callable[..., Any]) -> Any:
 
 
 def counted(dispatcher: Any) -> Any:
-    """Make a dispatcher add the time of loading or compiling to `LOADING.seconds`; return it."""
+    """Make a dispatcher add the time of loading or compiling to `LOADING`; return it."""
     usual = dispatcher._compile_for_args
 
     def compiled(*args: Any, **kwargs: Any) -> Any:
-        begin = time.thread_time()
+        worked, began = time.thread_time(), time.monotonic()
         try:
             return usual(*args, **kwargs)
         finally:
-            LOADING.seconds += time.thread_time() - begin
+            LOADING.seconds += time.thread_time() - worked
+            LOADING.elapsed += time.monotonic() - began
 
     dispatcher._compile_for_args = compiled
     return dispatcher
@@ -277,12 +278,13 @@ def _private() -> Path:
 def source_fingerprint() -> str:
     """Hash (16 hex digits) of all sources below this module's folder, names included.
 
-    The sources of the formulas of contact laws are included, and ``status.py``, whose numbers are
-    constants of the code.
+    The sources of the formulas of contact laws and of the search's loops are included, and modules
+    whose numbers are constants of the code.
     """
     here = Path(__file__).parent
-    of_laws = here.parent / "model"
-    others = here.parent / "status.py", of_laws / "arithmetic.py", of_laws / "contact.py"
+    of_laws, search = here.parent / "model", here.parent / "response"
+    others = [here.parent / "status.py", search / "compiled.py", search / "thresholds.py"]
+    others += [of_laws / "arithmetic.py", of_laws / "contact.py"]
     digest = hashlib.sha256()
     for path in sorted([*here.rglob("*.py"), *(of_laws / "laws").rglob("*.py"), *others]):
         digest.update(path.relative_to(here.parent).as_posix().encode() + b"\0" + path.read_bytes())

@@ -23,7 +23,7 @@ _LISTS = {
 }
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(slots=True, kw_only=True)  # creating a frozen one takes three times as long
 class Events:
     """Recorded events of n motions: those of the first motion, then of the second, and so on.
 
@@ -59,7 +59,7 @@ class Events:
     n_section: Counts
 
 
-@dataclass(slots=True, kw_only=True)  # creating a frozen one takes three times as long
+@dataclass(slots=True, kw_only=True)
 class Motions:
     """The solutions of `Problems`, in their order.
 

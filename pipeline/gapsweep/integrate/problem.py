@@ -112,6 +112,8 @@ class Models:
 
     def by_kind(self) -> list[tuple[Numbers, "Models"]]:
         """Return groups that an engine can integrate together: their row numbers and models."""
+        if len(self.systems) == len(self.laws) == 1:
+            return [(np.arange(len(self)), self)]
         sizes = _distinct([system.sizes for system in self.systems], lambda size: size)[1]
         kinds, which = _distinct([tuple(map(law_kind, laws)) for laws in self.laws], lambda k: k)
         if len(kinds) == 1 and not sizes.any():
@@ -204,6 +206,8 @@ def _integrated(system: Model) -> Model:
 
 def _distinct(objects: Sequence[T], key: Callable[[T], Hashable]) -> tuple[list[T], Numbers]:
     """Objects with distinct keys, by first appearance, and the number among them of each object."""
+    if len(objects) == 1:
+        return list(objects), np.zeros(1, np.intp)
     numbers: dict[Hashable, int] = {}
     which = [numbers.setdefault(key(each), len(numbers)) for each in objects]
     found = dict(zip(reversed(which), reversed(objects), strict=True))
@@ -286,12 +290,15 @@ Integrate = Callable[[Problems], Motions]
 
 
 class Loading(threading.local):
-    """Processor time [s] that a thread has spent on loading or compiling an engine so far.
+    """Time that a thread has spent on loading or compiling an engine so far.
 
-    The first call of a process waits for it; it does not count as cost of a motion.
+    The first call of a process waits for it; it does not count as cost of a motion, nor for its
+    time limit. On a busy machine, or while another process compiles, much more time passes than the
+    processor works.
     """
 
-    seconds: float = 0.0
+    seconds: float = 0.0  # processor time [s]
+    elapsed: float = 0.0  # [s]
     end: float = math.inf  # deadline of motions, on the clock `_now`
 
 
@@ -300,7 +307,7 @@ TIME_LIMIT = 3600.0  # s of a call in Python
 
 
 def _now() -> float:
-    return time.monotonic() - LOADING.seconds
+    return time.monotonic() - LOADING.elapsed
 
 
 def is_late() -> bool:
@@ -418,8 +425,9 @@ class Solver:
             and not is_oscillator
         ):
             raise ModelError(
-                f"{self.runge_kutta_setting}: needs an Oscillator with omega_n > 0 and "
-                "mean_load = 0; otherwise use engine='scipy', or located=False (piecewise-noevents)"
+                f"{self.runge_kutta_setting}: needs an Oscillator with omega_n > 0, "
+                "mean_load = 0 and base_damping = 1; otherwise use engine='scipy', or "
+                "located=False (piecewise-noevents)"
             )
         if 0 < n_located < n_contacts:
             raise ModelError(

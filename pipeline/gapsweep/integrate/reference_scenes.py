@@ -142,7 +142,7 @@ class OscillatorScene(ReferenceScene):
     def rhs(self, modes: Modes) -> Callable[[float, Array], State]:
         o = self.system
         damping, stiffness = 2.0 * o.decay_rate, o.omega_n_rad**2
-        cubic, forcing, mass = o.alpha / o.mass, o.forcing / o.mass, o.mass
+        cubic, forcing, mass = o.alpha / o.mass, o.at(self.omega).forcing / o.mass, o.mass
         omega_rad, theta_0 = 2.0 * math.pi * self.omega, self.theta_0
         contact = self.force(0, modes)
 

@@ -27,7 +27,7 @@ from gapsweep.integrate.trajectory import SystemTrajectory, Trajectory
 from gapsweep.model.contact import ContactLaw, checked_law
 from gapsweep.model.doubts import doubts, warn_of
 from gapsweep.model.oscillator import LARGEST, SMALLEST, Oscillator, called_as, checked
-from gapsweep.model.system import System, floats
+from gapsweep.model.system import System, numbers
 from gapsweep.variables import objects
 
 Array = NDArray[np.float64]
@@ -471,10 +471,7 @@ def broadcast(**values: ArrayLike | None) -> list[NDArray[np.float64]]:
     """
     arrays = []
     for name, value in values.items():
-        try:
-            array = floats([] if value is None else value)
-        except (TypeError, ValueError, OverflowError):
-            raise ModelError(f"{name} = {value!r}: must be a number or numbers") from None
+        array = numbers(name, value, "a number or numbers")
         if array.size == 0:
             raise ModelError(f"{name} = {value!r}: must be a number or numbers, at least one")
         # `checked` raises the error for the first wrong value.

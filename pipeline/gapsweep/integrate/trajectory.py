@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from gapsweep.errors import ModelError
 from gapsweep.integrate.motions import Counts, Events, Motions
-from gapsweep.model.system import System, floats
+from gapsweep.model.system import System, numbers
 from gapsweep.status import Status
 from gapsweep.variables import (
     COORDINATE,
@@ -228,10 +228,7 @@ class Trajectory:
         ModelError
             If the run has no dense output, or a time is outside the motion.
         """
-        try:
-            t = floats(t)
-        except (TypeError, ValueError, OverflowError):
-            raise ModelError(f"t = {t!r}: must be a time or times [s]") from None
+        t = numbers("t", t, "a time or times [s]")
         first = float(np.min(t, initial=math.inf))
         is_inside = self.t_0 <= first < math.inf
         # A little earlier: rounding of the clock may put the end behind the last step.
@@ -246,6 +243,19 @@ class Trajectory:
             raise ModelError(f"t = {outside:g} s: must be within {self.t_0:g}..{end:g} s")
         states = motions.sampler(t.ravel())
         return self._as_sampled(np.moveaxis(states, 0, -1).reshape(*self.shape, *t.shape, -1))
+
+    def absolute(self, t: ArrayLike) -> Array:
+        """Return absolute displacements [m] at times `t` [s]: those of the base added to `sample`.
+
+        Parameters and errors are those of `sample`; an oscillator without a moving base has the
+        same absolute and relative displacements.
+        """
+        times = numbers("t", t, "a time or times [s]")
+        models = np.broadcast_to(objects(self.inputs["oscillator"]), self.shape).flat
+        omega = np.broadcast_to(self.inputs["omega"], self.shape).flat
+        moved = [model.base(f, times) for model, f in zip(models, omega, strict=True)]
+        found: Array = self.sample(t)[0] + np.reshape(moved, (*self.shape, *times.shape))
+        return found
 
     def _as_sampled(self, states: Array) -> tuple[Array, ...]:
         """Split states along the last axis into the arrays that `sample` returns."""

@@ -262,6 +262,37 @@ def branch(builder, condition, compute, otherwise):
     return merged
 
 
+def loop(builder, count, values, body):
+    """Emit a loop; return the values after it.
+
+    Parameters
+    ----------
+    count
+        Number of passes, an int64.
+    values : list of Vec
+        Values before the first pass.
+    body : callable
+        Function of the number of the pass, from 0 on, and of the values before it; it emits code
+        and returns the values after it.
+    """
+    start = builder.block
+    head, inside, done = map(builder.append_basic_block, ("head", "each", "after"))
+    builder.branch(head)
+    builder.position_at_end(head)
+    index, *before = (builder.phi(v.type) for v in (count, *(each.value for each in values)))
+    builder.cbranch(builder.icmp_signed("<", index, count), inside, done)
+    builder.position_at_end(inside)
+    after = body(index, [Vec(builder, each) for each in before])
+    index.add_incoming(ir.Constant(I64, 0), start)
+    index.add_incoming(builder.add(index, ir.Constant(I64, 1)), builder.block)
+    for phi, first, next_one in zip(before, values, after, strict=True):
+        phi.add_incoming(first.value, start)
+        phi.add_incoming(next_one.value, builder.block)
+    builder.branch(head)
+    builder.position_at_end(done)
+    return [Vec(builder, each) for each in before]
+
+
 def load_row(builder, pointer, row, width):
     """Row `row` of a lane-major array (shape (rows, width)) as a `Vec`."""
     vector = ir.VectorType(F64, width)

@@ -105,7 +105,8 @@ def _linear(model: Oscillator | System, starts: Array) -> tuple[Array, Array]:
     along = np.reshape(model.directions, (-1, model.n))
     none = np.zeros(len(along)), np.full(len(along), math.inf)
     if isinstance(model, Oscillator):
-        spring, forced = model.mass * model.omega_n_rad**2, abs(model.forcing)
+        spring = model.mass * model.omega_n_rad**2
+        forced = abs(model.at(model.omega_n).forcing)
         if not (spring and model.damping_ratio and forced) or model.alpha < 0.0:
             return none
         load = forced * max(1.0, 0.5 / model.damping_ratio) + abs(model.mean_load)
@@ -117,10 +118,7 @@ def _linear(model: Oscillator | System, starts: Array) -> tuple[Array, Array]:
     rates = (1.0 + 1e-9) * np.array([0.0, *own, 1e3 * own.max()])[:, None, None]
     dynamic = model.stiffness - rates**2 * model.mass + 1j * rates * model.damping
     moved = along @ np.linalg.inv(dynamic)
-    sizes = [
-        np.abs(moved @ one.amplitude) * (rates[:, :, 0] ** 2 if one.inertial else 1.0)
-        for one in model.forcing
-    ]
+    sizes = [np.abs(moved @ one.amplitude) * one.growth(rates[:, :, 0]) for one in model.forcing]
     reach = np.sum([x for x, one in zip(sizes, model.forcing, strict=True) if one.k], axis=0)
     mean = np.sum([x[0] for x, one in zip(sizes, model.forcing, strict=True) if not one.k], axis=0)
     springs = 1.0 / np.abs(np.sum(moved[0].real * along, axis=1))
@@ -139,7 +137,10 @@ def _from(starts: Array, along: Array, model: Oscillator | System) -> Array:
 
 def _of_layers(laws: Sequence[ContactLaw], models: Sequence[Oscillator | System]) -> Iterator[str]:
     """Warnings of smooth laws without clearance, and with too large a force between the walls."""
-    forcing = max((abs(one.forcing) for one in models if isinstance(one, Oscillator)), default=0.0)
+    forcing = max(
+        (abs(one.at(one.omega_n).forcing) for one in models if isinstance(one, Oscillator)),
+        default=0.0,
+    )
     loud: dict[str, float] = {}
     wide = {}
     for law in laws:

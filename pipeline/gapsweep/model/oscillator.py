@@ -2,18 +2,23 @@
 
 The equation of motion, with `F_c` the contact force of `gapsweep.model.contact`::
 
-    x'' + (2 ζ ω_n + c/m) x' + ω_n² x + (α/m) x³ + F_c(x)/m = p_0/m + (p/m) cos(ω t)
+    x'' + (2 ζ ω_n + c/m) x' + ω_n² x + (α/m) x³ + F_c(x)/m
+        = p_0/m + (p/m + (u/m + a) ω²) cos(ω t) + (1 - s) (2 ζ ω_n + c/m) a ω sin(ω t)
+
+with an unbalance u, and a base that moves by a cos(ω t). The displacement x is relative to the
+base, to which the spring, the walls and a share s of the damping are connected.
 """
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from functools import wraps
 from inspect import signature
 from operator import index
 from typing import Any, ClassVar, TypeVar, cast
 
 from gapsweep.errors import ModelError
+from gapsweep.quantities import without_units
 
 # Within these bounds no product or quotient of model parameters overflows, not even squared
 # frequencies times ratios; they are far beyond any machine.
@@ -21,7 +26,7 @@ SMALLEST, LARGEST = 1e-50, 1e50
 
 # The numbers of an oscillator in the order of every table: first those of a classic oscillator.
 CLASSIC = ("zeta", "omega_n", "mass", "alpha", "forcing")
-OSCILLATOR = (*CLASSIC, "mean_load", "c")
+OSCILLATOR = (*CLASSIC, "mean_load", "c", "unbalance", "base_amplitude", "base_damping")
 
 
 C = TypeVar("C", bound=Callable[..., Any])
@@ -65,17 +70,19 @@ def called_as(example: str) -> Callable[[C], C]:
 
 
 def is_number(value: Any) -> bool:
-    """Whether a value is a number; text and booleans, which `float` would accept, are none."""
+    """Whether a value is a number; text, booleans and None are none."""
     kind: str = getattr(getattr(value, "dtype", None), "kind", "O")
-    return kind in "iufO" and not isinstance(value, str | bytes | bool)
+    return kind in "iufO" and not isinstance(value, str | bytes | bool | None)
 
 
 def checked(name: str, value: float, *, low: float = -math.inf, strict: bool = False) -> float:
     """Return `value` as a finite float above `low`; raise a `ModelError` that names it otherwise.
 
+    A quantity of pint becomes a number in the unit of the parameter.
     A strictly positive number (``low=0.0, strict=True``) must be at least `SMALLEST`, and no number
     may be larger than `LARGEST`.
     """
+    value = without_units(name, value)
     try:
         number = float(value) if is_number(value) else None
     except (TypeError, ValueError, OverflowError):
@@ -90,6 +97,14 @@ def checked(name: str, value: float, *, low: float = -math.inf, strict: bool = F
         raise ModelError(f"{name} = {number:g}: must be >= {low + SMALLEST:g}")
     if abs(number) > LARGEST:
         raise ModelError(f"{name} = {number:g}: must be within -{LARGEST:g}..{LARGEST:g}")
+    return number
+
+
+def share(name: str, value: float) -> float:
+    """Return `value` as a float in 0..1; raise a `ModelError` that names it otherwise."""
+    number = checked(name, value)
+    if not 0.0 <= number <= 1.0:
+        raise ModelError(f"{name} = {number:g}: must be in 0..1")
     return number
 
 
@@ -130,6 +145,14 @@ class Oscillator:
     c : float
         Viscous damping c [N s/m] in addition to `zeta`, ``>= 0``; 0 by default. `zeta` needs a
         spring.
+    unbalance : float
+        Rotating unbalance u, mass times eccentricity [kg m]: a force u ω² cos(ω t); 0 by default.
+    base_amplitude : float
+        Amplitude a of a base that moves by a cos(ω t) [m]; 0 by default. Displacements are those
+        from the base; `base` returns its displacement.
+    base_damping : float
+        Share s of the damping that is connected to the base [-], 0 to 1; 1 by default. The rest is
+        connected to the ground.
 
     Examples
     --------
@@ -160,9 +183,12 @@ class Oscillator:
     forcing: float
     mean_load: float = 0.0
     c: float = 0.0
+    unbalance: float = 0.0
+    base_amplitude: float = 0.0
+    base_damping: float = 1.0
 
     def __post_init__(self) -> None:
-        positive = ("zeta", "omega_n", "mass", "c")
+        positive = ("zeta", "omega_n", "mass", "c", "base_damping")
         for field in fields(self):
             low = 0.0 if field.name in positive else -math.inf
             value = getattr(self, field.name)
@@ -170,11 +196,48 @@ class Oscillator:
             object.__setattr__(self, field.name, value)
         if 0.0 < self.omega_n < SMALLEST:
             raise ModelError(f"omega_n = {self.omega_n:g}: must be 0 or >= {SMALLEST:g}")
+        share("base_damping", self.base_damping)
 
     @property
     def is_classic(self) -> bool:
-        """Whether the oscillator has a spring and no mean load, as the classic kernels assume."""
-        return self.omega_n > 0.0 and self.mean_load == 0.0
+        """Whether there is a spring, and all loads are in phase, as classic kernels assume."""
+        return self.omega_n > 0.0 and self.mean_load == 0.0 and not self.damper_load
+
+    @property
+    def inertial_load(self) -> float:
+        """Amplitude of the loads that grow with the square of the angular frequency [kg m]."""
+        return self.unbalance + self.mass * self.base_amplitude
+
+    @property
+    def damper_load(self) -> float:
+        """Amplitude of the load that grows with the angular frequency [N s], a quarter period late.
+
+        The damping between the mass and the ground causes it, as x is measured from the base.
+        """
+        return 2.0 * self.mass * self.decay_rate * (1.0 - self.base_damping) * self.base_amplitude
+
+    @property
+    def is_loaded(self) -> bool:
+        """Whether a load varies with time."""
+        return bool(self.forcing or self.inertial_load or self.damper_load)
+
+    def at(self, omega: float) -> "Oscillator":
+        """Return the oscillator with the loads of one frequency [Hz] as its `forcing`.
+
+        Its steady motions have the same amplitudes, and the same phase if it `is_classic`.
+        """
+        if not (self.unbalance or self.base_amplitude):
+            return self
+        rate = 2.0 * math.pi * omega
+        load, late = self.forcing + self.inertial_load * rate**2, self.damper_load * rate
+        amplitude = math.hypot(load, late) if late else load
+        return replace(self, forcing=amplitude, unbalance=0.0, base_amplitude=0.0, base_damping=1.0)
+
+    def base(self, omega: float, t: Any) -> Any:
+        """Return the displacement of the base [m] at a frequency [Hz] and times [s]."""
+        import numpy as np  # not needed to describe a model
+
+        return self.base_amplitude * np.cos(2.0 * math.pi * omega * np.asarray(t, float))
 
     @property
     def damping_ratio(self) -> float:
@@ -208,9 +271,15 @@ class Oscillator:
 
     @property
     def deflection(self) -> float:
-        """Estimate of the static displacement under the forcing [m], with the cubic stiffness."""
-        stiffness = self.mass * self.omega_n_rad**2 + math.cbrt(abs(self.alpha) * self.forcing**2)
-        return abs(self.forcing) / stiffness if stiffness else 0.0
+        """Estimate of the static displacement under the loads [m], with the cubic stiffness.
+
+        Loads that grow with the frequency move the mass as without a spring.
+        """
+        spring, free = self.mass * self.omega_n_rad**2, abs(self.inertial_load) / self.mass
+        free += abs(self.damper_load) / (2.0 * self.mass * self.decay_rate or 1.0)
+        load = abs(self.forcing) + spring * free
+        stiffness = spring + math.cbrt(abs(self.alpha) * load**2)
+        return load / stiffness if stiffness else free
 
     @property
     def omega_n_rad(self) -> float:

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gapsweep.model.oscillator import OSCILLATOR, Oscillator
-from gapsweep.model.system import Cubic, Harmonic, Lags, Modulation, System
+from gapsweep.model.system import LATE, Cubic, Harmonic, Lags, Modulation, System
 
 Array = NDArray[np.float64]
 AnyStructure: TypeAlias = "Structure | OscillatorStructure"
@@ -38,6 +38,8 @@ def general_form(oscillator: Oscillator) -> System:
         forcing=[
             Harmonic(amplitude=[o.forcing], k=1),
             Harmonic(amplitude=[o.mean_load], k=0),
+            *(Harmonic(amplitude=[u], power=2) for u in [o.inertial_load] if u),
+            *(Harmonic(amplitude=[d], power=1, phase=LATE) for d in [o.damper_load] if d),
         ],
         coordinates=o.coordinates,
     )
@@ -95,8 +97,8 @@ class Structure:
         Coordinates and first-order states.
     n_cubic : int
         Cubic springs.
-    loads : tuple of (int, bool)
-        For every load the multiple of the forcing frequency, and whether it is inertial.
+    loads : tuple of (int, int)
+        For every load the multiple of the forcing frequency, and its `Harmonic.power`.
     contacts : tuple of tuple of int
         For every contact the multiples of the forcing frequency in its periodic stiffness.
     in_metres, is_odd : bool
@@ -108,7 +110,7 @@ class Structure:
     n: int
     m: int
     n_cubic: int
-    loads: tuple[tuple[int, bool], ...]
+    loads: tuple[tuple[int, int], ...]
     contacts: tuple[tuple[int, ...], ...]
 
     @classmethod
@@ -117,7 +119,7 @@ class Structure:
             n=system.n,
             m=system.n_lags,
             n_cubic=len(system.cubic),
-            loads=tuple((load.k, load.inertial) for load in system.forcing),
+            loads=tuple((load.k, load.power) for load in system.forcing),
             contacts=tuple(
                 tuple(term.k for term in system.modulation.get(name, ()))
                 for name in system.contacts
@@ -127,7 +129,7 @@ class Structure:
     @classmethod
     def read(cls, fields: Mapping[str, Any]) -> "Structure":
         """Return the structure with these fields, read from JSON."""
-        loads = tuple((int(k), bool(inertial)) for k, inertial in fields["loads"])
+        loads = tuple((int(k), int(power)) for k, power in fields["loads"])
         contacts = tuple(tuple(map(int, each)) for each in fields["contacts"])
         sizes = {name: int(fields[name]) for name in ("n", "m", "n_cubic")}
         return cls(**sizes, loads=loads, contacts=contacts)
@@ -199,8 +201,8 @@ class Structure:
                 for along, alpha in zip(parts["cubic"], parts["alpha"].tolist(), strict=True)
             ],
             forcing=[
-                Harmonic(amplitude=amplitude, k=k, phase=phase, inertial=inertial)
-                for (k, inertial), amplitude, phase in zip(
+                Harmonic(amplitude=amplitude, k=k, phase=phase, power=power)
+                for (k, power), amplitude, phase in zip(
                     self.loads, parts["load"], parts["load_phase"].tolist(), strict=True
                 )
             ],

@@ -18,18 +18,28 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gapsweep.errors import ModelError
-from gapsweep.model.oscillator import LARGEST, SMALLEST, called_as, checked, is_number, whole
+from gapsweep.model.oscillator import (
+    LARGEST,
+    SMALLEST,
+    called_as,
+    checked,
+    is_number,
+    share,
+    whole,
+)
+from gapsweep.quantities import without_units
 from gapsweep.variables import CONTACT, COORDINATE, LAG
 
 Array = NDArray[np.float64]
 
 MAX_COORDINATES, MAX_LAGS, MAX_CONTACTS, MAX_HARMONIC = 16, 16, 8, 1000
 _STILL = 1e-12  # of the fastest rate: slower rates count as zero
+LATE = -0.5 * math.pi  # phase of a load a quarter period after another
 
 
 def array(name: str, value: ArrayLike, shape: tuple[int, ...]) -> Array:
     """Return `value` as a read-only array of this shape; raise a `ModelError` that names it."""
-    found = _numbers(name, value)
+    found = numbers(name, value)
     if found.shape != shape:
         raise ModelError(f"{name}: has the shape {found.shape}, must have {shape}")
     if not np.all(np.abs(found) <= LARGEST):
@@ -38,33 +48,28 @@ def array(name: str, value: ArrayLike, shape: tuple[int, ...]) -> Array:
     return found
 
 
-def _numbers(name: str, value: ArrayLike) -> Array:
-    """Return a copy of `value` as an array of floats; raise a `ModelError` that names it."""
-    try:
-        return floats(value)
-    except (TypeError, ValueError, OverflowError):
-        raise ModelError(f"{name} = {value!r}: must be an array of numbers") from None
+def numbers(name: str, value: Any, words: str = "an array of numbers") -> Array:
+    """Return a copy of `value` as an array of floats; raise a `ModelError` that names it.
 
-
-def floats(value: ArrayLike) -> Array:
-    """Return a copy of `value` as an array of floats.
-
-    Raises
-    ------
-    TypeError, ValueError, OverflowError
-        If an entry is no number, such as text and booleans, which numpy would accept.
+    Quantities of pint become numbers in the unit of the parameter. Text and booleans, which numpy
+    would accept, are no numbers. `words` say in the message which value is allowed.
     """
-    is_plain = getattr(getattr(value, "dtype", None), "kind", "O") != "O"  # one kind for all
-    if not all(map(is_number, [value] if is_plain else np.asarray(value, dtype=object).flat)):
-        raise TypeError("text or booleans among the numbers")
-    return np.array(value, dtype=float)
+    given = without_units(name, value)
+    is_plain = getattr(getattr(given, "dtype", None), "kind", "O") != "O"  # one kind for all
+    try:
+        if all(map(is_number, [given] if is_plain else np.asarray(given, dtype=object).flat)):
+            return np.array(given, dtype=float)
+    except (TypeError, ValueError, OverflowError):
+        pass
+    raise ModelError(f"{name} = {value!r}: must be {words}")
 
 
-def _all_of(name: str, value: Any, kind: type) -> tuple[Any, ...]:
-    """Return `value` as a tuple; raise a `ModelError` if it is no sequence of this class."""
+def _all_of(name: str, value: Any, *kinds: type) -> tuple[Any, ...]:
+    """Return `value` as a tuple; raise a `ModelError` if it is no sequence of these classes."""
     found = tuple(value) if isinstance(value, Sequence) else (None,)
-    if not all(isinstance(each, kind) for each in found):
-        raise ModelError(f"{name} = {value!r}: must be a sequence of gapsweep.{kind.__name__}(...)")
+    if not all(isinstance(each, kinds) for each in found):
+        words = " or ".join(f"gapsweep.{kind.__name__}(...)" for kind in kinds)
+        raise ModelError(f"{name} = {value!r}: must be a sequence of {words}")
     return found
 
 
@@ -83,14 +88,14 @@ class Harmonic:
     Parameters
     ----------
     amplitude : array_like, shape (n,)
-        Generalised forces [N]; if `inertial`, mass times length [kg m].
+        Generalised forces [N], or with `power` [N s] or [kg m].
     k : int
         Multiple of the forcing frequency, 0 to 1000.
     phase : float
         Phase [rad] in ``amplitude * cos(2 pi k omega t + phase)``.
-    inertial : bool
-        Whether the amplitude is multiplied by ``(2 pi k omega)²``, as for an unbalance or a moving
-        base.
+    power : int
+        The amplitude is multiplied by ``(2 pi k omega)**power``: 0, or 1 for a damper at a moving
+        base, or 2 for an unbalance and other loads of inertia.
 
     Examples
     --------
@@ -102,17 +107,111 @@ class Harmonic:
     amplitude: Any
     k: int = 1
     phase: float = 0.0
-    inertial: bool = False
+    power: int = 0
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "k", whole("k", self.k, 0, MAX_HARMONIC))
         object.__setattr__(self, "phase", checked("phase", self.phase))
-        if self.inertial and not self.k:
-            raise ModelError("inertial: a constant load (k = 0) has none")
+        object.__setattr__(self, "power", whole("power", self.power, 0, 2 if self.k else 0))
+
+    def harmonics(self, mass: Array, damping: Array) -> tuple["Harmonic", ...]:
+        """Return the load itself, as the other kinds of loads return their harmonics."""
+        return (self,)
 
     def growth(self, omega_rad: Any) -> Any:
         """Return the factor of the amplitude at an angular frequency [rad/s], or several."""
-        return (self.k * omega_rad) ** 2 if self.inertial else 1.0 + 0.0 * omega_rad
+        return (self.k * omega_rad) ** self.power + 0.0 * omega_rad
+
+
+@called_as("gs.Unbalance(along=[1.0, 0.0], unbalance=1e-3)")
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Unbalance:
+    """A rotating unbalance: a load ``unbalance (2 pi k omega)² cos(2 pi k omega t + phase) along``.
+
+    Parameters
+    ----------
+    along : array_like, shape (n,)
+        Direction of the force [-].
+    unbalance : float
+        Mass times eccentricity [kg m].
+    k, phase
+        As in `Harmonic`; a shaft that turns k times in a forcing period.
+
+    Examples
+    --------
+    >>> import gapsweep as gs
+    >>> rotor = gs.Unbalance(along=[1.0, 0.0], unbalance="20 g mm")
+    """
+
+    along: Any
+    unbalance: float
+    k: int = 1
+    phase: float = 0.0
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "unbalance", checked("unbalance", self.unbalance))
+
+    def harmonics(self, mass: Array, damping: Array) -> tuple[Harmonic, ...]:
+        """Return the load as harmonics, for matrices of a system."""
+        amplitude = self.unbalance * array("unbalance: along", self.along, mass.shape[:1])
+        return (Harmonic(amplitude=amplitude, k=self.k, phase=self.phase, power=2),)
+
+
+@called_as("gs.BaseMotion(along=[1.0, 1.0], base_amplitude=1e-3)")
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class BaseMotion:
+    """A base that moves by ``base_amplitude cos(2 pi k omega t + phase)``, as loads.
+
+    The coordinates of the system are relative to the base: coordinate i has the absolute
+    displacement ``q_i + along_i y``, with the displacement y of the base. All springs and contacts
+    to the surroundings are connected to the base.
+
+    Parameters
+    ----------
+    along : array_like, shape (n,)
+        Displacement of every coordinate in a rigid motion with the base, over that of the base [-]:
+        1 for each displacement in its direction.
+    base_amplitude : float
+        Amplitude [m].
+    base_damping : float
+        Share of the damping that is connected to the base [-], 0 to 1; the rest is connected to the
+        ground.
+    k, phase
+        As in `Harmonic`.
+
+    Examples
+    --------
+    >>> import gapsweep as gs
+    >>> base = gs.BaseMotion(along=[1.0, 1.0], base_amplitude="0.5 mm")
+    >>> base.at(10.0, 0.1).tolist()  # on both coordinates, after a period
+    [0.0005, 0.0005]
+    """
+
+    along: Any
+    base_amplitude: float
+    base_damping: float = 1.0
+    k: int = 1
+    phase: float = 0.0
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "base_amplitude", checked("base_amplitude", self.base_amplitude))
+        object.__setattr__(self, "base_damping", share("base_damping", self.base_damping))
+        object.__setattr__(self, "along", numbers("base: along", self.along))
+
+    def harmonics(self, mass: Array, damping: Array) -> tuple[Harmonic, ...]:
+        """Return the loads on relative coordinates as harmonics, for matrices of a system."""
+        moved = self.base_amplitude * array("base: along", self.along, mass.shape[:1])
+        inertia = Harmonic(amplitude=mass @ moved, k=self.k, phase=self.phase, power=2)
+        late = (1.0 - self.base_damping) * (damping @ moved)
+        if not late.any():
+            return (inertia,)
+        return inertia, Harmonic(amplitude=late, k=self.k, phase=self.phase + LATE, power=1)
+
+    def at(self, omega: float, t: ArrayLike) -> Array:
+        """Return absolute less relative displacements at a frequency [Hz], shape (..., n)."""
+        turns = 2.0 * math.pi * self.k * omega * np.asarray(t, float)
+        moved: Array = np.multiply.outer(np.cos(turns + self.phase), self.along)
+        return self.base_amplitude * moved
 
 
 @called_as("gs.Cubic(along=[1.0, -1.0], alpha=7e8)")
@@ -211,8 +310,9 @@ class System:
     contacts : mapping of str to array_like, shape (n,)
         Direction b of every contact, by name: the contact has the displacement ``b·q``.
     cubic : sequence of Cubic
-    forcing : sequence of Harmonic
-        Loads; a system without loads of ``k >= 1`` and without `modulation` is unforced.
+    forcing : sequence of Harmonic, Unbalance or BaseMotion
+        Loads, kept as harmonics; a system without loads of ``k >= 1`` and without `modulation` is
+        unforced.
     modulation : mapping of str to sequence of Modulation
         Periodic stiffness of contacts, by name.
     lags : Lags, optional
@@ -243,13 +343,13 @@ class System:
     damping: Any = None
     contacts: Mapping[str, Any] = field(default_factory=dict)
     cubic: Sequence[Cubic] = ()
-    forcing: Sequence[Harmonic] = ()
+    forcing: Sequence[Any] = ()
     modulation: Mapping[str, Sequence[Modulation]] = field(default_factory=dict)
     lags: Lags | None = None
     coordinates: Sequence[str] = ()
 
     def __post_init__(self) -> None:
-        mass = _numbers("mass", self.mass)
+        mass = numbers("mass", self.mass)
         if mass.ndim != 2:
             raise ModelError(f"mass: has the shape {mass.shape}, must be n rows of n columns")
         n = len(mass)
@@ -267,8 +367,9 @@ class System:
                 raise ModelError(f"contact {name!r}: its direction must not be zero")
         self._set("contacts", directions)
         self._set("cubic", tuple(_along(each, n) for each in _all_of("cubic", self.cubic, Cubic)))
-        loads = _all_of("forcing", self.forcing, Harmonic)
-        self._set("forcing", tuple(_loaded(load, n) for load in loads))
+        loads = _all_of("forcing", self.forcing, Harmonic, Unbalance, BaseMotion)
+        several = (load.harmonics(self.mass, self.damping) for load in loads)
+        self._set("forcing", tuple(_loaded(load, n) for some in several for load in some))
         terms = {
             k: _all_of(f"modulation of {k!r}", each, Modulation)
             for k, each in _named("modulation", self.modulation).items()
@@ -374,12 +475,10 @@ class System:
         """Estimate the largest static displacement under all loads [m], scaled as by `unit`.
 
         `walls` is a stiffness matrix [N/m] that is added. Cubic springs are left out if there are
-        several coordinates; an inertial load moves a free mass.
+        several coordinates; a load that grows with the frequency moves a free mass.
         """
-        matrices = self.stiffness + walls, self.mass
-        places = [
-            np.linalg.lstsq(matrices[load.inertial], load.amplitude)[0] for load in self.forcing
-        ]
+        matrices = self.stiffness + walls, self.damping, self.mass
+        places = [np.linalg.lstsq(matrices[load.power], load.amplitude)[0] for load in self.forcing]
         scale = np.sqrt(np.diag(self.mass).min() / np.diag(self.mass))
         length = sum(float((np.abs(place) / scale).max()) for place in places)
         if self.n == 1 and self.cubic:
@@ -449,14 +548,15 @@ def _along(cubic: Cubic, n: int) -> Cubic:
 
 
 def _loaded(load: Harmonic, n: int) -> Harmonic:
-    amplitude = array("forcing: amplitude", load.amplitude, (n,))
+    name = f"forcing: amplitude at power {load.power}" if load.power else "forcing: amplitude"
+    amplitude = array(name, load.amplitude, (n,))
     return replace(load, amplitude=amplitude)
 
 
 def _lags(lags: Any, n: int) -> Lags:
     if not isinstance(lags, Lags):
         raise ModelError(f"lags = {lags!r}: must be a gapsweep.Lags(...)")
-    of_lags = _numbers("lags: of_lags", lags.of_lags)
+    of_lags = numbers("lags: of_lags", lags.of_lags)
     m = whole(
         "number of lags (rows of of_lags)", of_lags.shape[0] if of_lags.ndim else 0, 1, MAX_LAGS
     )

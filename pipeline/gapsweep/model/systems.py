@@ -377,7 +377,7 @@ def gear_pair(
     """
     loads = [Harmonic(amplitude=[checked("mean_load", mean_load)], k=0)]
     for k, error in enumerate(errors, 1):
-        loads.append(Harmonic(amplitude=[checked("errors", error)], k=k, inertial=True))
+        loads.append(Harmonic(amplitude=[checked("errors", error)], k=k, power=2))
     return System(
         mass=[[1.0]],
         damping=[[2.0 * checked("zeta", zeta, low=0.0)]],

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from gapsweep.errors import ModelError
 from gapsweep.model.contact import ContactLaw, checked_gap
 from gapsweep.model.oscillator import LARGEST, Gap, called_as, checked
-from gapsweep.model.system import floats
+from gapsweep.model.system import numbers
 
 Array = NDArray[np.float64]
 
@@ -193,10 +193,7 @@ class ForceTable(ContactLaw):
 
 
 def _column(name: str, values: ArrayLike) -> Array:
-    try:
-        found = floats(values)
-    except (TypeError, ValueError, OverflowError):
-        raise ModelError(f"{name} = {values!r}: must be a list of numbers") from None
+    found = numbers(name, values, "a list of numbers")
     if found.ndim != 1 or not 2 <= found.size <= MAX_POINTS:
         raise ModelError(
             f"{name}: has the shape {found.shape}, must be one column of 2 to {MAX_POINTS} numbers"

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from gapsweep.errors import ModelError, described
 from gapsweep.model.contact import ContactLaw
 from gapsweep.model.oscillator import NO_LOSS, called_as, checked
+from gapsweep.quantities import without_units
 from gapsweep.user_code.load import blame, plain
 
 Array = NDArray[np.float64]
@@ -84,7 +85,8 @@ class UserLaw(ContactLaw):
                 f"function of x and of up to {MOST_PARAMETERS} numbers with values, as "
                 f"gs.law(function, K_c, gap, n=1.5) or n = 1.5 in [parameters]; {NO_LOSS}"
             )
-        return {name: checked(name, self.parameters[name]) for name in names}
+        numbers = {name: without_units(name, self.parameters[name], "") for name in names}
+        return {name: checked(name, number) for name, number in numbers.items()}
 
     def _refuse_jumps(self) -> None:
         """Raise a `ModelError` if the force jumps; bisection locates jumps."""

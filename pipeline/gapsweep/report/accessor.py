@@ -15,6 +15,7 @@ from gapsweep.analysis.dimensions import selected
 from gapsweep.errors import DatasetError
 from gapsweep.report import backdrop, contacts, drawing, dynamics, maps, marks
 from gapsweep.report import branch_lines as of_branches
+from gapsweep.report.continued import with_absolute
 from gapsweep.report.drawing import labels_of
 from gapsweep.report.dynamics import CURVES, WORDS
 from gapsweep.report.labelled import axes_of, axis_of, finished, loglog, scene_along, titled
@@ -63,6 +64,14 @@ class GapsweepAccessor:
 
     def _repr_html_(self) -> str:
         return as_html(self._dataset)
+
+    def with_absolute(self) -> xr.Dataset:
+        """The responses with `absolute_max` and `absolute_min` [m] of oscillators on a moving base.
+
+        Displacements of a response are relative to the base. Every response is simulated once more
+        from its section.
+        """
+        return with_absolute(self._dataset)
 
     def to_dataframe(self) -> Any:
         """The sweep points as a `pandas.DataFrame`, a row each, without extrema and sections.
@@ -361,12 +370,14 @@ def _numbers(
 
 def _basins(found: xr.Dataset, ax: "Axes | None") -> "Axes":
     """Draw `basins` as a map; up to 8 attractors are named by their periods and peaks."""
-    names = drawing.attractor_names(found["period_multiple"], found["x_max"])
+    peaks = found["x_max"].isel({COORDINATE: 0}, missing_dims="ignore")
+    names = drawing.attractor_names(found["period_multiple"], peaks)
     if len(names) <= maps.MOST_KINDS:
         words = " ".join(name.replace(" ", "_") for name in names)
         about = {"flag_values": np.arange(len(names)), "flag_meanings": words}
         found = found.assign(attractor=found["attractor"].assign_attrs(about))
-    picture, shown = maps.picture(found, "attractor", "x_0", "v_0", {})
+    y, x = map(str, found["attractor"].dims)
+    picture, shown = maps.picture(found, "attractor", x, y, {})
     axes = axes_of(ax)
     maps.draw(axes, picture)
     return titled(axes, shown)

@@ -19,31 +19,17 @@ from gapsweep.status import Status
 
 _WIDTH = 9.5  # inches, the report's column
 _COLUMNS = 3
-# From best to worst: a cell of the atlas shows the worst of its runs.
-_SEVERITY = (
-    CellOutcome.NOT_REQUESTED,
-    CellOutcome.RIGHT,
-    CellOutcome.MODEL_ERROR,
-    CellOutcome.UNDECIDED,
-    CellOutcome.FAILED,
-    CellOutcome.SILENT_WRONG,
-)
+# Letter, words and colour, from best to worst: a cell of the atlas shows the worst of its runs.
+_OUTCOMES = {
+    CellOutcome.NOT_REQUESTED: ("", "blank: not run", "#ffffff"),
+    CellOutcome.RIGHT: ("R", "R: right", "#cfe8dc"),
+    CellOutcome.MODEL_ERROR: ("M", "M: law differs from the exact one", "#f3d08a"),
+    CellOutcome.UNDECIDED: ("?", "?: undecided", "#d5d5d5"),
+    CellOutcome.FAILED: ("", "ended with a status", "#9fd0f0"),
+    CellOutcome.SILENT_WRONG: ("!", "!: wrong without a warning", NUMBERED[1]),
+}
+_SEVERITY = list(_OUTCOMES)
 _RANK = np.array([_SEVERITY.index(outcome) for outcome in CellOutcome])
-_SHADES = ("#ffffff", "#cfe8dc", "#f3d08a", "#d5d5d5", "#9fd0f0", NUMBERED[1])
-_LETTERS = {
-    CellOutcome.NOT_REQUESTED: "",
-    CellOutcome.RIGHT: "R",
-    CellOutcome.MODEL_ERROR: "M",
-    CellOutcome.UNDECIDED: "?",
-    CellOutcome.SILENT_WRONG: "!",
-}
-_WORDS = {
-    CellOutcome.NOT_REQUESTED: "blank: not run",
-    CellOutcome.RIGHT: "right",
-    CellOutcome.MODEL_ERROR: "law differs from the exact one",
-    CellOutcome.UNDECIDED: "undecided",
-    CellOutcome.SILENT_WRONG: "wrong without a warning",
-}
 STATUS_LETTERS = {
     "out of fit range": "O",
     "diverged": "D",
@@ -132,7 +118,8 @@ def tolerance_figure(bench: xr.Dataset) -> Figure:
     return figure
 
 
-def _in_range(stability: xr.Dataset, *, tight: bool) -> xr.DataArray:
+def in_range(stability: xr.Dataset, *, tight: bool) -> xr.DataArray:
+    """Mask of the runs at tight tolerances, or at loose ones."""
     limit = stability.attrs["tight_rtol"] * 1.01
     rtol: xr.DataArray = stability["rtol"]
     return xr.DataArray(rtol <= limit if tight else rtol > limit)
@@ -141,7 +128,7 @@ def _in_range(stability: xr.Dataset, *, tight: bool) -> xr.DataArray:
 def worst(stability: xr.Dataset, *, tight: bool) -> xr.DataArray:
     """Worst outcome over the tight or the loose tolerances, per scenario and method."""
     ranked = stability["outcome"].transpose("scene", "method", "tolerance")
-    counts = _in_range(stability, tight=tight).transpose("method", "tolerance").values
+    counts = in_range(stability, tight=tight).transpose("method", "tolerance").values
     ranks = np.where(counts, _RANK[ranked.values - min(CellOutcome)], 0).max(axis=-1)
     found: xr.DataArray = ranked.isel(tolerance=0).copy(data=np.array(_SEVERITY)[ranks])
     return found
@@ -154,13 +141,16 @@ def atlas(stability: xr.Dataset, *, tight: bool) -> Figure:
     figure = Figure(figsize=(_WIDTH, 2.1 + 0.24 * n_scenes), layout="constrained")
     axes = figure.subplots()
     ranks = _RANK[outcome.values - min(CellOutcome)]
-    axes.imshow(ranks, cmap=ListedColormap(_SHADES), vmin=0, vmax=len(_SHADES) - 1, aspect="auto")
-    chosen = _in_range(stability, tight=tight)
+    shades = ListedColormap([shade for _, _, shade in _OUTCOMES.values()])
+    axes.imshow(ranks, cmap=shades, vmin=0, vmax=len(_OUTCOMES) - 1, aspect="auto")
+    chosen = in_range(stability, tight=tight)
     for s in range(n_scenes):
         for m in range(n_methods):
             what = CellOutcome(outcome.values[s, m])
             status = stability["status"].where(chosen, 0).isel(scene=s).isel(method=m).max()
-            letter = _letter(int(status)) if what is CellOutcome.FAILED else _LETTERS[what]
+            word = Status(int(status)).label.replace("_", " ")
+            failed = what is CellOutcome.FAILED
+            letter = STATUS_LETTERS.get(word, "F") if failed else _OUTCOMES[what][0]
             bold = "bold" if what is CellOutcome.SILENT_WRONG else "normal"
             axes.text(m, s, letter, ha="center", va="center", fontsize=8, fontweight=bold)
     axes.set_xticks(range(n_methods), outcome["method"].values.tolist(), rotation=60, ha="left",
@@ -176,14 +166,9 @@ def atlas(stability: xr.Dataset, *, tight: bool) -> Figure:
     axes.spines[:].set_visible(False)
     ended = ", ".join(f"{letter}: {words}" for words, letter in STATUS_LETTERS.items())
     axes.set_xlabel(f"Ended with a status: {ended}", fontsize=8)
-    names = {o: f"{_LETTERS[o]}: {words}".removeprefix(": ") for o, words in _WORDS.items()}
     patches = [
-        Patch(facecolor=shade, edgecolor="#999999", label=names.get(outcome, "ended with a status"))
-        for outcome, shade in zip(_SEVERITY, _SHADES, strict=True)
+        Patch(facecolor=shade, edgecolor="#999999", label=words)
+        for _, words, shade in _OUTCOMES.values()
     ]
     figure.legend(handles=patches, loc="outside lower center", ncols=3, fontsize=8)
     return figure
-
-
-def _letter(status: int) -> str:
-    return STATUS_LETTERS.get(Status(status).label.replace("_", " "), "F")

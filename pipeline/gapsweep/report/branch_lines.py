@@ -155,6 +155,20 @@ def behind(
         name_points(axes, branches, along, heights[0])
 
 
+def unstable(
+    found: xr.Dataset | None, here: xr.Dataset, along: str, height: str
+) -> Iterator[Marks]:
+    """Unstable orbits of one representation as dashed lines in its colour."""
+    branches = of_scene(found, here, along, height)
+    if branches is not None:
+        label = str(np.ravel(here[REPRESENTATION].values)[0])
+        look: dict[str, Any] = {"colour": colour(label), "size": 0.9, "dashes": "--"}
+        for _, is_stable, part in lines(branches, along, height):
+            if not is_stable:
+                about = {"series": f"{label}, unstable", "sets": False, "zorder": 1.8}
+                yield marks.line(x=part[:, 0], y=part[:, 1], **look, **about)
+
+
 def on_no_branch(found: xr.Dataset) -> NDArray[np.bool_]:
     """Whether each attractor lies on no branch; false in cases of a study that failed."""
     is_lost = found["attractor_on_branch"].values < 0

@@ -88,28 +88,27 @@ def along_axis(
     along: str,
     where: str,
     *,
-    has_curve: bool,
     of_starts: str = "",
     of_attractors: str = "",
 ) -> Iterator[Figured]:
-    """Figures over one axis: amplitude, extrema, attractors.
+    """Figures over one axis: extrema, and attractors or else amplitudes.
+
+    Lines of amplitudes from several initial conditions would cross between attractors.
 
     Parameters
     ----------
     scene : Dataset
         Responses with dimensions representation, `along`, initial_condition.
     attractors : Dataset or None
-        Their attractors, with dimensions representation, `along`, attractor; None draws none.
+        Their attractors, with dimensions representation, `along`, attractor.
     branches : Dataset or None
         ``branches.nc``, drawn behind the dots.
     where : str
         The parameters, in words.
-    has_curve : bool
-        Whether amplitudes are drawn: lines of several initial conditions cross between attractors.
     of_starts, of_attractors : str
         The initial conditions of the extrema and of the attractors, in words.
     """
-    if has_curve:
+    if attractors is None:
         caption = "Amplitude (half the range) of the steady response, broken at jumps"
         figure = frequency_response(scene, along)
         yield Figured(figure, f"{caption}: {where}.", f"Amplitude, {where}")

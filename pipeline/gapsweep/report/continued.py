@@ -7,11 +7,12 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from gapsweep.analysis.dimensions import Array
+from gapsweep.analysis.dimensions import Array, point_dims
 from gapsweep.errors import DatasetError
 from gapsweep.integrate.simulate import motion_of
 from gapsweep.integrate.trajectory import SystemTrajectory, Trajectory
 from gapsweep.report.selection import scene
+from gapsweep.response.absolute import N_PERIODS, extremes
 from gapsweep.study.axis_selection import listed, positions
 from gapsweep.study.grid import CONTACT, COORDINATE, LAG, START, Grid
 from gapsweep.study.study import Study
@@ -85,6 +86,32 @@ def motions(
             at = tuple(there[row].tolist())
             n = int(multiple[at]) if once and multiple[at] > 0 else n_periods
             yield at, motion_of(models.take([number]), points.kind.solver, states[at], n)
+
+
+def with_absolute(dataset: xr.Dataset) -> xr.Dataset:
+    """Return responses with `absolute_max` and `absolute_min` of oscillators on a moving base.
+
+    Every response is simulated once more from its section.
+
+    Raises
+    ------
+    DatasetError
+        If the dataset lacks the study, or its models are systems.
+    """
+    study = _study(dataset)
+    if not study.model.is_oscillator:
+        raise DatasetError("with_absolute: a system does not hold its base; use gs.BaseMotion.at")
+    dims = point_dims(dataset)
+    base = dataset.coords.get("base_amplitude", xr.DataArray(study.oscillator.base_amplitude))
+    moved = base.broadcast_like(dataset["status"]).transpose(*dims).values
+    found = np.full((2, *dataset["status"].shape), np.nan)
+    for at, run in motions(dataset, dims, {}, N_PERIODS):
+        found[0][at], found[1][at] = extremes(run, float(moved[at]))
+    words = {"absolute_min": "trough", "absolute_max": "peak"}
+    for (name, word), values in zip(words.items(), found, strict=True):
+        about = {"units": "m", "long_name": f"{word} of the absolute displacement"}
+        dataset = dataset.assign({name: (dims, values, about)})
+    return dataset
 
 
 def weights(run: Trajectory, shown: xr.Dataset, variable: str) -> Array:

@@ -104,7 +104,9 @@ def special_curves(curves: xr.Dataset, here: xr.Dataset, along: str, second: str
     return _grid(here, along, branch_lines.label(curves[second]), lines)
 
 
-def compared_with_exact(scene: xr.Dataset, exact: str, titles: Mapping[str, str]) -> Figure:
+def compared_with_exact(
+    scene: xr.Dataset, exact: str, titles: Mapping[str, str], continued: xr.Dataset | None = None
+) -> Figure:
     """Peaks of laws in front of the exact law's, which show in black if missed; a panel per law.
 
     Parameters
@@ -115,6 +117,8 @@ def compared_with_exact(scene: xr.Dataset, exact: str, titles: Mapping[str, str]
         Label of the exact law.
     titles : mapping of str to str
         Title of the panel of each law.
+    continued : Dataset, optional
+        ``branches.nc``; unstable orbits are drawn behind.
     """
     figure = Figure(figsize=(_WIDTH, 2.3), layout="constrained")
     panels = figure.subplots(1, len(titles), sharex=True, sharey=True, squeeze=False)[0]
@@ -124,6 +128,8 @@ def compared_with_exact(scene: xr.Dataset, exact: str, titles: Mapping[str, str]
     for axes, (label, title) in zip(panels, titles.items(), strict=True):
         marks.put(axes, backdrop.walls(scene, of_peaks=True))
         law = scene.sel(representation=label)
+        for one in (scene.sel(representation=exact), law):
+            marks.put(axes, branch_lines.unstable(continued, one, "omega", "x_max"))
         for one, size in zip((_where_asked(law, scene, exact), law), sizes, strict=True):
             marks.put(axes, drawing.peaks(one, size, low, high))
         axes.set_title(title, fontsize=9, loc="left")

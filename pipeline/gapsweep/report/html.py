@@ -105,7 +105,7 @@ def _files(
 
 
 def _script(name: str) -> Markup:
-    """A script of the package, without user texts."""
+    # Without texts of users.
     return Markup((_TEMPLATES / f"{name}.js").read_text(encoding="utf-8"))
 
 

@@ -2,12 +2,16 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import xarray as xr
 
+from gapsweep.analysis.dimensions import in_metres
+from gapsweep.report.verdicts import Contact, contacts
 
-@dataclass(frozen=True, slots=True, eq=False)
+
+@dataclass(frozen=True, eq=False)
 class Inputs:
     """Files of a run by name without suffix: datasets, and the contents of JSON files.
 
@@ -43,3 +47,13 @@ class Inputs:
     curves: xr.Dataset | None = None
     claims: Mapping[str, Any] | None = None
     sections: Sequence[Mapping[str, Any]] | None = None
+
+    @cached_property
+    def cases(self) -> list[Contact]:
+        """Cases of the study with the verdicts on its laws; empty without the exact law.
+
+        Empty for systems, too: the rules are for one displacement between two walls.
+        """
+        if self.agreement is None or not in_metres(self.responses):
+            return []
+        return contacts(self.agreement, self.static)

@@ -77,7 +77,7 @@ def for_page(parts: Iterable[Mapping[str, Any]], most: int, folder: str) -> list
     made: list[dict[str, Any]] = []
     used = set[str]()
     for part in parts:
-        figures = [_shown(each) for each in part["figures"] if _is_sound(each)]
+        figures = [_shown(each) for each in part["figures"] if is_picture(each.get("svg", ""))]
         for figure in figures:
             name = (figure.get("name") or part["anchor"]).removeprefix("Fig. ")
             figure["id"] = _unused("figure", name, used)
@@ -111,7 +111,3 @@ def _shown(figure: Mapping[str, str]) -> dict[str, Any]:
             files[kind] = unpacked(figure[kind])
     data = files.pop("json", b"").decode()
     return {**figure, **size(figure["svg"]), "data": data, "files": files}
-
-
-def _is_sound(figure: Mapping[str, str]) -> bool:
-    return is_picture(figure.get("svg", ""))

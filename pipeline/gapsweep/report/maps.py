@@ -206,7 +206,6 @@ def draw(axes: "Axes", shown: MapImage) -> None:
 
 
 def _hatch(axes: "Axes", shown: MapImage) -> None:
-    """Hatch the failed cells of a map."""
     from matplotlib.colors import ListedColormap
 
     if _FAILED in shown.names:

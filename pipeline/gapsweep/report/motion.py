@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from io import BytesIO
+from typing import Any
 
 import numpy as np
 from matplotlib import rc_context
@@ -11,10 +13,14 @@ from matplotlib.figure import Figure
 from gapsweep.analysis.dimensions import Array
 from gapsweep.analysis.spectra import spectrum
 from gapsweep.errors import ModelError
+from gapsweep.integrate.problem import Model
+from gapsweep.integrate.simulate import simulate
 from gapsweep.integrate.trajectory import SystemTrajectory, Trajectory
 from gapsweep.model.contact import ContactLaw
 from gapsweep.report import marks
 from gapsweep.report.style import MATPLOTLIB, NOT_PERIODIC, WALL
+from gapsweep.response.result import Response
+from gapsweep.variables import objects
 
 _PER_PERIOD = 512  # samples per period: resolves harmonics up to the 256th
 _MOST_PERIODS = 256
@@ -23,10 +29,12 @@ _N_PERIODS = 16  # last periods, shown by the history
 _FLOOR = 1e-6  # smallest amplitude shown, relative to the largest
 _WORTH = 1e-3  # relative amplitude; the axis ends at twice the highest frequency with it
 _MM = 1e3
+_STEADY_PERIODS = 64  # of the motion drawn for a steady response
+_SETTINGS = ("oscillator", "law", "omega", "engine", "rtol", "atol")
 _SECTIONS = {True: "Stroboscopic section", False: "Section at maxima of the first coordinate"}
 
 
-class _Picture(Figure):
+class Picture(Figure):
     """A figure that a notebook shows without pyplot, which would show it twice."""
 
     def _repr_png_(self) -> bytes:
@@ -35,23 +43,26 @@ class _Picture(Figure):
         return file.getvalue()
 
 
-def plot(run: Trajectory, coordinate: str | None = None, *, start: float | None = None) -> Figure:
+def plot(
+    run: Trajectory | Response, coordinate: str | None = None, *, start: float | None = None
+) -> Figure:
     """Draw a motion: its history, phase portrait, stroboscopic section and amplitude spectrum.
 
     Dashed: the walls; for systems, only those of contacts on that coordinate.
 
     Parameters
     ----------
-    run : Trajectory
-        One motion, simulated with ``dense_output=True``.
+    run : Trajectory or Response
+        One motion, simulated with ``dense_output=True``, or one steady response, of which the
+        motion from its last section point is simulated.
     coordinate : str, optional
         Name of a coordinate of a system (None: the first), or of a contact for its relative
         displacement.
     start : float, optional
-        First time [s] that is shown, at most the last 256 periods; the middle of the run if None,
-        to leave out most of the transient. The history shows the last sixteen periods. The
-        spectrum is over whole periods: forcing periods, or of unforced systems mean times between
-        maxima of the first coordinate; with fewer than two, over the whole time shown.
+        First time [s] that is shown, at most the last 256 periods; the middle of a run if None, to
+        leave out most of the transient. The history shows the last sixteen periods. The spectrum is
+        over whole periods: forcing periods, or of unforced systems mean times between maxima of the
+        first coordinate; with fewer than two, over the whole time shown.
 
     Returns
     -------
@@ -61,8 +72,8 @@ def plot(run: Trajectory, coordinate: str | None = None, *, start: float | None 
     Raises
     ------
     ModelError
-        If `run` is an array of motions or has no dense output, the coordinate does not exist, or
-        `start` is outside the run.
+        If `run` is an array, a failed response or a motion without dense output, the coordinate
+        does not exist, or `start` is outside the run.
 
     Examples
     --------
@@ -74,6 +85,8 @@ def plot(run: Trajectory, coordinate: str | None = None, *, start: float | None 
     >>> len(figure.axes)
     4
     """
+    if isinstance(run, Response):
+        run, start = _steady_motion(run), 0.0 if start is None else start
     along, name, scale, unit = _quantity(run, coordinate)
     start = 0.5 * (run.t_0 + run.t_end) if start is None else start
     if not run.t_0 <= start < run.t_end:
@@ -86,7 +99,7 @@ def plot(run: Trajectory, coordinate: str | None = None, *, start: float | None 
     at_end = t >= run.t_end - _N_PERIODS * period
     labels = f"{name}{unit}", f"velocity{unit.replace(']', '/s]')}"
     with rc_context(MATPLOTLIB):
-        figure = _Picture(figsize=(9.0, 6.0))
+        figure = Picture(figsize=(9.0, 6.0))
         (history, phase), (section, lines) = figure.subplots(2, 2)
         marks.put(history, [marks.line(x=t[at_end], y=x[at_end], size=0.8)])
         ended = "" if t[at_end][0] <= run.t_0 else " (end)"
@@ -106,12 +119,33 @@ def plot(run: Trajectory, coordinate: str | None = None, *, start: float | None 
             highest = 2.0 * frequency[amplitude > _WORTH * largest].max()
             lines.set(yscale="log", ylim=(_FLOOR * largest, 2.0 * largest))
             lines.set_xlim(0.0, min(max(highest, 10.0 * frequency[1]), frequency[-1]))
-        for wall in _walls(run, along):  # they set no axis: they may be far away
+        for wall in walls(
+            objects(run.inputs["oscillator"]).item(), run.laws, along
+        ):  # they set no axis: they may be far away
             look = {"sets": False, **WALL}
             marks.put(history, [marks.level(y=scale * wall, **look)])
             for axes in (phase, section):
                 marks.put(axes, [marks.level(x=scale * wall, **look)])
     return figure
+
+
+def _steady_motion(found: Response) -> Trajectory:
+    """The motion of a steady response, from its last section point."""
+    if np.ndim(found.status):
+        raise ModelError(
+            "run: an array of responses; found.to_dataset().gapsweep.bifurcation() draws them"
+        )
+    if not np.isfinite(found.x_end).all():
+        raise ModelError(f"run: a response without a steady motion ({found.status.label})")
+    call: dict[str, Any] = {name: found.inputs[name] for name in _SETTINGS}
+    call |= {"q_0" if "q_0" in found.inputs else "x_0": found.x_end, "v_0": found.v_end}
+    if "z_0" in found.inputs:
+        call["z_0"] = found.z_end
+    if call["omega"] is not None:
+        return simulate(**call, n_periods=_STEADY_PERIODS, dense_output=True)
+    is_periodic = np.isfinite(found.period)
+    t_end = _STEADY_PERIODS * found.period if is_periodic else found.t_simulated
+    return simulate(**call, t_end=t_end, dense_output=True)
 
 
 def _periods(run: Trajectory, start: float) -> tuple[float, int]:
@@ -142,12 +176,10 @@ def _quantity(run: Trajectory, coordinate: str | None) -> tuple[Array, str, floa
     return np.asarray(known[name]), name, 1.0, f" [unit of {name}]"
 
 
-def _walls(run: Trajectory, along: Array) -> list[float]:
+def walls(model: Model, laws: Sequence[ContactLaw], along: Array) -> list[float]:
     """Positions of walls along the drawn displacement, of contacts parallel to it."""
-    if not isinstance(run, SystemTrajectory):
-        return _both(1.0, run.laws[0])
     found = []
-    for direction, law in zip(run.system.directions, run.laws, strict=True):
+    for direction, law in zip(np.reshape(model.directions, (-1, along.size)), laws, strict=True):
         factor = direction @ along / (along @ along)
         if factor and np.allclose(direction, factor * along):
             found += _both(float(factor), law)

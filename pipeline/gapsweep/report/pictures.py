@@ -42,10 +42,12 @@ def pictures(figure: Figure) -> dict[str, str]:
     texts: list[Any] = figure.findobj(Text)
     for text in texts:
         text.set_fontsize(max(_SMALLEST, text.get_fontsize()))
-    picture = svg(figure)
+    buffer = io.StringIO()
+    with rc_context(_AS_TEXT):
+        figure.savefig(buffer, format="svg", metadata=_NO_METADATA)
     figure.clear()  # reference cycles would keep the data of every figure in memory
     files = {kind: packed(h) for kind, h in zip(PACKED, numbers, strict=True) if h}
-    return {"svg": picture, **files}
+    return {"svg": buffer.getvalue(), **files}
 
 
 def packed(data: bytes) -> str:
@@ -56,14 +58,6 @@ def packed(data: bytes) -> str:
 def unpacked(text: str) -> bytes:
     """Bytes of a file from its text as of `packed`."""
     return zlib.decompress(base64.b64decode(text))
-
-
-def svg(figure: Figure) -> str:
-    """A figure as SVG; equal data give equal text."""
-    buffer = io.StringIO()
-    with rc_context(_AS_TEXT):
-        figure.savefig(buffer, format="svg", metadata=_NO_METADATA)
-    return buffer.getvalue()
 
 
 def size(picture: str) -> dict[str, Any]:

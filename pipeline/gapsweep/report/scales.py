@@ -10,9 +10,10 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from gapsweep.quantities import written
 from gapsweep.study.axis_selection import is_numeric
 from gapsweep.study.grid import CONTACT, COORDINATE
-from gapsweep.study.schema import PARAMETER, VARIABLES, parts_of, written
+from gapsweep.study.schema import PARAMETER, VARIABLES, parts_of
 
 _WIDE = 30.0  # smallest ratio of largest to smallest value for a logarithmic axis
 _APART = 1.05  # smallest ratio of neighbouring values in a geometric series
@@ -20,14 +21,9 @@ _APART = 1.05  # smallest ratio of neighbouring values in a geometric series
 _IN_MILLIMETRES = {"m": "mm", "m s-1": "mm/s"}
 
 
-def factor(variable: xr.DataArray) -> float:
-    """Factor from stored to drawn values: 1000 for lengths in metres, drawn in millimetres."""
-    return shown_unit(variable)[0]
-
-
 def drawn(variable: xr.DataArray) -> NDArray[np.float64]:
     """Values of a variable in drawn units."""
-    return np.asarray(variable.values * factor(variable), dtype=float)
+    return np.asarray(variable.values * shown_unit(variable)[0], dtype=float)
 
 
 def long_name(variable: xr.DataArray) -> str:
@@ -121,7 +117,7 @@ def _is_geometric(values: NDArray[np.float64]) -> bool:
 
 
 def shown_unit(variable: xr.DataArray) -> tuple[float, str]:
-    """Factor and unit in which a variable is drawn."""
+    """Factor from stored to drawn values (1000 for lengths in metres), and the drawn unit."""
     units = str(variable.attrs.get("units", "1"))
     is_length = units in _IN_MILLIMETRES
     return (1e3, _IN_MILLIMETRES[units]) if is_length else (1.0, written(units))

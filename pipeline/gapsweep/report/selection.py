@@ -71,13 +71,9 @@ def places(dataset: xr.Dataset) -> list[str]:
     # The label of a gap holds both distances.
     walls = ("j_1", "j_2") if "gap" in dataset.coords else ()
     ours = [name for name in _PLACE if name in dataset.coords and name not in walls]
-    others = [str(name) for name, held in dataset.coords.items() if _is_parameter(held)]
-    return [*dict.fromkeys(ours + others)]
-
-
-def _is_parameter(coordinate: xr.DataArray) -> bool:
-    """Whether a coordinate is a parameter of a user's system."""
-    return str(coordinate.attrs.get("long_name", "")).startswith(f"{PARAMETER} ")
+    words = {str(name): held.attrs.get("long_name", "") for name, held in dataset.coords.items()}
+    of_system = [name for name, text in words.items() if str(text).startswith(f"{PARAMETER} ")]
+    return [*dict.fromkeys(ours + of_system)]
 
 
 def other_parameters(scene: xr.Dataset) -> list[str]:

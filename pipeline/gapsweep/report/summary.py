@@ -6,9 +6,9 @@ from collections.abc import Iterator
 import numpy as np
 import xarray as xr
 
+from gapsweep.quantities import written
 from gapsweep.report.selection import places
 from gapsweep.study.axis_selection import is_numeric, listed
-from gapsweep.study.schema import written
 from gapsweep.variables import STATUS_FLAGS
 
 _FEW = 6  # values that are named one by one

@@ -1,7 +1,7 @@
 """Tables of the report: rows of texts, from the datasets of a run."""
 
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 import xarray as xr
@@ -266,6 +266,11 @@ def condensed(dataset: xr.Dataset) -> xr.Dataset:
         warnings.simplefilter("ignore", RuntimeWarning)
         middle = measured.median(dims)
     return middle.assign(dataset[counted].sum(dims))
+
+
+def tally(counts: Mapping[str, int]) -> str:
+    """Numbers of claims by verdict, in words."""
+    return ", ".join(f"{counts[verdict]} {verdict}" for verdict in VERDICTS if counts[verdict])
 
 
 def number(value: float) -> str:

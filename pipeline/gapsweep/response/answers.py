@@ -13,6 +13,7 @@ from gapsweep.integrate.motions import VANISHED
 from gapsweep.model.oscillator import Oscillator
 from gapsweep.response import thresholds as limit
 from gapsweep.response.classification import Classification, State
+from gapsweep.response.compiled import read_extrema
 from gapsweep.response.equilibrium import rates
 from gapsweep.response.loads import contact_shares, largest_forces
 from gapsweep.response.ragged import RaggedArrays, spans
@@ -22,7 +23,7 @@ from gapsweep.response.result import (
     ResponseClass,
     Responses,
     Steady,
-    missing,
+    columns_with,
 )
 from gapsweep.response.scene import CONFIRMING_RTOL, TANGENT_RTOL
 from gapsweep.response.section import period_multiple, reach_of
@@ -39,6 +40,7 @@ Numbers = NDArray[np.intp]
 # Smallest motion of a contact relative to the whole motion. At 1e-6, chaos of a part of a system
 # was classified as periodic; down to 1e-5 all classes were right.
 _FAINT = 1e-5
+_KINDS = int(ExtremumKind.MAXIMUM), int(ExtremumKind.MINIMUM), int(ExtremumKind.INFLECTION)
 _LINEAR = 1e-3  # of a spring's stiffness: a cubic spring that adds less is negligible
 
 # Messages of points that are unresolved because of their state, then other messages.
@@ -127,12 +129,12 @@ def answers(
     n_q = ensemble.n_coordinates
     read["x_end"], read["v_end"] = end[:, :n_q], end[:, n_q : 2 * n_q]
     read["z_end"] = end[:, 2 * n_q :]
-    columns = missing(n, ensemble.structure)
-    for name in columns.keys() & read.keys():
-        columns[name][points] = read[name].reshape(len(points), *columns[name].shape[1:])
-    columns["status"][failures], messages = _failures(failures, windows)
+    columns = columns_with(read, points, n, ensemble.structure)
+    messages: dict[int, str] = {}
+    if failures.size:
+        columns["status"][failures], messages = _failures(failures, windows)
     for state in (State.NO_RETURN, State.HIDDEN):
-        here = np.flatnonzero(found.state == int(state))
+        here = (found.state == int(state)).nonzero()[0]
         messages |= dict.fromkeys(here.tolist(), _REASONS[state])
     for point in np.flatnonzero(columns["status"] == int(Status.UNRESOLVED)).tolist():
         messages.setdefault(point, _why_unresolved(point, windows, shooting, found, steady))
@@ -149,8 +151,6 @@ def answers(
 
 def _failures(failures: Numbers, windows: RecordedWindows) -> tuple[list[Status], dict[int, str]]:
     """Return the status of the points that failed, and a message for each, by point."""
-    if not failures.size:
-        return [], {}
     ensemble = windows.ensemble
     y = windows.y[:, failures]
     gaps = ensemble.gaps(ensemble.turning(failures, y))
@@ -176,7 +176,9 @@ def _why_unresolved(
 ) -> str:
     exponent, error = found.lyapunov[point], found.lyapunov_error[point]
     largest = steady.max_period_multiple
-    n = period_multiple(windows.window(point), float(windows.resolution[point]), largest)
+    n = period_multiple(
+        windows.window(point), float(windows.resolution(np.array([point]))[0]), largest
+    )
     if found.state[point] in _REASONS:
         reason = _REASONS[State(found.state[point])]
         n = n if found.state[point] != int(State.UNCONFIRMED) else int(shooting.n[point])
@@ -196,7 +198,7 @@ def _why_unresolved(
         remedy = "zeta = 0.02" if system.omega_n else "c = 0.1"
     precision = {
         "modulus": abs(shooting.multipliers[point, 0]),
-        "noise": float(windows.noise(max(int(shooting.n[point]), 1))[point]),
+        "noise": float(windows.noise(np.array([point]), max(int(shooting.n[point]), 1))[0]),
         "atol": 0.01 * windows.ensemble.atol[point],
         "rtol": CONFIRMING_RTOL,
         "damping": remedy,
@@ -217,11 +219,12 @@ def _precision(
     """
     ensemble, stopped = windows.ensemble, found.has_stopped[points]
     offset, swing = found.offset[points], np.asarray(read["amplitude"], float)
-    noise = windows.noise(np.where(found.is_periodic, shooting.n, 1))[points]
+    noise = windows.noise(points, np.where(found.is_periodic, shooting.n, 1)[points])
     amplitude = reach_of(swing.T, ensemble.unit[:, points])
     is_noisy = (limit.NOISY * noise > amplitude) & found.is_classified[points] & ~stopped
     for k in np.flatnonzero(is_noisy).tolist():
-        loads = np.atleast_1d(ensemble.system(points[k]).forcing)
+        system = ensemble.system(points[k])
+        loads = [[system.is_loaded]] if isinstance(system, Oscillator) else system.forcing
         is_noisy[k] = np.any([getattr(load, "amplitude", load) for load in loads])
     found.state[points[is_noisy]] = State.NOISY
     read["status"][is_noisy & (read["status"] == int(Status.OK))] = Status.UNRESOLVED
@@ -333,15 +336,9 @@ def _read_off(
     ensemble, is_orbit = windows.ensemble, found.has_orbit[points]
     n_q, place = ensemble.n_coordinates, ensemble.turning(points, windows.y[:, points])
     x, counts = windows.extrema.of(windows.rows(points))
+    closed = np.repeat(is_orbit, windows.n_turning)
+    kinds, largest, smallest = read_extrema(x, counts, closed, place.T.ravel(), _KINDS)
     first = np.cumsum(counts) - counts
-    kinds = _kinds(x, counts, np.repeat(is_orbit, windows.n_turning))
-    # A quantity without an extremum in the window has its present value.
-    largest: Array = place.T.flatten()
-    smallest = largest.copy()
-    seen = np.flatnonzero(counts)
-    if seen.size:
-        largest[seen] = np.maximum.reduceat(x, first[seen])
-        smallest[seen] = np.minimum.reduceat(x, first[seen])
     # One row a point, one column for every coordinate, then for every gap.
     shape = -1, windows.n_turning
     largest, smallest = largest.reshape(shape), smallest.reshape(shape)
@@ -431,11 +428,13 @@ def _whole_period(
     ensemble, n_q = windows.ensemble, windows.ensemble.n_coordinates
     x, counts = windows.extrema_of(call)
     counts = counts.ravel()
-    ends = np.cumsum(counts)
+    v_start, v_end = (ensemble.turning(orbits, each[n_q:]).T.ravel() for each in (y, call.y))
+    turned = np.flatnonzero(v_start * v_end < 0.0)
+    if not turned.size:
+        return x, counts
     missed, doubled = np.zeros(len(counts), bool), np.zeros(len(counts), bool)
     at = ensemble.turning(orbits, call.y).T.ravel()
-    v_start, v_end = (ensemble.turning(orbits, each[n_q:]).T.ravel() for each in (y, call.y))
-    for row in np.flatnonzero(v_start * v_end < 0.0).tolist():
+    for row in turned.tolist():
         k, which = divmod(row, windows.n_turning)
         orbit = orbits[[k]]
         a = rates(ensemble, int(orbits[k]), call.y[:, k])[n_q : 2 * n_q]
@@ -443,30 +442,8 @@ def _whole_period(
         missed[row] = (v_start[row] - v_end[row]) * a_turning > 0.0
         doubled[row] = not missed[row] and counts[row] > 0
     if doubled.any():
-        x = np.delete(x, (ends - counts)[doubled])
+        x = np.delete(x, (np.cumsum(counts) - counts)[doubled])
         counts = counts - doubled
     if missed.any():
         x = np.insert(x, np.cumsum(counts)[missed], at[missed])
     return x, counts + missed
-
-
-def _kinds(x: Array, counts: Counts, closed: Mask) -> Counts:
-    """`ExtremumKind` of zero-velocity displacements, motion by motion in the order of time.
-
-    A point between the displacements of its neighbours is an inflection. `closed`: motions whose
-    first point follows the last one.
-    """
-    before, after = np.concatenate([x[-1:], x[:-1]]), np.concatenate([x[1:], x[:1]])
-    some = np.flatnonzero(counts)
-    last, first = (np.cumsum(counts) - 1)[some], (np.cumsum(counts) - counts)[some]
-    is_closed, two = closed[some], np.minimum(first + 1, last)
-    before[first] = np.where(is_closed, x[last], x[two])
-    after[last] = np.where(is_closed, x[first], x[np.maximum(last - 1, first)])
-    is_maximum, is_minimum = (x > before) & (x > after), (x < before) & (x < after)
-    return np.asarray(
-        np.where(
-            is_maximum,
-            int(ExtremumKind.MAXIMUM),
-            np.where(is_minimum, int(ExtremumKind.MINIMUM), int(ExtremumKind.INFLECTION)),
-        )
-    )

@@ -44,7 +44,7 @@ def basin_check(
 ) -> Approach:
     """Compare the windows of motions with their orbits; `slow` is the result of `is_slow`."""
     n, last = shooting.n[points], windows.length[points] - 1
-    resolution, near = windows.resolution[points], NEAR * windows.reach[points]
+    resolution, near = windows.resolution(points), NEAR * windows.reach[points]
     first = norm(windows.section[:, points, last % n] - _orbits(windows, shooting, points))
     modulus = shooting.modulus(points)
     has_shrunk = _last(windows, shooting, points) <= 0.5 * (1.0 + modulus ** (last // n)) * first

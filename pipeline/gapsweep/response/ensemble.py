@@ -32,7 +32,9 @@ from gapsweep.response.window_call import Call, arrived
 from gapsweep.status import Status
 
 Array = NDArray[np.float64]
-_Costs = list[tuple[NDArray[np.intp], Array]]
+# Of a call: number of each motion's case, CPU time of all [s], the counts of `COUNTS`, and the
+# periods of motions; None of calls that are no part of motions.
+_Cost = tuple[NDArray[np.intp], float, list[NDArray[np.int64]], NDArray[Any] | None]
 
 # In addition to `Status` values: the motion has come to rest, or never returns to its section.
 AT_REST, ASTRAY = -1, -2
@@ -105,11 +107,8 @@ class Ensemble:
         self._integrate_tangent: Integrate | None = None
         if not self.has_own_tangent:
             self._integrate_tangent = prepared(models.with_laws(located), forces.tangent_solver)
-        # For every call, by motion: number of the case, and CPU time [s]; then, for calls that are
-        # part of motions, number of the case, counts, and periods.
-        nobody: NDArray[np.intp] = np.zeros(0, np.intp)
-        self._seconds: _Costs = [(nobody, np.empty(0))]
-        self._costs: _Costs = [(nobody, np.empty((len(COUNTS) + 1, 0)))]
+        nobody = np.zeros(0, np.int64)
+        self._costs: list[_Cost] = [(nobody, 0.0, [nobody] * len(COUNTS), nobody)]
 
     def tight(self, rtol: float) -> "Ensemble":
         """Return the ensemble with the tolerance that decides stability, and located contacts.
@@ -205,6 +204,8 @@ class Ensemble:
     def gap_units(self, scenes: NDArray[np.intp]) -> Array:
         """Gaps [m] that correspond to one metre of the section, shape (n_contacts, m)."""
         unit = self.unit[: self.n_coordinates, scenes]
+        if not self.first_gap:
+            return unit
         return np.asarray(np.sqrt(np.einsum("skj,js->ks", self._directions[scenes] ** 2, unit**2)))
 
     def gaps(self, turning: Array) -> Array:
@@ -326,16 +327,14 @@ class Ensemble:
         begin = time.thread_time() - LOADING.seconds
         found = integrate(problems)
         spent = time.thread_time() - LOADING.seconds - begin
-        # Motions of a call share the CPU time in proportion to their steps.
-        share = spent / max(int(found.n_steps.sum()), 1)
-        seconds = np.asarray(share * found.n_steps, np.float64)
-        self._seconds.append((problems.which, seconds))
+        lasted = None
         if is_motion:
+            lasted = n_periods
             if found.status.any():
-                lasted = found.t * self.omega[problems.which] * _begun(problems, found)
-                n_periods = np.where(arrived(found, problems.t_end), n_periods, lasted)
-            costs = np.array([*(getattr(found, name) for name in COUNTS), n_periods], float)
-            self._costs.append((problems.which, costs))
+                part = found.t * self.omega[problems.which] * _begun(problems, found)
+                lasted = np.where(arrived(found, problems.t_end), n_periods, part)
+        counts = [getattr(found, name) for name in COUNTS]
+        self._costs.append((problems.which, spent, counts, lasted))
         return found
 
     def costs(self) -> dict[str, NDArray[Any]]:
@@ -343,11 +342,15 @@ class Ensemble:
 
         Counts and simulated time are those of the motion; the CPU time includes its analysis.
         """
-        n = len(self.omega)
-        (seconds,), (*counts, n_periods) = (
-            [np.bincount(scenes, cost, n) for cost in np.atleast_2d(costs)]
-            for scenes, costs in map(_joined, (self._seconds, self._costs))
-        )
+        n, seconds, motions = len(self.omega), np.zeros(len(self.omega)), []
+        for which, spent, counts, lasted in self._costs:
+            # Motions of a call share the CPU time in proportion to their steps.
+            n_steps = counts[COUNTS.index("n_steps")]
+            seconds += np.bincount(which, spent / max(int(n_steps.sum()), 1) * n_steps, n)
+            if lasted is not None:
+                motions.append((which, *counts, lasted))
+        which, *columns = map(np.concatenate, zip(*motions, strict=True))
+        *counts, n_periods = (np.bincount(which, column, n) for column in columns)
         found = {name: count.astype(np.int64) for name, count in zip(COUNTS, counts, strict=True)}
         return found | {"t_simulated": n_periods / self.omega, "cpu_time": seconds}
 
@@ -360,11 +363,6 @@ def _begun(problems: Problems, found: Motions) -> NDArray[np.bool_]:
     is_ok = np.isin(found.status, (Status.OK, Status.OUT_OF_FIT_RANGE))
     is_ok &= arrived(found, problems.t_end) & np.isfinite(found.state).all(axis=1)
     return ~problems.follows | np.roll(is_ok, 1)
-
-
-def _joined(parts: _Costs) -> tuple[NDArray[np.intp], Array]:
-    scenes, columns = zip(*parts, strict=True)
-    return np.concatenate(scenes), np.concatenate(columns, axis=-1)
 
 
 def _places(law: ContactLaw) -> tuple[tuple[float, float], ...]:

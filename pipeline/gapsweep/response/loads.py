@@ -45,9 +45,9 @@ def largest_forces(laws: Sequence[ContactLaw], x_min: Array, x_max: Array) -> Ar
     found = np.empty(len(laws))
     for (_, power), here in rows.items():
         law, low, high = laws[here[0]], x_min[here], x_max[here]
-        largest = np.fmax(*np.abs(_force(law, np.array([low, high]))))
-        for turn in _searched_turns(law, 2.0**power) if law.turns is None else law.turns:
-            largest = np.fmax(largest, np.abs(_force(law, np.clip(turn, low, high))))
+        turns = _searched_turns(law, 2.0**power) if law.turns is None else law.turns
+        x = np.array([low, high, *(np.clip(turn, low, high) for turn in turns)])
+        largest = np.fmax.reduce(np.abs(_force(law, x)))
         found[here] = largest
     return found
 

@@ -59,7 +59,7 @@ def torus_test(
     """
     is_torus, is_locked, seemed = np.zeros((3, len(points)), bool)
     y, n_periods = motions.y[:, points], np.zeros(len(points), np.int64)
-    resolution, noise = motions.resolution[points], motions.noise()[points]
+    resolution, noise = motions.resolution(points), motions.noise(points)
     left, sections = np.arange(len(points)), [np.empty((len(y), 0))] * len(points)
     for length, allowed in windows.items():
         left = left[~(is_torus[left] | is_locked[left]) & (length <= longest[left])]
@@ -100,7 +100,7 @@ def persists(
     if at.size:
         y, n = motions.y[:, at], np.full(len(at), PERSISTENCE)
         call = motions.ensemble.call(at, y, n, np.zeros(len(at)))
-        ends = zip(call.period_ends, call.period_ends[1:], motions.resolution[at], strict=False)
+        ends = zip(call.period_ends, call.period_ends[1:], motions.resolution(at), strict=False)
         found[found] = call.is_ok & [
             period_multiple(call.section[:, first:last], float(resolution), largest) > 0
             for first, last, resolution in ends

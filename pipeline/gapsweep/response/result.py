@@ -444,14 +444,34 @@ def _padded(
     return rows
 
 
+def columns_with(
+    values: Mapping[str, NDArray[Any]], points: NDArray[np.intp], n: int, structure: AnyStructure
+) -> dict[str, NDArray[Any]]:
+    """Return the columns of n points, with values of some points; the others have no response.
+
+    Parameters
+    ----------
+    values : mapping of str to ndarray, shape (len(points), ...)
+        Columns by name; columns that are left out have missing values.
+    points : ndarray of int
+        Numbers of the points, ascending.
+    """
+    columns: dict[str, NDArray[Any]] = {}
+    for name, (dtype, shape) in columns_of(structure).items():
+        if name in values and len(points) == n:
+            columns[name] = values[name].reshape(n, *shape).astype(dtype)
+            continue
+        columns[name] = np.full((n, *shape), np.nan if dtype == "f8" else 0, dtype)
+        if name == "response_class":
+            columns[name][:] = ResponseClass.FAILED
+        if name in values:
+            columns[name][points] = values[name].reshape(len(points), *shape)
+    return columns
+
+
 def missing(n: int, structure: AnyStructure) -> dict[str, NDArray[Any]]:
     """Return the columns of n points without a response."""
-    columns: dict[str, NDArray[Any]] = {
-        name: np.full((n, *shape), np.nan if dtype == "f8" else 0, dtype)
-        for name, (dtype, shape) in columns_of(structure).items()
-    }
-    columns["response_class"][:] = ResponseClass.FAILED
-    return columns
+    return columns_with({}, np.arange(0), n, structure)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -26,6 +26,7 @@ from gapsweep.response import thresholds as limit
 from gapsweep.response.answers import answers
 from gapsweep.response.basin_check import basin_check, distances, is_slow
 from gapsweep.response.classification import Classification, State
+from gapsweep.response.compiled import contracting_multiples
 from gapsweep.response.ensemble import ASTRAY, AT_REST, Ensemble
 from gapsweep.response.equilibrium import linear_stability
 from gapsweep.response.lyapunov import LyapunovExponents
@@ -33,7 +34,6 @@ from gapsweep.response.quasiperiodic import MOST_POINTS, persists, torus_test
 from gapsweep.response.result import Responses, Steady
 from gapsweep.response.scene import CONFIRMING_RTOL, TANGENT_RTOL
 from gapsweep.response.section import (
-    converging_multiples,
     drifts,
     likely_multiple,
     norm,
@@ -198,8 +198,8 @@ class Search:
     def _test_period(self, points: Numbers) -> States:
         """Start shooting for points whose window contracts to a periodic orbit."""
         windows = self._windows
-        reach, resolution = windows.reach[points], windows.resolution[points]
-        n = converging_multiples(
+        reach, resolution = windows.reach[points], windows.resolution(points)
+        n = contracting_multiples(
             windows.section,
             windows.length,
             points,
@@ -208,12 +208,14 @@ class Search:
             self._steady.max_period_multiple,
         )
         repeats = n > 0
-        shot, n = points[repeats], n[repeats]
-        # Newton's method cannot close an orbit better than the solver's noise.
-        goal = np.maximum(limit.NEWTON_GOAL * reach, 0.1 * resolution)[repeats]
-        noise = windows.noise()[shot] * np.sqrt(n)
-        furthest = limit.NEWTON_RANGE * reach[repeats]
-        self._shooting.start(shot, windows.y[:, shot], n, goal, noise, furthest)
+        if repeats.any():
+            shot, n, reach = points[repeats], n[repeats], reach[repeats]
+            # Newton's method cannot close an orbit better than the solver's noise.
+            goal = np.maximum(limit.NEWTON_GOAL * reach, 0.1 * resolution[repeats])
+            noise = windows.noise(shot) * np.sqrt(n)
+            self._shooting.start(
+                shot, windows.y[:, shot], n, goal, noise, limit.NEWTON_RANGE * reach
+            )
         return np.where(repeats, State.SHOOT, State.NO_REPEAT)
 
     def _continue_window(self, points: Numbers) -> States:
@@ -259,7 +261,7 @@ class Search:
         inside, reach = points[is_stable], self._windows.reach[points[is_stable]]
         # Kinks that are not located scatter a section more than its predicted noise.
         is_noisy = self._ensemble.is_noisy
-        scatter = (limit.KINK_SCATTER if is_noisy else 1.0) * self._windows.resolution[inside]
+        scatter = (limit.KINK_SCATTER if is_noisy else 1.0) * self._windows.resolution(inside)
         # A slow orbit of several periods is only known up to the amplified noise.
         amplified = np.minimum(scatter / (1.0 - modulus[is_stable]), limit.NEAR * reach)
         part = self._shooting.parts(
@@ -334,7 +336,7 @@ class Search:
         # Without damping Newton's method has no step: only the multipliers are computed.
         is_undamped = self._ensemble.settling_rate[points] == 0.0
         goal = np.where(is_undamped, np.inf, limit.SAME_POINT * reach)
-        noise = self._tight.solver.rtol / self._ensemble.solver.rtol * self._windows.noise()[points]
+        noise = self._tight.solver.rtol / self._ensemble.solver.rtol * self._windows.noise(points)
         furthest = limit.NEWTON_RANGE * reach
         y = self._shooting.y[:, points] if y is None else y
         self._confirmed.start(points, y, n, goal, noise * np.sqrt(n), furthest)
@@ -371,15 +373,16 @@ class Search:
         repeats less well, or not for long, drifts where there is no orbit, or on a torus.
         """
         windows, largest = self._windows, self._steady.max_period_multiple
-        resolution = windows.resolution
-        found = period_multiples(
-            windows.section, windows.length, points, resolution[points], largest
-        )
+        resolution = windows.resolution(points)
+        found = period_multiples(windows.section, windows.length, points, resolution, largest)
         found *= persists(windows, points, found > 0, self._longest[points], largest)
-        for point, n in zip(points[found > 0].tolist(), found[found > 0].tolist(), strict=True):
+        some = found > 0
+        for point, n, noise in zip(
+            *(each[some].tolist() for each in (points, found, resolution)), strict=True
+        ):
             # Does it repeat sooner, within this larger tolerance?
             section = windows.window(point)
-            n = prime_multiple(section[:, -n:], resolution[point] * math.sqrt(n))
+            n = prime_multiple(section[:, -n:], noise * math.sqrt(n))
             if not self._ensemble.has_own_tangent:
                 # A kink that is not located scatters more than that.
                 sooner = likely_multiple(section, limit.CLOSE * windows.reach[point], n)
@@ -390,7 +393,7 @@ class Search:
     def _start_measurement(self, point: int, n: int) -> None:
         """Take the next n periods of a motion as an orbit, closed or not."""
         one, anywhere, nowhere = np.array([point]), np.array([math.inf]), np.zeros(1)
-        noise = self._windows.noise(n)[one]
+        noise = self._windows.noise(one, n)
         y = self._windows.y[:, one]
         self._shooting.start(one, y, np.array([n]), anywhere, noise, nowhere)
 
@@ -584,7 +587,7 @@ class Search:
         # Disturbances of an unstable orbit grow, too; near a bifurcation so slowly that the motion
         # stays near it, but then it repeats itself.
         section, length = windows.section[:, points], windows.length[points]
-        is_alike = repeat_nearly(section, length, windows.step_error[points], largest)
+        is_alike = repeat_nearly(section, length, windows.step_error(points), largest)
         exponent, error = self._found.lyapunov[points], self._found.lyapunov_error[points]
         unlike = (exponent >= -limit.SURE * error) & ~is_alike
         grows = drifts(section[: self._ensemble.n_coordinates], length) & unlike

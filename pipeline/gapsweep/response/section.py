@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from gapsweep.response.thresholds import ALIKE, AS_GOOD, CONTRACTION_POINTS
+from gapsweep.response.thresholds import ALIKE, AS_GOOD
 
 Array = NDArray[np.float64]
 Counts = NDArray[np.int64]
@@ -161,60 +161,6 @@ def likely_multiple(
     return 0
 
 
-def converging_multiples(
-    sections: Array, lengths: Counts, points: Numbers, closeness: Array, same: Array, largest: int
-) -> Counts:
-    """Smallest n for which each section contracts to a repeat as well as for any n; 0 if none.
-
-    Each of the last four points must be within `closeness` of the one n periods before, and either
-    all within `same`, or the later two of them nearer than the farthest of those within `closeness`
-    among up to `CONTRACTION_POINTS` points. After a doubled period, half of it may stay within
-    `closeness` for ever: the whole one repeats much better.
-
-    Parameters
-    ----------
-    sections : ndarray, shape (n_states, n, longest)
-        Section points [m].
-    lengths : ndarray of int, shape (n,)
-        Number of section points in each row.
-    points : ndarray of int, shape (m,)
-        Numbers of the rows.
-    closeness : ndarray, shape (m,)
-        Distance [m] from which shooting is worth a try.
-    same : ndarray, shape (m,)
-        Distance [m] within which the solver's noise decides which points are nearer.
-    largest : int
-        Largest n tried; n + 4 points are needed for n.
-
-    Returns
-    -------
-    ndarray of int, shape (m,)
-    """
-    n_tried = max(0, min(largest, int(lengths[points].max(initial=0)) - 4))
-    latest = _latest(sections, lengths, points, n_tried + CONTRACTION_POINTS - 1)
-    found = np.zeros(len(points), np.int64)
-    earlier = latest[:, :, np.arange(n_tried)[:, None] + np.arange(1, 5)]
-    with np.errstate(invalid="ignore"):
-        may = _are_near(latest[..., None, :4], earlier, closeness[:, None, None]).all(axis=2)
-    # In the order of the sections, then of n.
-    section, before = np.nonzero(may)
-    if not section.size:
-        return found
-    place = np.arange(CONTRACTION_POINTS) + before[:, None] + 1
-    steps = norm(latest[:, section, :CONTRACTION_POINTS] - latest[:, section[:, None], place])
-    # Points farther away belong to the approach, and the motion may leave again.
-    steps = np.where(steps < closeness[section, None], steps, np.nan)
-    farthest = steps[:, :4].max(axis=1)  # NaN beyond `closeness`
-    contracts = steps[:, :2].max(axis=1) <= np.fmax.reduce(steps[:, 2:], axis=1)
-    farthest[~(contracts | (farthest <= same[section]))] = np.nan
-    best = np.full(len(points), np.inf)
-    np.fmin.at(best, section, farthest)
-    # The smallest n is kept, since it is written last.
-    converging = np.flatnonzero(farthest <= AS_GOOD * best[section])[::-1]
-    found[section[converging]] = before[converging] + 1
-    return found
-
-
 def _latest(sections: Array, lengths: Counts, points: Numbers, n: int) -> Array:
     """The last n + 1 points of some rows, the last one first; NaN where there are fewer."""
     column = lengths[points, None] - 1 - np.arange(n + 1)
@@ -297,25 +243,6 @@ def prime_multiple(orbit: Array, tolerance: float) -> int:
     n = orbit.shape[1]
     divisors = [d for d in range(1, n) if n % d == 0]
     return next((d for d in divisors if _are_near(orbit, np.roll(orbit, d, 1), tolerance).all()), n)
-
-
-def largest_parts(orbits: Array, tolerance: Array) -> Counts:
-    """Largest proper divisor of the orbits' length after which each closed orbit repeats, else n.
-
-    Parameters
-    ----------
-    orbits : ndarray, shape (n_states, m, n)
-        Section points [m] of orbits of n forcing periods.
-    tolerance : ndarray, shape (m,)
-        Largest distance [m] of two points, in any component, that count as the same.
-    """
-    n = int(orbits.shape[2])
-    found = np.full(orbits.shape[1], n, np.int64)
-    for d in range(1, n // 2 + 1):
-        if n % d == 0:
-            repeats = _are_near(orbits, np.roll(orbits, d, axis=2), tolerance[:, None])
-            found[repeats.all(axis=1)] = d
-    return found
 
 
 def _are_near(p: Array, q: Array, tolerance: Any) -> NDArray[np.bool_]:

@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 
 from gapsweep.integrate.motions import VANISHED
 from gapsweep.response import thresholds as limit
-from gapsweep.response.section import largest_parts, norm
+from gapsweep.response.compiled import judge_steps, largest_parts, multiplier_pairs
+from gapsweep.response.ragged import spans
 from gapsweep.response.window_call import Call
 
 Array = NDArray[np.float64]
@@ -40,8 +41,8 @@ class NewtonShooting:
         Number of multipliers; further eigenvalues of a Poincaré map are zero.
     omega : ndarray, shape (n_points,)
         Section points per second [Hz] on an orbit that was found.
-    section : list of ndarray, shape (n_states, n)
-        Section points [m] of an orbit that was found.
+    section : ndarray, shape (n_states, n_points, longest orbit so far)
+        Section points [m] of orbits that were found, the first `n` of each row.
     last_step : ndarray, shape (n_points,)
         Length of the last Newton step [m].
     """
@@ -51,10 +52,13 @@ class NewtonShooting:
         self.n = np.zeros(n_points, np.int64)
         self.multipliers = np.zeros((n_points, n_states), complex)
         self.omega = np.full(n_points, np.nan)
-        self.section = [np.empty((n_states, 0))] * n_points
+        self.section = np.empty((n_states, n_points, 0))
         self._moved, self._tries = np.zeros_like(self.y), np.zeros(n_points, np.int64)
-        self.last_step, self._apart = np.zeros((2, n_points))  # _apart: distance of the ends
-        self._goal, self._noise, self._furthest = np.zeros((3, n_points))
+        # _apart: distance of the ends
+        rows = self.last_step, self._apart, self._goal, self._noise, self._furthest = np.zeros(
+            (5, n_points)
+        )
+        self._columns = self._moved, self._tries, *rows
         # By point: an orbit that was found, while shooting tries a part of its period.
         self._whole: dict[int, tuple[Any, ...]] = {}
 
@@ -92,10 +96,11 @@ class NewtonShooting:
         """
         kept = [] if is_scattered else zip(points.tolist(), n.tolist(), strict=True)
         for k, part in kept:
+            section = self.section[:, k, : self.n[k]].copy()
             of_point = self.y[:, k].copy(), self.n[k], self.multipliers[k].copy(), self.omega[k]
-            self._whole[k] = *of_point, self.section[k]
-            unlike = np.abs(self.section[k] - np.roll(self.section[k], part, axis=1)).max()
-            least = limit.ROUNDING * np.abs(self.section[k]).max()
+            self._whole[k] = *of_point, section
+            unlike = np.abs(section - np.roll(section, part, axis=1)).max()
+            least = limit.ROUNDING * np.abs(section).max()
             self._goal[k] = min(self._goal[k], max(limit.PART_CLOSES * unlike, least))
             self._noise[k] = limit.AS_GOOD * self._apart[k]
         self.n[points], self._tries[points] = n, 0
@@ -105,9 +110,10 @@ class NewtonShooting:
         """Restore the whole orbits of points that tried parts of their periods; True for these."""
         is_part = np.array([k in self._whole for k in points.tolist()], bool)
         for k in points[is_part].tolist():
-            self.y[:, k], self.n[k], self.multipliers[k], self.omega[k], self.section[k] = (
-                self._whole.pop(k)
+            self.y[:, k], self.n[k], self.multipliers[k], self.omega[k], section = self._whole.pop(
+                k
             )
+            self.section[:, k, : self.n[k]] = section
         return is_part
 
     def modulus(self, points: Numbers) -> Array:
@@ -124,12 +130,7 @@ class NewtonShooting:
         tolerance : ndarray, shape (m,)
             Distances [m] within which two section points are the same.
         """
-        found = self.n[points]
-        for n in np.unique(found[found > 1]).tolist():
-            here = found == n
-            orbits = np.stack([self.section[point] for point in points[here].tolist()], axis=1)
-            found[here] = largest_parts(orbits, tolerance[here])
-        return found
+        return np.asarray(largest_parts(self.section, self.n, points, tolerance))
 
     def step(self, points: Numbers, call: Call) -> tuple[Mask, Mask]:
         """Do one step of Newton's method from the motions of a call.
@@ -145,49 +146,32 @@ class NewtonShooting:
             Points that have found their orbit, and points without one: their iteration went too
             far, did not converge or approached an equilibrium, or the motion failed.
         """
-        y, is_ok = self.y[:, points], call.is_ok
-        goal = self._goal[points]
+        y = self.y[:, points]
         with np.errstate(over="ignore", invalid="ignore"):  # for motions that failed
-            missed = (call.y - y) / call.unit
-            step = newton_steps(call.monodromy, missed.T).T
-            length = norm(step)
-            # Ends that meet are not enough: with weak contraction the orbit is much farther away.
-            apart = norm(missed)
-            is_near = apart <= np.maximum(goal, self._noise[points])
-            shortens = length < limit.SHORTENED * self.last_step[points]
-            shortens |= apart < limit.SHORTENED * self._apart[points]
-            is_at_best = is_near & ~shortens & (length <= limit.SHORT_STEP * self._furthest[points])
-            is_found = is_ok & ((length <= goal) | is_at_best)
-            if is_found.any():
-                is_found &= call.is_sound
+            missed = np.ascontiguousarray(((call.y - y) / call.unit).T)
+            steps = newton_steps(call.monodromy, missed)
             multipliers = floquet_multipliers(call.monodromy, call.determinant)
-            modulus = np.abs(multipliers[:, 0])
-            # Near an equilibrium, Newton's orbits shrink until they close within the noise.
-            is_rest = call.swing <= self._noise[points] / np.maximum(
-                1.0 - modulus, limit.LEAST_CONTRACTION
+            modulus, swing = np.abs(multipliers[:, 0]), np.full(len(points), call.swing)
+            is_found, goes_on = judge_steps(
+                points, missed, steps, modulus, call.is_ok, call.is_sound, swing, self._columns
             )
-            is_rest &= np.isfinite(goal)  # an orbit taken as it is does not move
-            is_found &= ~is_rest
+        if is_found.any():
             self._keep(points, is_found.nonzero()[0], multipliers, call)
-            self._tries[points] += 1
-            self.last_step[points], self._apart[points] = length, apart
-            moved = self._moved[:, points] + step
-            goes_on = is_ok & ~is_found & ~is_rest & (modulus <= limit.STRETCHED)
-            goes_on &= norm(moved) <= self._furthest[points]
-            goes_on &= self._tries[points] < limit.NEWTON_STEPS
-        left = points[goes_on]
-        self._moved[:, left] = moved[:, goes_on]
-        self.y[:, left] = (y + step * call.unit)[:, goes_on]
-        return is_found, ~is_found & ~goes_on
+        if goes_on.any():
+            self.y[:, points[goes_on]] = (y + steps.T * call.unit)[:, goes_on]
+        return is_found, ~(is_found | goes_on)
 
     def _keep(self, points: Numbers, found: Numbers, multipliers: Any, call: Call) -> None:
-        if not found.size:
-            return
         points = points[found]
         self.multipliers[points], self.omega[points] = multipliers[found], call.omega[found]
-        first, last = call.period_ends[found], call.period_ends[found + 1]
-        for point, i, j in zip(points.tolist(), first.tolist(), last.tolist(), strict=True):
-            self.section[point] = call.section[:, i:j]
+        first, n = call.period_ends[found], self.n[points]
+        room = int(n.max()) - self.section.shape[2]
+        if room > 0:
+            more = np.zeros((*self.section.shape[:2], room))
+            self.section = np.concatenate([self.section, more], axis=2)
+        self.section[:, np.repeat(points, n), spans(np.zeros_like(n), n)] = call.section[
+            :, spans(first, n)
+        ]
 
 
 def newton_steps(monodromy: Array, moved: Array) -> Array:
@@ -236,31 +220,12 @@ def floquet_multipliers(monodromy: Array, determinant: Array) -> NDArray[np.comp
     -------
     ndarray of complex, shape (n, n_states)
     """
-    is_finite = np.asarray(np.isfinite(monodromy).all(axis=(1, 2)))
     if monodromy.shape[1] == 2:
-        found = _pairs(monodromy, determinant)
-    else:
-        found = np.linalg.eigvals(np.where(is_finite[:, None, None], monodromy, 0.0)).astype(
-            complex
-        )
-        order = np.argsort(-np.abs(found), axis=1, kind="stable")
-        found = np.take_along_axis(found, order, axis=1)
+        return np.asarray(multiplier_pairs(np.ascontiguousarray(monodromy), determinant))
+    is_finite = np.asarray(np.isfinite(monodromy).all(axis=(1, 2)))
+    found = np.linalg.eigvals(np.where(is_finite[:, None, None], monodromy, 0.0)).astype(complex)
+    order = np.argsort(-np.abs(found), axis=1, kind="stable")
+    found = np.take_along_axis(found, order, axis=1)
     found[np.abs(found) < VANISHED] = 0.0
     found[~is_finite] = complex(np.nan, np.nan)
-    return found
-
-
-def _pairs(monodromy: Array, determinant: Array) -> NDArray[np.complex128]:
-    """Eigenvalues of 2 x 2 matrices, the larger first."""
-    with np.errstate(all="ignore"):  # for tangents that overflowed or shrank to zero
-        half = 0.5 * (monodromy[:, 0, 0] + monodromy[:, 1, 1])
-        # Where the trace is zero the two are imaginary.
-        ratio = np.where(half == 0.0, np.inf, determinant / half / half)
-        is_real, root = ratio <= 1.0, np.sqrt(determinant)
-        larger = half * (1.0 + np.sqrt(1.0 - ratio))
-        smaller = np.where(larger == 0.0, 0.0, determinant / larger)
-        height = np.where(is_real, 0.0, np.sqrt((root - half) * (root + half)))
-    found = np.empty((len(half), 2), complex)
-    found.real[:, 0], found.imag[:, 0] = np.where(is_real, larger, half), height
-    found.real[:, 1], found.imag[:, 1] = np.where(is_real, smaller, half), 0.0 - height
     return found

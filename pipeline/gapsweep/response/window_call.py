@@ -7,14 +7,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gapsweep.integrate.motions import Events, Motions
+from gapsweep.response.compiled import determinants_agree
 from gapsweep.response.section import norm, reach_of, scaled
 from gapsweep.status import Status
 
 Array = NDArray[np.float64]
 
-# Largest relative error of a tangent's determinant. Below the second share of the tangent's size,
-# to the power of the number of states, a determinant is rounding.
-_UNSOUND, _ROUNDING = 1e-2, 1e-3
 _OK = int(Status.OK)  # numpy compares with a member of an enumeration four times as slowly
 
 
@@ -110,16 +108,8 @@ class Call:
 
     @property
     def is_sound(self) -> NDArray[np.bool_]:
-        """Whether the determinant of the tangent is the one that damping determines.
-
-        Directions shrink so differently that the determinant has a rounding error of the size of
-        the tangent to the power of the number of states.
-        """
-        with np.errstate(all="ignore"):  # for motions that failed
-            size = np.square(self.tangent).sum(axis=(1, 2))
-            missed = np.abs(np.linalg.det(self.tangent) - self.shrinkage)
-            allowed = np.maximum(self.shrinkage, _ROUNDING * size ** (0.5 * len(self.unit)))
-        return np.asarray(missed <= _UNSOUND * allowed)
+        """Whether the determinant of the tangent is the one that damping determines."""
+        return np.asarray(determinants_agree(np.ascontiguousarray(self.tangent), self.shrinkage))
 
     @cached_property
     def events(self) -> Events:

@@ -59,23 +59,22 @@ class RecordedWindows:
         """Times since the initial one [s]."""
         return self.ensemble.duration(self.n_periods, self._elapsed)
 
-    @property
-    def step_error(self) -> Array:
-        """Error of a step that the solver's tolerances allow [m]."""
-        return np.asarray(self.ensemble.atol + self.ensemble.solver.rtol * self.reach)
+    def step_error(self, points: Numbers) -> Array:
+        """Errors of a step that the solver's tolerances allow [m]."""
+        allowed = self.ensemble.solver.rtol * self.reach[points]
+        return np.asarray(self.ensemble.atol[points] + allowed)
 
-    def noise(self, n_periods: Counts | int = 1) -> Array:
+    def noise(self, points: Numbers, n_periods: Counts | int = 1) -> Array:
         """Predicted scatter [m] of section points `n_periods` forcing periods apart.
 
         It is the sum of the allowed errors of all steps in random directions. Scatter larger than
         `resolution` is not due to the solver.
         """
-        return self.step_error * np.sqrt(self._steps_per_period * n_periods)
+        return self.step_error(points) * np.sqrt(self._steps_per_period[points] * n_periods)
 
-    @property
-    def resolution(self) -> Array:
+    def resolution(self, points: Numbers) -> Array:
         """Distances [m] below which two states are equal within the noise of the solver."""
-        return DEVIATIONS * self.noise()
+        return DEVIATIONS * self.noise(points)
 
     def _place(self, points: Numbers) -> Array:
         """Return the largest moduli of the present displacements, as section points [m]."""

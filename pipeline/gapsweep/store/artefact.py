@@ -13,6 +13,7 @@ import re
 import warnings
 from collections.abc import Callable, Collection, Iterable, Iterator
 from contextlib import contextmanager, suppress
+from functools import lru_cache
 from io import BufferedReader
 from pathlib import Path
 from uuid import uuid4
@@ -24,6 +25,7 @@ from gapsweep.store.filesystem import fcntl
 
 SUMS = "SHA256SUMS"
 _LONGEST = 2**26  # bytes of a text; those of the largest runs are a tenth of it
+_SMALL = 1e6  # bytes, read in a millisecond
 _SOON = 100e6  # bytes, read in a quarter of a second at worst, or a second from a slow disk
 
 
@@ -158,7 +160,16 @@ def _opened(path: Path) -> BufferedReader:
 
 
 def sha256(path: Path) -> str:
-    """SHA-256 of a file in hex."""
+    """SHA-256 of a file in hex; a large file is read again only if it has changed."""
+    with _opened(path) as file:
+        about = os.fstat(file.fileno())
+        if about.st_size < _SMALL:
+            return hashlib.file_digest(file, "sha256").hexdigest()
+    return _sha256_of_large(path, about.st_ino, about.st_size, about.st_mtime_ns, about.st_ctime_ns)
+
+
+@lru_cache(maxsize=64)
+def _sha256_of_large(path: Path, *_: int) -> str:
     with _opened(path) as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
 

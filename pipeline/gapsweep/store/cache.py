@@ -21,8 +21,8 @@ from numpy.typing import NDArray
 from gapsweep.errors import StoreError
 from gapsweep.model.structure import AnyStructure, OscillatorStructure
 from gapsweep.response.result import Responses
-from gapsweep.store.index import MISSING, Index
-from gapsweep.store.segments import SUFFIX, Frame, packed, read, scan, write
+from gapsweep.store.index import MISSING, Held, Index
+from gapsweep.store.segments import SUFFIX, Frame, digest_of, packed, read, scan, write
 from gapsweep.store.slab import Slab, Stored, stored
 from gapsweep.study.points import KEY
 
@@ -40,6 +40,9 @@ class Found:
     responses: Responses
     host: NDArray[np.str_]  # shape (n,); machine that computed each
     versions: frozenset[str]  # versions of Python and the libraries, as text
+
+
+_Contents = tuple[Slab, Stored, NDArray[np.intp], NDArray[np.uint8]]
 
 
 class Cache:
@@ -95,13 +98,28 @@ class Cache:
         self._refresh()
         return sum(frame.n_points for frame in self._frames)
 
-    def status(self, keys: NDArray[np.void]) -> NDArray[np.int8]:
-        """Stored status of each key; `MISSING` where no result or a damaged one is stored."""
+    def recorded(self, keys: NDArray[np.void]) -> Held:
+        """Slab, row and status of each key, as of `held`, without a check of the results."""
         self._refresh()
-        held = self._index.find(keys)
+        return self._index.find(keys)
+
+    def held(self, keys: NDArray[np.void]) -> Held:
+        """Slab, row and status of each key; -1 and `MISSING` without a result or a sound one."""
+        held = self.recorded(keys)
         slabs = np.unique(held["slab"][held["slab"] >= 0]).tolist()
         lost = [number for number in slabs if self._read(number) is None]
-        return np.where(np.isin(held["slab"], lost), MISSING, held["status"]).astype(np.int8)
+        held[np.isin(held["slab"], lost)] = np.array((-1, 0, MISSING, -1), held.dtype)
+        return held
+
+    def status(self, keys: NDArray[np.void]) -> NDArray[np.int8]:
+        """Stored status of each key; `MISSING` where no result or a damaged one is stored."""
+        return np.ascontiguousarray(self.held(keys)["status"])
+
+    def is_in(self, places: Held, digests: Collection[bytes]) -> NDArray[np.bool_]:
+        """Mask of places, as of `held`, in frames with some of these checksums."""
+        slabs, rows = np.unique(places["slab"], return_inverse=True)
+        is_there = [n >= 0 and self._frames[n].digest in digests for n in slabs.tolist()]
+        return np.array(is_there, bool)[rows]
 
     def find(self, keys: NDArray[np.void], structure: AnyStructure = _OSCILLATOR) -> Found:
         """Stored results of keys of one structure; damaged results are left out, as if missing.
@@ -111,8 +129,12 @@ class Cache:
         StoreError
             If a frame is as it was written, but holds no result.
         """
+        return self.found(self.recorded(keys), structure)
+
+    def found(self, places: NDArray[np.void], structure: AnyStructure = _OSCILLATOR) -> Found:
+        """Stored results at places, as of `held`; otherwise as `find`."""
         at, parts, hosts, versions = [], [], [], set()
-        for slab, contents, asked, rows in self._places(keys):
+        for slab, contents, asked, rows in self._contents_of(places):
             at.append(asked)
             parts.append(contents.responses.take(rows))
             hosts.append(np.full(len(asked), slab.host))
@@ -145,29 +167,32 @@ class Cache:
             has_end[asked] = contents.responses.has_end[rows]
         return origins, has_end
 
-    def seconds(self, keys: NDArray[np.void]) -> NDArray[np.float64]:
-        """CPU time [s] of each key's result, the mean of its slab; NaN if it is not stored."""
-        self._refresh()
+    def seconds(self, places: NDArray[np.void]) -> NDArray[np.float64]:
+        """CPU time [s] of the result at each place, the mean of its slab; NaN without a result."""
         # The last entry is for keys that are not stored.
         seconds = np.array([*(frame.seconds / frame.n_points for frame in self._frames), np.nan])
-        return np.asarray(seconds[self._index.find(keys)["slab"]])
+        return np.asarray(seconds[places["slab"]])
 
-    def checksums(self, keys: NDArray[np.void]) -> Iterator[bytes]:
-        """Bytes that identify the stored results of keys: checksums of slabs, then positions."""
-        self._refresh()
-        held = self._index.find(keys)
-        for number, asked in _grouped(held["slab"]):
+    def checksums(self, places: NDArray[np.void]) -> Iterator[bytes]:
+        """Bytes that identify the results at places: checksums of slabs, then positions."""
+        # In an order that the numbers of slabs, which follow the names of files, do not change.
+        for number, asked in sorted(_grouped(places["slab"]), key=lambda found: found[1][0]):
             yield self._frames[number].digest
-            yield asked.tobytes() + held["row"][asked].tobytes()
+            yield asked.tobytes() + places["row"][asked].tobytes()
 
-    def commit(self, slabs: Sequence[Slab]) -> None:
-        """Write slabs to a new segment, all or none; merge small segments now and then."""
+    def commit(self, slabs: Sequence[Slab]) -> list[bytes]:
+        """Write slabs to a new segment, all or none, and return the checksums of their frames.
+
+        Small segments are merged now and then.
+        """
         self._refresh()
+        frames = [packed(slab, self._newest + 1) for slab in slabs]
         with _store_errors(self.path):
-            write(self.path, (packed(slab, self._newest + 1) for slab in slabs))
+            write(self.path, frames)
         self._n_commits += 1
         if self._n_commits % _OFTEN == 0:
             self.merge()
+        return list(map(digest_of, frames))
 
     def merge(self) -> None:
         """Merge the intact frames of small and of damaged segments into one segment."""
@@ -277,16 +302,16 @@ class Cache:
                 "'gapsweep cache gc --apply' removes it"
             ) from None
 
-    def _places(
-        self, keys: NDArray[np.void]
-    ) -> Iterator[tuple[Slab, Stored, NDArray[np.intp], NDArray[np.int32]]]:
-        """Slabs that hold keys, with contents, positions of these keys, and their rows in it."""
-        self._refresh()
-        held = self._index.find(keys)
-        for number, asked in _grouped(held["slab"]):
+    def _places(self, keys: NDArray[np.void]) -> Iterator[_Contents]:
+        """As `_contents_of`, for keys."""
+        yield from self._contents_of(self.recorded(keys))
+
+    def _contents_of(self, places: NDArray[np.void]) -> Iterator[_Contents]:
+        """Slabs of places, with contents, positions of these places, and their rows in it."""
+        for number, asked in _grouped(places["slab"]):
             found = self._contents(number)
             if found is not None:
-                yield *found, asked, held["row"][asked]
+                yield *found, asked, places["row"][asked]
 
 
 @contextmanager

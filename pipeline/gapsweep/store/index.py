@@ -14,6 +14,7 @@ MISSING = -1  # status of a key that is not stored
 # Number of the slab in the order in which they were added, row of the point in it, its status, and
 # its rank: if a point has several results, the one of the highest rank counts.
 HELD = np.dtype([("slab", "i4"), ("row", "u1"), ("status", "i1"), ("rank", "i8")])
+PLACE = np.dtype([("slab", "i4"), ("row", "u1")])  # of a result, without its status
 _COUNTS = 2**32  # added to the rank of results that replace any failure
 
 Held = NDArray[Any]  # array of dtype HELD
@@ -88,6 +89,10 @@ class Index:
     def find(self, keys: NDArray[np.void]) -> Held:
         """Slab, row, status and rank of each key; slab -1 and `MISSING` if it is not stored."""
         held = np.full(len(keys), np.array((-1, 0, MISSING, -1), HELD))
+        asked = words(np.ascontiguousarray(keys))
+        order = np.argsort(asked[:, 0])  # neighbours in a level are near in memory
         for level in self._levels:
-            level.add_to(held, words(np.ascontiguousarray(keys)))
-        return held
+            level.add_to(held, asked[order])
+        found = np.empty_like(held)
+        found[order] = held
+        return found

@@ -29,7 +29,7 @@ from gapsweep.store.artefact import digests, is_intact, recording
 if TYPE_CHECKING:
     import xarray as xr
 
-_LOCK = threading.RLock()
+LOCK = threading.RLock()
 _RECORDED_PACKAGES = ("gapsweep", "numpy", "scipy", "numba", "dask", "distributed", "xarray")
 _THREAD_SETTINGS = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS")
 CONVENTIONS = "CF-1.11"
@@ -41,17 +41,24 @@ _CHECKED = {"fletcher32": True, "zlib": True, "complevel": 1}
 def writing(path: Path, attributes: Mapping[str, Any]) -> Iterator[netCDF4.Dataset]:
     """An open netCDF4 dataset that becomes `path` once it is complete and readable.
 
+    The block holds `LOCK` while it uses the dataset.
+
     Raises
     ------
     StoreError
         If the file cannot be written, or a file of other software has its name.
     """
-    with _LOCK, recording(path, _is_ours) as temporary, _errors(path):
-        with netCDF4.Dataset(temporary, "w", format="NETCDF4") as dataset:
+    with recording(path, _is_ours) as temporary, _errors(path):
+        with LOCK:
+            dataset = netCDF4.Dataset(temporary, "w", format="NETCDF4")
+        try:
             dataset.setncatts({**attributes, **provenance()})
             yield dataset
-        with netCDF4.Dataset(temporary) as dataset:
-            for variable in dataset.variables.values():
+        finally:
+            with LOCK:
+                dataset.close()
+        with LOCK, netCDF4.Dataset(temporary) as written:
+            for variable in written.variables.values():
                 _ = variable[(0,) * variable.ndim]
 
 
@@ -59,7 +66,7 @@ def writing(path: Path, attributes: Mapping[str, Any]) -> Iterator[netCDF4.Datas
 def passing(attributes: Mapping[str, Any]) -> Iterator[netCDF4.Dataset]:
     """An open netCDF4 dataset in a temporary file, removed when the block ends."""
     with (
-        _LOCK,
+        LOCK,
         _errors(Path(tempfile.gettempdir())),
         tempfile.TemporaryDirectory() as folder,
         netCDF4.Dataset(Path(folder) / "passing.nc", "w") as dataset,
@@ -124,7 +131,7 @@ def write(dataset: "xr.Dataset", path: Path, attributes: Mapping[str, Any]) -> N
     """
     import dask  # xarray has imported it
 
-    with _LOCK, _uninterrupted(), recording(path, _is_ours) as temporary, _errors(path):
+    with LOCK, _uninterrupted(), recording(path, _is_ours) as temporary, _errors(path):
         stamped = dataset.assign_attrs({**attributes, **provenance()})
         encoding = {
             name: {"_FillValue": None}

@@ -52,6 +52,11 @@ def packed(slab: Slab, serial: int) -> bytes:
     return _MARK + hashlib.sha256(sealed).digest() + sealed + slab.columns
 
 
+def digest_of(frame: bytes) -> bytes:
+    """The checksum in the head of a packed frame, as `Frame.digest`."""
+    return frame[len(_MARK) : _SEALED]
+
+
 def write(folder: Path, frames: Iterable[bytes]) -> None:
     """Write frames to a new segment, atomically.
 

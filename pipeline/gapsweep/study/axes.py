@@ -21,7 +21,8 @@ from gapsweep.errors import ModelError
 from gapsweep.model.labels import Representation
 from gapsweep.model.oscillator import LARGEST, SMALLEST
 
-MAX_POINTS = 10**7
+MAX_POINTS = 10**9  # of a study
+MAX_VALUES = 10**7  # of an axis or a list
 _LARGEST = 1e100  # of spans; far beyond any parameter of a model
 
 
@@ -41,7 +42,7 @@ def _not_tiny(value: float) -> float:
 Number = Annotated[float, AfterValidator(_bounded)]
 Positive = Annotated[float, Field(gt=0), AfterValidator(_bounded), AfterValidator(_not_tiny)]
 NonNegative = Annotated[float, Field(ge=0), AfterValidator(_bounded)]
-Count = Annotated[int, Field(ge=1, le=MAX_POINTS)]
+Count = Annotated[int, Field(ge=1, le=MAX_VALUES)]
 Range = Annotated[list[Number], Field(min_length=2, max_length=2)]
 Pair = Annotated[list[NonNegative], Field(min_length=2, max_length=2)]
 
@@ -64,6 +65,9 @@ class OscillatorTable(TomlTable):
     forcing: Number
     mean_load: Number = 0.0
     c: NonNegative = 0.0
+    unbalance: Number = 0.0
+    base_amplitude: Number = 0.0
+    base_damping: Annotated[float, Field(ge=0, le=1)] = 1.0
 
 
 def _parsed(label: str) -> Representation:
@@ -102,6 +106,12 @@ class StepGrid(_RangeTable[Value], Generic[Value]):
     def count(self) -> int:
         # A stop at a whole number of steps, within rounding, is included.
         return int(min(self.span / self.step, _LARGEST) + 1e-9) + 1
+
+    @model_validator(mode="after")
+    def _coarse(self) -> "StepGrid[Value]":
+        if self.count > MAX_VALUES:
+            raise ValueError(f"step {self.step:g}: must give <= {MAX_VALUES} values")
+        return self
 
     def values(self) -> list[float]:
         start = float(self.start)
@@ -159,9 +169,7 @@ def values(axis: Any) -> list[float]:
 def _one_pair(value: Any) -> Any:
     """Return a single pair of numbers as a list of one pair; other values as they are."""
     is_pair = isinstance(value, list) and len(value) == 2
-    return (
-        [value] if is_pair and not any(isinstance(v, list | dict | str) for v in value) else value
-    )
+    return [value] if is_pair and not any(isinstance(v, list | dict) for v in value) else value
 
 
 Pairs = Annotated[list[Pair], Field(min_length=1), BeforeValidator(_one_pair)]
@@ -228,6 +236,8 @@ class GridStarts(_Box):
             raise ValueError(
                 "grid: must have one range of x and of v; use sobol for several coordinates"
             )
+        if self.count > MAX_VALUES:
+            raise ValueError(f"grid = {self.grid}: must have <= {MAX_VALUES} initial conditions")
         return self
 
     @property
@@ -254,8 +264,9 @@ def _one_state(value: Any) -> Any:
     """Return a single state as a list of one; join the states among other forms in one form."""
     if not isinstance(value, list) or not value:
         return value
-    if not any(isinstance(each, list | dict | str | BaseModel) for each in value):
-        return [value]
+    n_numbers = sum(isinstance(each, int | float) for each in value)
+    if n_numbers == len(value) or (n_numbers, len(value)) == (1, 2):
+        return [value]  # the other one of two may be a quantity of the wrong dimension
     states = [each for each in value if isinstance(each, list)]
     others = [each for each in value if not isinstance(each, list)]
     is_grouped = any(isinstance(number, list) for state in states for number in state)

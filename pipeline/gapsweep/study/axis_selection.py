@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gapsweep.model.labels import Representation
+from gapsweep.quantities import without_units
 from gapsweep.study.points import canonical
 
 _MANY, _ENDS = 8, 3  # most values in a message; of more values, the number at either end
@@ -43,7 +44,7 @@ def positions(
     ValueError
         If the axis lacks a wanted value; one line with that value and the values of the axis.
     """
-    axis = np.atleast_1d(np.asarray(held))
+    axis, wanted = np.atleast_1d(np.asarray(held)), without_units(name, wanted)
     if isinstance(wanted, slice):
         return _within(name, axis, wanted, of)
     places: dict[Any, list[int]] = {}
@@ -92,6 +93,7 @@ def is_numeric(axis: ArrayLike) -> bool:
 
 
 def _within(name: str, axis: NDArray[Any], wanted: slice, of: str) -> NDArray[np.int64]:
+    wanted = slice(*without_units(name, [wanted.start, wanted.stop, wanted.step]))
     if wanted.step is not None:
         raise ValueError(f"{name} = {wanted}: must be a slice without a step")
     if wanted == slice(None):

@@ -70,8 +70,11 @@ class BenchSceneTable(TomlTable):
         }
         condition, is_met = needs.get(self.expected or "", ("", True))
         found = [] if is_met else [f"expected = {self.expected!r}: needs {condition}"]
-        if not (own.omega_n > 0.0 and own.mean_load == own.c == 0.0):
-            found.append("needs omega_n > 0, mean_load = 0 and c = 0")
+        if not (
+            own.omega_n > 0.0
+            and own.mean_load == own.c == own.unbalance == own.base_amplitude == 0.0
+        ):
+            found.append("needs omega_n > 0; mean_load, c, unbalance and base_amplitude must be 0")
         return found
 
 

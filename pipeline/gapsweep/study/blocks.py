@@ -50,7 +50,10 @@ def union(blocks: Sequence[Axes]) -> Axes:
 
 def requested_of(blocks: Sequence[Axes], axes: Axes) -> NDArray[np.bool_]:
     """Whether some block contains each cell of the grid over the joint axes."""
-    requested = np.zeros([len(axis) for axis in axes.values()], dtype=bool)
+    shape = [len(axis) for axis in axes.values()]
+    if any(all(len(block[name]) == len(axis) for name, axis in axes.items()) for block in blocks):
+        return np.broadcast_to(np.True_, shape)  # a single value, for grids of 1e8 cells
+    requested = np.zeros(shape, dtype=bool)
     for block in blocks:
         at = [_places(axis, block[name]) for name, axis in axes.items()]
         requested[np.ix_(*at)] = True

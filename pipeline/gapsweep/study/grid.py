@@ -1,7 +1,9 @@
 """The labelled grid of a study: its axes, and a mask of the cells that are sweep points."""
 
+import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any, ClassVar
 
 import numpy as np
@@ -183,11 +185,31 @@ class Grid:
         }
         return Grid(axes, self.requested[np.ix_(*selection)], self.structure, self.parts)
 
-    def order(self, wanted: NDArray[np.bool_]) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
-        """Return the wanted points in the order in which they are computed.
+    @property
+    def n_omega(self) -> int:
+        """Number of frequencies; 1 for unforced systems."""
+        return len(self.axes.get("omega", "-"))
 
-        Neighbouring frequencies follow each other, those of a sweep in its direction. A sweep
-        includes all points up to the last one wanted.
+    def cells(self, numbers: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Return the flat positions in the grid of numbers in the order of computation.
+
+        Neighbouring frequencies follow each other, those of a sweep in its direction.
+        """
+        chain, at = np.divmod(numbers, self.n_omega)
+        before, after = np.divmod(chain, self._n_after)
+        return (before * self.n_omega + self._along(chain, at)) * self._n_after + after
+
+    def numbers(self, cells: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Return the numbers in the order of computation of flat positions in the grid."""
+        rest, after = np.divmod(cells, self._n_after)
+        before, at = np.divmod(rest, self.n_omega)
+        chain = before * self._n_after + after
+        return chain * self.n_omega + self._along(chain, at)
+
+    def order(self, wanted: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        """Return which numbers in the order of computation must be computed for wanted points.
+
+        A sweep includes all points up to the last one wanted.
 
         Parameters
         ----------
@@ -195,36 +217,38 @@ class Grid:
 
         Returns
         -------
-        cells : ndarray of int, shape (n,)
-            Flat positions in the grid.
-        follows : ndarray of bool, shape (n,)
-            Whether a point starts in the end state of the one before it.
+        ndarray of bool, shape (number of cells,)
         """
-        n_omega, cells = len(self.axes.get("omega", "-")), np.arange(self.requested.size)
-        cells, chosen, requested = map(
-            self._along_omega, (cells.reshape(self.shape), wanted, self.requested)
-        )
-        kind = self.starts.kind
-        if kind.any():
-            cells, chosen, requested = cells.copy(), chosen.copy(), requested.copy()
-            down = kind == Starts.KINDS.index("sweep_down")
-            for some in (cells, chosen, requested):
-                some[..., down, :] = some[..., down, ::-1]
-            leads = np.logical_or.accumulate(chosen[..., ::-1], axis=-1)[..., ::-1] & requested
-            chosen = np.where((kind > 0)[:, None], leads, chosen)
-        chosen = chosen & requested
-        at = np.flatnonzero(chosen)
-        chain = at // n_omega
-        is_sweep = (kind > 0)[chain % len(kind)]
-        follows = np.zeros(len(at), bool)
-        follows[1:] = is_sweep[1:] & (chain[1:] == chain[:-1])
-        return cells[chosen], follows
+        chosen, is_swept = self._arranged(wanted & self.requested), self.starts.kind > 0
+        if is_swept.any():
+            leads = np.logical_or.accumulate(chosen[:, is_swept, ::-1], axis=-1)[..., ::-1]
+            chosen[:, is_swept] = leads & self._arranged(self.requested)[:, is_swept]
+        return chosen.ravel()
 
-    def _along_omega(self, values: NDArray[Any]) -> NDArray[Any]:
-        """Return values over the grid with the axis of frequencies moved to the end."""
-        if "omega" not in self.dims:  # unforced systems
-            return values[..., None]
-        return np.moveaxis(values, self.dims.index("omega"), -1)
+    @cached_property
+    def _n_after(self) -> int:
+        """Number of cells of the dimensions after the frequency."""
+        if "omega" not in self.dims:
+            return 1
+        return math.prod(self.shape[self.dims.index("omega") + 1 :])
+
+    @cached_property
+    def _is_down(self) -> NDArray[np.bool_]:
+        return np.asarray(self.starts.kind == Starts.KINDS.index("sweep_down"))
+
+    def _along(self, chain: NDArray[np.int64], at: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Return positions along frequencies for positions in the order of computation."""
+        if not self._is_down.any():
+            return at
+        return np.where(self._is_down[chain % len(self.starts)], self.n_omega - 1 - at, at)
+
+    def _arranged(self, values: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        """Return values over the grid in the order of computation, shape (n, starts, omega)."""
+        if "omega" in self.dims:
+            values = np.moveaxis(values, self.dims.index("omega"), -1)
+        found = np.array(values).reshape(-1, len(self.starts), self.n_omega)
+        found[:, self._is_down] = found[:, self._is_down, ::-1]
+        return found
 
 
 def starts_of(axes: Axes) -> Starts:

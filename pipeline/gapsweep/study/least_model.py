@@ -91,6 +91,7 @@ def advise(
     check_error(error)
     bound, steady, moved = math.inf, 0.0, math.inf
     if start is not None and oscillator.is_classic:  # the bounds below hold for these only
+        oscillator = oscillator.at(omega)
         oscillator = replace(oscillator, zeta=oscillator.damping_ratio, c=0.0)
         steady, transient = _linear_motion(oscillator, omega, start)
         cubic = _cubic_share(oscillator)

@@ -90,7 +90,7 @@ class ParametricModel:
             unlike = table.scales - set(self.spec.parameters)  # others belong to laws
         if table.function is None and unlike:
             raise StudyError(
-                [
+                *[
                     f"{self.source}: parameters: {name!r}: must be in [parameters], and the "
                     "scale of a load, a cubic spring or a modulation in [system]"
                     for name in sorted(unlike)
@@ -102,7 +102,7 @@ class ParametricModel:
         try:
             return Oscillator(**values)
         except ModelError as error:
-            raise StudyError([f"{self.source}: oscillator: {error}"]) from None
+            raise StudyError(f"{self.source}: oscillator: {error}") from None
 
     @cached_property
     def _known(self) -> dict[tuple[float, ...], Model]:
@@ -181,10 +181,8 @@ class ParametricModel:
                 allowed = " or ".join(map(str, sorted({2 * n, n_states})))
                 lags = ", and first-order states if they are not zero" * (n_states > 2 * n)
                 raise StudyError(
-                    [
-                        f"{self.source}: {where}: {len(state)} numbers: must be {allowed}: "
-                        f"coordinates {', '.join(self.default.coordinates)}, their velocities{lags}"
-                    ]
+                    f"{self.source}: {where}: {len(state)} numbers: must be {allowed}: "
+                    f"coordinates {', '.join(self.default.coordinates)}, their velocities{lags}"
                 )
             found.append([*map(float, state), *[0.0] * (n_states - len(state))])
         return np.array(found)
@@ -212,19 +210,15 @@ class ParametricModel:
             if len(self._known) < _MADE_AGAIN and not _are_alike(made, self._make(values)):
                 at = f" at {in_words(some)}" if some else ""
                 raise StudyError(
-                    [
-                        f"{self.source}: system{at}: two calls return different systems; the "
-                        "function must depend on its arguments only"
-                    ]
+                    f"{self.source}: system{at}: two calls return different systems; the "
+                    "function must depend on its arguments only"
                 )
             self._known[key] = made
         made = self._known[key]
         if some and _form(made) != _form(self.default):
             raise StudyError(
-                [
-                    f"{self.source}: system at {in_words(some)}: has other coordinates, contacts "
-                    "or loads than at the values in [parameters]; write a separate study"
-                ]
+                f"{self.source}: system at {in_words(some)}: has other coordinates, contacts "
+                "or loads than at the values in [parameters]; write a separate study"
             )
         return made
 
@@ -258,7 +252,7 @@ class ParametricModel:
                 found = _out_of_range(spec.model, name, [value])
                 wrong += [f"history[{i}].{problem}" for problem in found]
         if wrong:
-            raise StudyError([f"{self.source}: {problem}" for problem in wrong])
+            raise StudyError(*[f"{self.source}: {problem}" for problem in wrong])
 
     def _problems(self, block: SweepTable) -> list[str]:
         found = []

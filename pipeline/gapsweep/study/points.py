@@ -193,25 +193,30 @@ class Points:
         follows : ndarray of bool, shape (n,), optional
             Whether a point starts in the end state of the one before; its key includes that key.
         """
-        kind, keys, previous = hashlib.sha256(self.kind.identity.encode()), [], b""
-        after = [False] * len(self) if follows is None else follows.tolist()
-        for row, is_after in zip(self._rows, after, strict=True):
-            previous = _key(kind, row, previous if is_after else b"")
-            keys.append(previous)
+        begun, keys, previous = hashlib.sha256(self.kind.identity.encode()).copy, [], b""
+        if follows is None or not follows.any():
+            for row in self._rows:  # without a call of `_key`, which takes as long as SHA-256
+                digest = begun()
+                digest.update(row)
+                keys.append(digest.digest())
+        else:
+            for row, is_after in zip(self._rows, follows.tolist(), strict=True):
+                previous = _key(begun, row, previous if is_after else b"")
+                keys.append(previous)
         return np.frombuffer(b"".join(keys), KEY)
 
     def keys_after(self, identity: str, previous: NDArray[np.void]) -> NDArray[np.void]:
         """Return content keys for an identity, from the keys of the points before; zero: none."""
-        kind, nothing = hashlib.sha256(identity.encode()), bytes(KEY.itemsize)
+        kind, nothing = hashlib.sha256(identity.encode()).copy, bytes(KEY.itemsize)
         rows = zip(self._rows, previous.tolist(), strict=True)
         keys = (_key(kind, row, b"" if before == nothing else before) for row, before in rows)
         return np.frombuffer(b"".join(keys), KEY)
 
     @property
     def _rows(self) -> list[bytes]:
-        size = self.numbers.shape[1] * 8
-        data = np.ascontiguousarray(self.numbers, "<f8").tobytes()
-        return [data[at : at + size] for at in range(0, len(data), size)]
+        numbers = np.ascontiguousarray(self.numbers, "<f8")
+        found: list[bytes] = numbers.view(f"V{8 * numbers.shape[1]}").ravel().tolist()
+        return found
 
 
 @cache
@@ -251,8 +256,8 @@ def _made(
     return made, number[which], refused
 
 
-def _key(kind: Any, row: bytes, previous: bytes) -> bytes:
-    digest = kind.copy()
+def _key(begun: Callable[[], Any], row: bytes, previous: bytes) -> bytes:
+    digest = begun()
     digest.update(row + previous)
     return bytes(digest.digest())
 

@@ -6,7 +6,9 @@ from typing import Any, get_args
 
 from pydantic import BaseModel, ValidationError
 
-from gapsweep.study.schema import UNITS
+from gapsweep.errors import ModelError
+from gapsweep.quantities import allowed, without_units, written
+from gapsweep.study.units import units_of
 
 _MOST = 50  # problems that are described
 _BOUNDS = {
@@ -27,8 +29,6 @@ _WORDS = {
     "string_pattern_mismatch": "must be letters, digits, '.', '_' and '-', without spaces; 64 at "
     "most, a letter or digit first",
 }
-# Units of numbers, by key.
-_UNITS = {**UNITS, "t_end": "s", "t_max": "s", "range": "m"}
 # Example of a missing key.
 EXAMPLES = {
     "study": '[study] with name = "my-study"',
@@ -129,15 +129,19 @@ def _message(error: Any, spec: type[BaseModel], names: Collection[str]) -> str:
     if kind == "missing":
         return f"missing; write {EXAMPLES[loc[-1]]}" if loc[-1] in EXAMPLES else "missing"
     if kind == "float_type":
-        return f"must be a number{_in_units(loc)}{_instead(loc, value)}"
+        return f"must be {_number(loc, value)}{_instead(loc, value)}"
     text = str(error["msg"]).removeprefix("Value error, ").replace("Input should be", "must be")
     return _WORDS.get(kind, text.removeprefix(f"{value!r}: "))
 
 
-def _in_units(loc: Loc) -> str:
-    if loc[:1] in (("system",), ("parameters",)):  # coordinates may be angles
-        return ""
-    return next((f", in {_UNITS[part]}" for part in reversed(loc) if part in _UNITS), "")
+def _number(loc: Loc, value: Any) -> str:
+    """Return which number is allowed, with all its units for a quantity of another dimension."""
+    units = "" if loc[0] == "parameters" else units_of(loc)
+    try:
+        without_units("", value, units)
+    except ModelError:
+        return "a number" if units is None else allowed(units)
+    return f"a number, in {written(units)}" if units and units != "1" else "a number"
 
 
 def _instead(loc: Loc, value: Any) -> str:

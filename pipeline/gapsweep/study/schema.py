@@ -6,6 +6,7 @@ Written down once, here; the writer, the analyses and the documentation read thi
 from collections.abc import Collection
 
 from gapsweep.model.structure import AnyStructure
+from gapsweep.quantities import UNITS
 from gapsweep.response.result import RESPONSE, exists, part_sizes
 from gapsweep.study.grid import START
 from gapsweep.variables import EXTREMUM, INPUTS, MULTIPLIER, PARTS, SECTION_POINT, Variable
@@ -18,19 +19,31 @@ ATTRACTOR = "attractor"
 # dimensions.
 COORDINATES: dict[str, tuple[str, Variable]] = {
     "representation": ("representation", Variable("str", "1", "representation of the contact")),
-    "K_c": ("K_c", Variable("f8", "N m-1", "contact stiffness")),
+    "K_c": ("K_c", Variable("f8", UNITS["K_c"], "contact stiffness")),
     "gap": ("gap", Variable("str", "mm", "distances of the lower and upper wall from the origin")),
-    "j_1": ("gap", Variable("f8", "m", "distance of the lower wall from the origin")),
-    "j_2": ("gap", Variable("f8", "m", "distance of the upper wall from the origin")),
+    "j_1": ("gap", Variable("f8", UNITS["j_1"], "distance of the lower wall from the origin")),
+    "j_2": ("gap", Variable("f8", UNITS["j_2"], "distance of the upper wall from the origin")),
     "omega": ("omega", INPUTS["omega"]),
-    "zeta": ("zeta", Variable("f8", "1", "damping ratio")),
-    "omega_n": ("omega_n", Variable("f8", "Hz", "natural frequency without contact")),
-    "mass": ("mass", Variable("f8", "kg", "mass")),
-    "alpha": ("alpha", Variable("f8", "N m-3", "cubic stiffness")),
-    "forcing": ("forcing", Variable("f8", "N", "forcing amplitude")),
-    "mean_load": ("mean_load", Variable("f8", "N", "constant load")),
-    "c": ("c", Variable("f8", "N s m-1", "viscous damping added to that of zeta")),
-    "K_ratio": ("K_ratio", Variable("f8", "1", "stiffness ratio, lower wall over upper wall")),
+    "zeta": ("zeta", Variable("f8", UNITS["zeta"], "damping ratio")),
+    "omega_n": ("omega_n", Variable("f8", UNITS["omega_n"], "natural frequency without contact")),
+    "mass": ("mass", Variable("f8", UNITS["mass"], "mass")),
+    "alpha": ("alpha", Variable("f8", UNITS["alpha"], "cubic stiffness")),
+    "forcing": ("forcing", Variable("f8", UNITS["forcing"], "forcing amplitude")),
+    "mean_load": ("mean_load", Variable("f8", UNITS["mean_load"], "constant load")),
+    "c": ("c", Variable("f8", UNITS["c"], "viscous damping added to that of zeta")),
+    "unbalance": ("unbalance", Variable("f8", UNITS["unbalance"], "unbalance")),
+    "base_amplitude": (
+        "base_amplitude",
+        Variable("f8", UNITS["base_amplitude"], "amplitude of the base's motion"),
+    ),
+    "base_damping": (
+        "base_damping",
+        Variable("f8", UNITS["base_damping"], "share of the damping connected to the base"),
+    ),
+    "K_ratio": (
+        "K_ratio",
+        Variable("f8", UNITS["K_ratio"], "stiffness ratio, lower wall over upper wall"),
+    ),
     "initial_condition": (START, INPUTS[START]),
     "x_0": (START, INPUTS["x_0"]),
     "v_0": (START, INPUTS["v_0"]),
@@ -39,31 +52,8 @@ COORDINATES: dict[str, tuple[str, Variable]] = {
 }
 
 
-# Units as engineers write them, by their UDUNITS text.
-_WRITTEN = {
-    "1": "",
-    "N m-1": "N/m",
-    "N m-3": "N/m³",
-    "m s-1": "m/s",
-    "N s m-1": "N s/m",
-    "s-1": "1/s",
-}
-
-
-def written(units: str) -> str:
-    """Return a unit as engineers write it, from its UDUNITS text."""
-    return _WRITTEN.get(units, units)
-
-
-# Units of the numbers that a study of an oscillator may sweep.
-UNITS = {
-    name: written(variable.units)
-    for name, (dim, variable) in COORDINATES.items()
-    if variable.dtype == "f8" and variable.units != "1" and dim != START
-}
-
 # Numbers of an oscillator whose names parameters of a system may have, too.
-SHARED = ("mean_load", "c")
+SHARED = ("mean_load", "c", "unbalance", "base_amplitude", "base_damping")
 PARAMETER = "parameter"  # beginning of the long name of a system parameter's coordinate
 
 

@@ -51,6 +51,7 @@ from gapsweep.study.least_model import DEFAULT_ERROR, LARGEST_ERROR, SMALLEST_ER
 from gapsweep.study.problems import EXAMPLES, problems
 from gapsweep.study.schema import TAKEN
 from gapsweep.study.system_tables import ContactTable, SystemTable, wrong_matrices
+from gapsweep.study.units import with_numbers
 
 # Key of the table with the model's parameters in a block or a history; not a key of a file.
 PARAMETERS = "[parameters]"
@@ -466,9 +467,9 @@ def read(path: str | PathLike[str]) -> StudySpec:
         text = Path(path).read_text(encoding="utf-8-sig")  # as some editors save it
     except OSError as error:
         remedy = "write an example study with 'gapsweep init'"
-        raise StudyError([f"{path}: cannot be read: {error.strerror}; {remedy}"]) from None
+        raise StudyError(f"{path}: cannot be read: {error.strerror}; {remedy}") from None
     except UnicodeDecodeError:
-        raise StudyError([f"{path}: not valid TOML: must be UTF-8 text"]) from None
+        raise StudyError(f"{path}: not valid TOML: must be UTF-8 text") from None
     return parse(text, str(path))
 
 
@@ -484,9 +485,9 @@ def parse(text: str, source: str = "study") -> StudySpec:
         tables = tomllib.loads(text)
     except RecursionError:
         problem = "brackets are nested too deeply; close them"
-        raise StudyError([f"{source}: not valid TOML: {problem}"]) from None
+        raise StudyError(f"{source}: not valid TOML: {problem}") from None
     except ValueError as error:  # numbers too long, too
-        raise StudyError([f"{source}: not valid TOML: {error}{_line(text, error)}"]) from None
+        raise StudyError(f"{source}: not valid TOML: {error}{_line(text, error)}") from None
     return check(tables, source)
 
 
@@ -504,12 +505,13 @@ def _line(text: str, error: ValueError) -> str:
 
 def check(tables: dict[str, Any], source: str = "study") -> StudySpec:
     """Check the tables of a study; see `parse`."""
+    tables = with_numbers(tables)
     try:
         return StudySpec.model_validate(tables)
     except ValidationError as error:
         also = wrong_matrices(tables, source)
         found = problems(source, error, StudySpec, _parameters(tables))
-        raise StudyError([*found, *_missing(tables, source), *also]) from None
+        raise StudyError(*([*found, *_missing(tables, source), *also])) from None
 
 
 def _missing(tables: Any, source: str) -> list[str]:

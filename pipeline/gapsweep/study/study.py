@@ -23,7 +23,7 @@ from gapsweep.model.oscillator import Gap, Oscillator
 from gapsweep.model.own_law import OwnLaw, checked
 from gapsweep.model.structure import AnyStructure
 from gapsweep.response.result import Steady
-from gapsweep.study.axes import MAX_POINTS, forms
+from gapsweep.study.axes import MAX_POINTS, MAX_VALUES, forms
 from gapsweep.study.axis_selection import listed, numbers_of_sweeps, positions
 from gapsweep.study.blocks import expanded, requested_of, union
 from gapsweep.study.grid import START, Axes, Grid, Selection, Starts
@@ -69,7 +69,7 @@ class Study:
     def __post_init__(self) -> None:
         if not isinstance(self.spec, StudySpec):
             raise StudyError(
-                [f"{self.spec!r:.80}: write gs.Study.load(path) or gs.Study.from_dict(tables)"]
+                f"{self.spec!r:.80}: write gs.Study.load(path) or gs.Study.from_dict(tables)"
             )
 
     def __repr__(self) -> str:
@@ -127,7 +127,7 @@ class Study:
             return cls(check(_lists(tables), source), source)._checked()
         except RecursionError:
             problem = f"{source}: nested too deeply; a table or list must not contain itself"
-            raise StudyError([problem]) from None
+            raise StudyError(problem) from None
 
     @classmethod
     def of(cls, study: "Study | str | PathLike[str]") -> "Study":
@@ -136,7 +136,7 @@ class Study:
             return cls.load(study)
         if not isinstance(study, Study):
             raise StudyError(
-                [f"study = {study!r:.80}: must be a gapsweep.Study or the path of a study file"]
+                f"study = {study!r:.80}: must be a gapsweep.Study or the path of a study file"
             )
         return replace(study) if study.names_code else study
 
@@ -146,7 +146,7 @@ class Study:
         try:
             axes = self._axes
         except ModelError as error:
-            raise StudyError([f"{self.source}: sweep: {error}"]) from None
+            raise StudyError(f"{self.source}: sweep: {error}") from None
         self._check_modules()
         self.model.check()
         known = {**self.spec.model, **self.spec.parameters}
@@ -160,14 +160,12 @@ class Study:
             lines = chain(lines, of_branches, self._problems_of_range())
         problems = [f"{self.source}: {line}" for line in lines]
         if problems:
-            raise StudyError(problems)
+            raise StudyError(*problems)
         cells = math.prod(map(len, axes.values()))
         if cells > MAX_POINTS:
             raise StudyError(
-                [
-                    f"{self.source}: all blocks together have {cells} dataset cells, must be "
-                    f"<= {MAX_POINTS}; split them into several studies"
-                ]
+                f"{self.source}: all blocks together have {cells} dataset cells, must be "
+                f"<= {MAX_POINTS}; split them into several studies"
             )
         return self
 
@@ -218,7 +216,7 @@ class Study:
                     f"{self.source}: {table}.module: {path} cannot be read: {error.strerror}"
                 )
         if problems:
-            raise StudyError(problems)
+            raise StudyError(*problems)
 
     @property
     def name(self) -> str:
@@ -356,7 +354,7 @@ class Study:
             return Solver.of(**given), jitter
         except ModelError as error:
             table = f"protocol.{name}" if name else "solver"
-            raise StudyError([f"{self.source}: {table}: {error}"]) from None
+            raise StudyError(f"{self.source}: {table}: {error}") from None
 
     @cached_property
     def _blocks(self) -> list[Axes]:
@@ -428,10 +426,10 @@ class Study:
                 named = f": {self._starts_in_words()}" if name == START else ""
                 problems.append(f"{self.source}: {error}{named}")
         if problems:
-            raise StudyError(problems)
+            raise StudyError(*problems)
         if not self.grid.requested[np.ix_(*found)].any():
             values = ", ".join(f"{name} = {value!r}" for name, value in wanted.items())
-            raise StudyError([f"{self.source}: {values}: no block has a point with these values"])
+            raise StudyError(f"{self.source}: {values}: no block has a point with these values")
         return tuple(found)
 
     def _starts_in_words(self) -> str:
@@ -496,7 +494,7 @@ class Study:
             problem = (
                 f"parameters: {', '.join(sorted(unused))}: must be arguments of {', '.join(found)}"
             )
-            raise StudyError([f"{self.source}: {problem}"])
+            raise StudyError(f"{self.source}: {problem}")
         return found
 
     def history_axes(self, table: HistoryTable) -> Axes:
@@ -590,11 +588,11 @@ def _lists(tables: Any) -> Any:
         return {name: _lists(value) for name, value in tables.items()}
     is_list = isinstance(tables, list | tuple)
     n = len(tables) if is_list else getattr(tables, "size", 0)
-    if n > MAX_POINTS:  # before each value is checked
-        raise StudyError([f"a list of {n} values: must have <= {MAX_POINTS}; coarsen a grid"])
+    if n > MAX_VALUES:  # before each value is checked
+        raise StudyError(f"a list of {n} values: must have <= {MAX_VALUES}; coarsen a grid")
     if is_list:
         return [_lists(value) for value in tables]
-    return tables.tolist() if hasattr(tables, "tolist") else tables
+    return tables.tolist() if isinstance(tables, np.ndarray | np.generic) else tables
 
 
 def _ends(values: Sequence[Any]) -> str:
@@ -607,7 +605,7 @@ def _snapshot(path: Path | None) -> Snapshot | None:
     try:
         return None if path is None else Snapshot.of_file(path)
     except ModelError as error:
-        raise StudyError([str(error)]) from None
+        raise StudyError(str(error)) from None
 
 
 def _given(table: SolverTable) -> dict[str, Any]:

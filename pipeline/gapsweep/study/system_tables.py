@@ -13,7 +13,7 @@ from gapsweep.errors import ModelError, StudyError, described
 from gapsweep.model import systems
 from gapsweep.model.labels import FUNCTION
 from gapsweep.model.own_law import OwnLaw
-from gapsweep.model.system import Cubic, Harmonic, Lags, Modulation, System
+from gapsweep.model.system import BaseMotion, Cubic, Harmonic, Lags, Modulation, System, Unbalance
 from gapsweep.study.axes import Label, NonNegative, Pair, TomlTable
 from gapsweep.user_code.load import blame
 
@@ -37,16 +37,47 @@ class ScaledTable(TomlTable):
         return found
 
 
+# Kinds of loads by the key that has their strength.
+_LOADS: dict[str, Any] = {
+    "amplitude": Harmonic,
+    "unbalance": Unbalance,
+    "base_amplitude": BaseMotion,
+}
+
+
 class CubicTable(ScaledTable):
     along: Vector
     alpha: float
 
 
-class HarmonicTable(ScaledTable):
-    amplitude: Vector
+class LoadTable(ScaledTable):
+    """A harmonic with an amplitude, an unbalance, or a base motion."""
+
+    amplitude: Vector | None = None
+    unbalance: float | None = None
+    base_amplitude: float | None = None
+    base_damping: float | None = None
+    along: Vector | None = None
     k: int = 1
     phase: float = 0.0
-    inertial: bool = False
+    power: int | None = None
+
+    @model_validator(mode="after")
+    def _one_kind(self) -> "LoadTable":
+        given = [name for name in _LOADS if getattr(self, name) is not None]
+        if len(given) != 1 or (self.along is None) == (given != ["amplitude"]):
+            raise ValueError(
+                "give amplitude = [1.0, 0.0]; or along = [1.0, 0.0] and unbalance or base_amplitude"
+            )
+        return self
+
+    def load(self, parameters: Mapping[str, float]) -> Harmonic | Unbalance | BaseMotion:
+        """Return the load at some values of the parameters."""
+        (name,) = (name for name in _LOADS if getattr(self, name) is not None)
+        values = self.values(name, parameters)
+        given = {key: value for key, value in values.items() if value is not None}
+        load: Harmonic | Unbalance | BaseMotion = _LOADS[name](**given)
+        return load
 
 
 class ModulationTable(ScaledTable):
@@ -71,7 +102,7 @@ class SystemTable(TomlTable):
     damping: Matrix | None = None
     contacts: dict[str, Vector] = Field({})
     cubic: list[CubicTable] = Field([])
-    forcing: list[HarmonicTable] = Field([])
+    forcing: list[LoadTable] = Field([])
     modulation: dict[str, list[ModulationTable]] = Field({})
     lags: LagsTable | None = None
     coordinates: list[str] = Field([])
@@ -155,7 +186,7 @@ class Maker:
             return _made(name, self.own.load() if self.own else getattr(systems, name), parameters)
         except ModelError as error:
             at = f" at {in_words(parameters)}" if parameters else ""
-            raise StudyError([f"{self.source}: system{at}: {error}"]) from None
+            raise StudyError(f"{self.source}: system{at}: {error}") from None
 
 
 def maker(table: SystemTable, source: str, folders: Iterable[Path] = ()) -> Maker:
@@ -179,7 +210,7 @@ def maker(table: SystemTable, source: str, folders: Iterable[Path] = ()) -> Make
         if own is not None:
             own.load()
     except ModelError as error:
-        raise StudyError([f"{source}: system: {error}"]) from None
+        raise StudyError(f"{source}: system: {error}") from None
     return Maker(table, source, own)
 
 
@@ -231,7 +262,7 @@ def _of_matrices(table: SystemTable, parameters: Mapping[str, float]) -> System:
         damping=table.damping,
         contacts=table.contacts,
         cubic=[Cubic(**each.values("alpha", parameters)) for each in table.cubic],
-        forcing=[Harmonic(**each.values("amplitude", parameters)) for each in table.forcing],
+        forcing=[each.load(parameters) for each in table.forcing],
         modulation={
             name: [Modulation(**each.values("depth", parameters)) for each in terms]
             for name, terms in table.modulation.items()

@@ -221,7 +221,7 @@ def user_errors(
         raise
     except BaseException as error:  # the user's code may raise anything, SystemExit too
         message = f"{what}: {described(error)}" if what else described(error)
-        raise StudyError([blame(path, error, message, function)]) from None
+        raise StudyError(blame(path, error, message, function)) from None
 
 
 def blame(path: Path | None, error: BaseException, message: str, function: Any = None) -> str:

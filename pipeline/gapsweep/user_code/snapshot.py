@@ -16,6 +16,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache, cached_property
 from importlib.metadata import PackageNotFoundError, packages_distributions, version
+from itertools import accumulate
 from pathlib import Path, PurePosixPath
 
 from gapsweep.errors import ModelError
@@ -294,8 +295,7 @@ def _data(path: Path, source: bytes) -> dict[str, bytes]:
 
 def _with_parents(name: str) -> Iterator[str]:
     """``a``, ``a.b`` and ``a.b.c`` of ``a.b.c``: Python imports all of them."""
-    parts = name.split(".")
-    return (".".join(parts[: n + 1]) for n in range(len(parts)))
+    return accumulate(name.split("."), "{}.{}".format)
 
 
 def _sha256(data: bytes) -> str:

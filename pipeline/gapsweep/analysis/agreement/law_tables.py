@@ -154,6 +154,7 @@ def law_table(responses: xr.Dataset, attractors: xr.Dataset, at: At) -> LawTable
 
 def _found(attractors: xr.Dataset, at: At, responses: dict[str, Any]) -> AttractorTable:
     here = _read(attractors, ("n_attractors", *_FOUND_INTEGERS, *_FOUND_FLOATS), at)
+    speed = 2.0 * np.pi * attractors["omega"].values.reshape(-1, 1, 1)
     noise = np.zeros(here["x_max"].shape)
     w, s = np.nonzero(responses["attractor"] != NO_ATTRACTOR)
     np.fmax.at(noise, (w, responses["attractor"][w, s]), responses["noise"][w, s])
@@ -161,7 +162,7 @@ def _found(attractors: xr.Dataset, at: At, responses: dict[str, Any]) -> Attract
         noise=noise,
         n=here["n_attractors"],
         amplitude=0.5 * (here["x_max"] - here["x_min"]),
-        section=_section(here, attractors["omega"].values),
+        section=np.stack([here["section_x"], here["section_v"] / speed], axis=-1),
         **{name: here[name] for name in _FOUND_INTEGERS},
     )
 
@@ -170,8 +171,3 @@ def _read(dataset: xr.Dataset, names: tuple[str, ...], at: At) -> dict[str, Any]
     """Variables at a position as arrays by name; integers as int64."""
     here = {name: dataset.variables[name].isel(at).values for name in names}
     return {n: v.astype(np.int64) if v.dtype.kind == "i" else v for n, v in here.items()}
-
-
-def _section(here: dict[str, Any], omega: Array) -> Array:
-    speed = 2.0 * np.pi * omega.reshape(-1, 1, 1)
-    return np.stack([here["section_x"], here["section_v"] / speed], axis=-1)

@@ -30,7 +30,8 @@ def summaries(ours: LawTable, exact: LawTable, values: dict[str, Array]) -> Summ
         The point-wise and frequency-wise metrics.
     """
     block = blocks(ours.omega)
-    regimes = {2: _regimes_of_points(exact), 1: _regimes_of_frequencies(ours, exact)}
+    of_points = [np.ones_like(exact.requested), exact.periodic, exact.chaotic]
+    regimes = {2: of_points, 1: _regimes_of_frequencies(ours, exact)}
     for name, metric in METRICS.items():
         if metric.statistics == ("mean",):
             yield from _means(name, values[name], regimes[values[name].ndim], block)
@@ -40,10 +41,6 @@ def summaries(ours: LawTable, exact: LawTable, values: dict[str, Array]) -> Summ
     for name, sums in cost_sums(ours, exact).items():
         yield from _pooled(name, sums, regimes[2], block)
     yield from _counts(ours, exact, regimes[2])
-
-
-def _regimes_of_points(exact: LawTable) -> list[Bools]:
-    return [np.ones_like(exact.requested), exact.periodic, exact.chaotic]
 
 
 def _regimes_of_frequencies(ours: LawTable, exact: LawTable) -> list[Bools]:

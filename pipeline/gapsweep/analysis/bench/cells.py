@@ -6,10 +6,11 @@ write parts of this table.
 
 import math
 import os
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from dataclasses import replace
+from functools import partial
 from queue import SimpleQueue
 from typing import Any
 
@@ -31,68 +32,42 @@ from gapsweep.model.equilibria import equilibria, linear_stiffness, restoring_sl
 from gapsweep.model.labels import EXACT
 from gapsweep.model.oscillator import Oscillator
 from gapsweep.status import Status
-from gapsweep.variables import STATUS_FLAGS, Described, Variable, empty, with_attributes
+from gapsweep.variables import STATUS_FLAGS, Variable, empty, with_attributes
 
 Say = Callable[[str], None]
 CELL, PAIR, SCENE = ("scene", "method", "tolerance"), ("scene", "method"), ("scene",)
 OUTCOME_FLAGS = tuple((outcome.name.lower(), int(outcome)) for outcome in CellOutcome)
-VARIABLES: Described = {
-    "outcome": (
-        CELL,
-        Variable("i1", "1", "outcome of the run", CellOutcome.NOT_REQUESTED, OUTCOME_FLAGS),
+_cell, _pair, _scene = (partial(Variable, dims=dims) for dims in (CELL, PAIR, SCENE))
+VARIABLES = {
+    "outcome": _cell("i1", "1", "outcome of the run", CellOutcome.NOT_REQUESTED, OUTCOME_FLAGS),
+    "status": _cell("i1", "1", "status of the motion", Status.NOT_REQUESTED, STATUS_FLAGS),
+    "solver_error": _cell("f8", "1", "deviation from the reference solution of the same law"),
+    "total_error": _cell("f8", "1", "deviation from the reference solution of the exact law"),
+    "allowed_error": _cell("f8", "1", "solver error above which a run counts as wrong"),
+    "bounded_error": _cell("f8", "1", "total_error, or an upper bound if it is not measurable"),
+    "at_reference_floor": _cell("i1", "1", "whether total_error is too small to be measured", 0),
+    "event_time_error": _cell("f8", "s", "largest deviation of a contact time"),
+    "nfev": _cell("i8", "1", "right-hand-side evaluations", 0),
+    "n_steps": _cell("i8", "1", "accepted steps", 0),
+    "n_rejected": _cell("i8", "1", "rejected steps", 0),
+    "n_contacts": _cell("i8", "1", "wall crossings, in and out", 0),
+    "layer_over_step": _cell(
+        "f8", "1", "thickness of the smoothing layer over the mean length of a step"
     ),
-    "status": (
-        CELL,
-        Variable("i1", "1", "status of the motion", Status.NOT_REQUESTED, STATUS_FLAGS),
+    "model_error": _pair(
+        "f8", "1", "largest deviation of the law's reference from the exact law's"
     ),
-    "solver_error": (
-        CELL,
-        Variable("f8", "1", "deviation from the reference solution of the same law"),
+    "reference_distance": _pair(
+        "f8", "1", "distance of two independent tight solutions of the law"
     ),
-    "total_error": (
-        CELL,
-        Variable("f8", "1", "deviation from the reference solution of the exact law"),
+    "growth": _pair("f8", "1", "largest growth of a disturbance of the initial state"),
+    "n_wells": _pair("i4", "1", "stable equilibria of the law", 0),
+    "in_gap_frequency": _pair(
+        "f8", "Hz", "frequency of small motions about the middle of the gap, NaN if unstable"
     ),
-    "allowed_error": (CELL, Variable("f8", "1", "solver error above which a run counts as wrong")),
-    "bounded_error": (
-        CELL,
-        Variable("f8", "1", "total_error, or an upper bound if it is not measurable"),
-    ),
-    "at_reference_floor": (
-        CELL,
-        Variable("i1", "1", "whether total_error is too small to be measured", 0),
-    ),
-    "event_time_error": (CELL, Variable("f8", "s", "largest deviation of a contact time")),
-    "nfev": (CELL, Variable("i8", "1", "right-hand-side evaluations", 0)),
-    "n_steps": (CELL, Variable("i8", "1", "accepted steps", 0)),
-    "n_rejected": (CELL, Variable("i8", "1", "rejected steps", 0)),
-    "n_contacts": (CELL, Variable("i8", "1", "wall crossings, in and out", 0)),
-    "layer_over_step": (
-        CELL,
-        Variable("f8", "1", "thickness of the smoothing layer over the mean length of a step"),
-    ),
-    "model_error": (
-        PAIR,
-        Variable("f8", "1", "largest deviation of the law's reference from the exact law's"),
-    ),
-    "reference_distance": (
-        PAIR,
-        Variable("f8", "1", "distance of two independent tight solutions of the law"),
-    ),
-    "growth": (PAIR, Variable("f8", "1", "largest growth of a disturbance of the initial state")),
-    "n_wells": (PAIR, Variable("i4", "1", "stable equilibria of the law", 0)),
-    "in_gap_frequency": (
-        PAIR,
-        Variable(
-            "f8", "Hz", "frequency of small motions about the middle of the gap, NaN if unstable"
-        ),
-    ),
-    "n_wells_exact": (SCENE, Variable("i4", "1", "stable equilibria of the exact law", 0)),
-    "stiffness_ratio": (
-        SCENE,
-        Variable("f8", "1", "stiffness in contact over that in the gap"),
-    ),
-    "n_periods": (SCENE, Variable("i4", "1", "compared forcing periods", 0)),
+    "n_wells_exact": _scene("i4", "1", "stable equilibria of the exact law", 0),
+    "stiffness_ratio": _scene("f8", "1", "stiffness in contact over that in the gap"),
+    "n_periods": _scene("i4", "1", "compared forcing periods", 0),
 }
 
 
@@ -106,7 +81,7 @@ def cell_table(
     scenarios: Sequence[Scenario],
     methods: Sequence[Method],
     timeout: float,
-    say: Say | None = None,
+    say: Say,
 ) -> dict[str, Any]:
     """Compute every cell of a table; returns the arrays of `VARIABLES` by name.
 
@@ -119,7 +94,7 @@ def cell_table(
     timeout : float
         Processor time [s] of a scenario, and of a user law in a scenario. Cells that take longer
         have the status `timed_out`.
-    say : callable, optional
+    say : callable
         Called with a line of text before each scenario.
     """
     arrays = empty(VARIABLES, sizes(scenarios, methods))
@@ -147,7 +122,7 @@ def cell_dataset(
     scenarios: Sequence[Scenario],
     methods: Sequence[Method],
     attributes: dict[str, Any],
-    more: Described | None = None,
+    more: Mapping[str, Variable] | None = None,
 ) -> xr.Dataset:
     """Dataset of some `VARIABLES` and of `more` variables, from their arrays."""
     table = {**{name: VARIABLES[name] for name in variables}, **(more or {})}
@@ -169,7 +144,7 @@ def _groups(scenario: Scenario, methods: Sequence[Method]) -> Iterator[Group]:
 
 
 def _computed(
-    tasks: Sequence[Task], timeout: float, is_alone: bool, say: Say | None
+    tasks: Sequence[Task], timeout: float, is_alone: bool, say: Say
 ) -> Iterator[Cells | Status]:
     """Cells of every task in order, or the status of the process that failed."""
     n_processes = min(len(tasks), os.cpu_count() or 1)
@@ -177,8 +152,7 @@ def _computed(
 
     def call(task: Task) -> Cells | Status:
         _, scenario, group = task
-        if say is not None:
-            say(f"benchmark: scenario {scenario.name}, {len(group)} methods")
+        say(f"benchmark: scenario {scenario.name}, {len(group)} methods")
         if is_alone and not any(method.label.is_own for method in group.values()):
             return scenario_cells(scenario, group)
         process = idle.get()

@@ -221,6 +221,6 @@ def _references(scenario: Scenario, representation: str, law: ContactLaw | None)
         closed = closed_form(scenario)
         return References(closed, closed)
     plain, gap = references(plain_duffing(scenario), EXACT), scenario.gap
-    touches = plain.reach > min(gap.j_1, gap.j_2) and gap.j_1 + gap.j_2 > 0
+    touches = plain.compiled.reach > min(gap.j_1, gap.j_2) and gap.j_1 + gap.j_2 > 0
     # The stated answer is invalid if the motion without walls would reach one.
     return replace(plain, compiled=NONE) if touches else plain

@@ -138,10 +138,6 @@ class References:
         found: ScenarioRun = getattr(self, _OTHER[engine])
         return found
 
-    @property
-    def reach(self) -> float:
-        return self.compiled.reach
-
     def distance(self, scale: Scale) -> float:
         return distance(self.compiled, self.scipy, scale)
 
@@ -150,11 +146,6 @@ def references(scenario: Scenario, representation: str) -> References:
     """Both reference solutions of a law in a scenario."""
     law = law_or_none(scenario, representation)
     return References(*(motion(scenario, law, TIGHT[name]) for name in ("compiled", "scipy")))
-
-
-def _looser(solver: Solver) -> list[Solver]:
-    """Solvers with tolerances 10 and 100 times looser; with one, agreement could be chance."""
-    return [solver.with_rtol(f * solver.rtol) for f in (10.0, 100.0)]
 
 
 def settled(
@@ -174,13 +165,12 @@ def settled(
     if not found.distance(scale) > promise:
         return found
     law = law_or_none(scenario, representation)
-    is_steady = [
-        all(
-            distance(motion(scenario, law, solver), getattr(found, name), scale) <= promise
-            for solver in _looser(TIGHT[name])
-        )
-        for name in ("compiled", "scipy")
-    ]
+    is_steady = []
+    for name, tight in TIGHT.items():
+        # With one looser tolerance, agreement could be chance.
+        looser = [motion(scenario, law, tight.with_rtol(f * tight.rtol)) for f in (10.0, 100.0)]
+        apart = [distance(run, getattr(found, name), scale) for run in looser]
+        is_steady.append(all(each <= promise for each in apart))
     if is_steady == [True, False]:
         return References(found.compiled, found.compiled)
     return References(found.scipy, found.scipy) if is_steady == [False, True] else found

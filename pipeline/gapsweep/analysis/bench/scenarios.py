@@ -127,12 +127,8 @@ def coordinates(scenarios: Sequence[Scenario], methods: Sequence[Method]) -> dic
     """Coordinates of a dataset over scenarios and methods."""
     gaps = [scenario.gap for scenario in scenarios]
     columns = {
-        "K_c": [scenario.K_c for scenario in scenarios],
-        "j_1": [gap.j_1 for gap in gaps],
-        "j_2": [gap.j_2 for gap in gaps],
-        "omega": [scenario.omega for scenario in scenarios],
-        "x_0": [scenario.x_0 for scenario in scenarios],
-        "v_0": [scenario.v_0 for scenario in scenarios],
+        name: [getattr(each, name) for each in (gaps if name in ("j_1", "j_2") else scenarios)]
+        for name in COORDS
     }
     named = {"units": "1", "long_name": "name of the scenario"}
     label = {"units": "1", "long_name": "representation, with its solver protocol"}

@@ -22,7 +22,7 @@ VARIABLES = (
 
 
 def stability(
-    study: Study, say: Say | None = None, timeout: float = DEFAULT_TIMEOUT
+    study: Study, say: Say = lambda text: None, timeout: float = DEFAULT_TIMEOUT
 ) -> xr.Dataset | None:
     """Outcomes of every method on every scenario with a stated solution.
 

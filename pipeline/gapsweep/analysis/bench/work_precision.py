@@ -12,6 +12,7 @@ import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -60,41 +61,35 @@ VARIABLES = (
     *("n_contacts", "status", "at_reference_floor", "model_error", "reference_distance", "growth"),
     "n_periods",
 )
+_cell, _method = (partial(Variable, dims=dims) for dims in (CELL, ("method",)))
 MEASURED = {
     "trajectory_error": CELL_VARIABLES["solver_error"],
-    "amplitude_error": (
-        CELL,
-        Variable(
-            "f8",
-            "1",
-            "relative deviation of the steady amplitude from the reference of the same law",
-        ),
+    "amplitude_error": _cell(
+        "f8", "1", "relative deviation of the steady amplitude from the reference of the same law"
     ),
-    "cpu_time": (CELL, Variable("f8", "1", "CPU time per simulated second, median")),
-    "cpu_time_q25": (CELL, Variable("f8", "1", "CPU time, lower quartile")),
-    "cpu_time_q75": (CELL, Variable("f8", "1", "CPU time, upper quartile")),
-    "on_front": (
-        CELL,
-        Variable("i1", "1", "whether no other cell has both lower cost and lower total error", 0),
+    "cpu_time": _cell("f8", "1", "CPU time per simulated second, median"),
+    "cpu_time_q25": _cell("f8", "1", "CPU time, lower quartile"),
+    "cpu_time_q75": _cell("f8", "1", "CPU time, upper quartile"),
+    "on_front": _cell(
+        "i1", "1", "whether no other cell has both lower cost and lower total error", 0
     ),
-    "first_call_time": (
-        ("method",),
-        Variable("f8", "s", "CPU time of the slowest first call, which compiles or loads code"),
+    "first_call_time": _method(
+        "f8", "s", "CPU time of the slowest first call, which compiles or loads code"
     ),
-    "n_lanes": (("method",), Variable("i4", "1", "points per timed call", 1)),
+    "n_lanes": _method("i4", "1", "points per timed call", 1),
 }
 ERROR_SCALE = "gap width; for velocities, times the angular forcing frequency"
 
 
 def work_precision(
-    study: Study, say: Say | None = None, timeout: float = DEFAULT_TIMEOUT
+    study: Study, say: Say = lambda text: None, timeout: float = DEFAULT_TIMEOUT
 ) -> xr.Dataset | None:
     """Error, cost and status of every method on every scenario without a stated solution.
 
     Parameters
     ----------
     study : Study
-    say : callable, optional
+    say : callable
         Called with a line of text before each step.
     timeout : float
         Processor time [s] of a scenario, and of each call of a user law.
@@ -112,13 +107,12 @@ def work_precision(
     # The load of other processes, before the measurements.
     load = os.getloadavg()[0] if hasattr(os, "getloadavg") else math.nan
     repeats = study.spec.bench.repeats
-    report = say or (lambda _: None)
     with Isolated(timeout) as isolated:
         bench = Measurements(found, ladder, study.spec.bench.lanes, study.steady, isolated)
         # Costs first: their first calls are the first ones of the process.
-        report(f"work-precision: measuring costs of {len(found)} scenarios, {len(ladder)} methods")
+        say(f"work-precision: measuring costs of {len(found)} scenarios, {len(ladder)} methods")
         bench.measure_costs(repeats)
-        report("work-precision: computing steady responses")
+        say("work-precision: computing steady responses")
         bench.measure_responses()
     compared = [followed(bench.without_lost(s)) for s in range(len(found))]
     arrays = cell_table(compared, ladder, timeout, say) | bench.arrays

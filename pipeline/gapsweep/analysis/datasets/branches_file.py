@@ -9,6 +9,7 @@ that an interrupted run computes only the missing cases.
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager, suppress
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -43,17 +44,16 @@ from gapsweep.user_code.package_digest import numerics_fingerprint
 from gapsweep.variables import POINT, SECTION_POINT, STATUS_FLAGS, Variable
 
 FOLDER = "branches"
+_attractor = partial(Variable, dims=(ATTRACTOR,))
 OF_STUDY = {
-    "n_lost": (
-        BRANCH,
-        Variable("i4", "1", "orbits and special points of the case that were not found"),
+    "n_lost": Variable(
+        "i4", "1", "orbits and special points of the case that were not found", dims=(BRANCH,)
     ),
-    "attractor_number": (ATTRACTOR, Variable("i4", "1", "number of the attractor of the case")),
-    "attractor_status": (
-        ATTRACTOR,
-        Variable("i1", "1", "outcome of the case of the attractor", flags=STATUS_FLAGS),
+    "attractor_number": _attractor("i4", "1", "number of the attractor of the case"),
+    "attractor_status": _attractor(
+        "i1", "1", "outcome of the case of the attractor", flags=STATUS_FLAGS
     ),
-    "attractor_message": (ATTRACTOR, Variable("str", "1", "reason why the case has no branches")),
+    "attractor_message": _attractor("str", "1", "reason why the case has no branches"),
 }
 
 
@@ -225,8 +225,8 @@ def _assembled(study: Study, parts: list[_SceneBranches], *, is_curves: bool) ->
     own = of_attractors(attractors, study.structure.n_states)
     made = _joined(several).merge(matches).assign(own)
     made["attractor_on_branch"][:] = on_branch
-    for name, (dim, form) in OF_STUDY.items():
-        made[name] = (dim, np.array(columns[name], form.dtype), form.attributes)
+    for name, form in OF_STUDY.items():
+        made[name] = (form.dims, np.array(columns[name], form.dtype), form.attributes)
     described, values = coordinates(grid.dims, grid.structure), grid.coordinates()
     others = {"second", "range"}
     if is_curves:  # the second parameter is a variable; attractors are there for their statuses

@@ -6,19 +6,19 @@ scaled so that a sinusoid on a bin shows its amplitude. The number of periods ha
 divisors, so that the harmonics of period-2 to period-6 motions, too, lie on bins.
 """
 
+from functools import partial
 from typing import Any
 
 import numpy as np
 import xarray as xr
 
 from gapsweep.analysis.dimensions import Array
-from gapsweep.analysis.spectra import N_PERIODS, SAMPLES_PER_PERIOD, spectrum
+from gapsweep.analysis.spectra import N_PERIODS, SAMPLES_PER_PERIOD, repetition, spectrum
 from gapsweep.errors import ModelError
 from gapsweep.execution.isolated import CallError, Isolated
 from gapsweep.execution.progress import DEFAULT_TIMEOUT
 from gapsweep.integrate.simulate import motion_of
 from gapsweep.model.labels import Representation
-from gapsweep.response.section import period_multiple, scaled, unit_of
 from gapsweep.status import Status
 from gapsweep.study.grid import START
 from gapsweep.study.points import Points
@@ -29,8 +29,6 @@ from gapsweep.user_code.package_digest import numerics_fingerprint
 from gapsweep.variables import STATUS_FLAGS, Variable, empty, with_attributes
 
 PARTS = ("start", "steady")
-# Section points closer than this share of the largest displacement count as one.
-_SAME_POINT = 1e-4
 
 _DIMS = ("history", "representation")
 _SCENE = ("K_c", "gap", "j_1", "j_2", "omega", "x_0", "v_0")
@@ -39,25 +37,23 @@ SCENE = {
     "t_end": Variable("f8", "s", "end of the motion"),
     "n_periods": Variable("i4", "1", "forcing periods stored at either end", 0),
 }
+_of_samples, _of_bins, _of_motion = (
+    partial(Variable, dims=(*_DIMS, *own)) for own in (("part", "sample"), ("frequency_bin",), ())
+)
 VARIABLES = {
-    "x": ((*_DIMS, "part", "sample"), Variable("f8", "m", "displacement")),
-    "v": ((*_DIMS, "part", "sample"), Variable("f8", "m s-1", "velocity")),
-    "spectrum": (
-        (*_DIMS, "frequency_bin"),
-        Variable("f8", "m", "amplitude spectrum of the steady displacement"),
+    "x": _of_samples("f8", "m", "displacement"),
+    "v": _of_samples("f8", "m s-1", "velocity"),
+    "spectrum": _of_bins("f8", "m", "amplitude spectrum of the steady displacement"),
+    "period_multiple": _of_motion(
+        "i4", "1", "forcing periods after which the steady part repeats, 0: none", 0
     ),
-    "period_multiple": (
-        _DIMS,
-        Variable("i4", "1", "forcing periods after which the steady part repeats, 0: none", 0),
-    ),
-    "status": (
-        _DIMS,
-        Variable("i1", "1", "outcome of the motion", Status.NOT_REQUESTED, STATUS_FLAGS),
-    ),
+    "status": _of_motion("i1", "1", "outcome of the motion", Status.NOT_REQUESTED, STATUS_FLAGS),
 }
 AXES = {
-    "t": (("history", "part", "sample"), Variable("f8", "s", "time")),
-    "frequency": (("history", "frequency_bin"), Variable("f8", "Hz", "frequency of the spectrum")),
+    "t": Variable("f8", "s", "time", dims=("history", "part", "sample")),
+    "frequency": Variable(
+        "f8", "Hz", "frequency of the spectrum", dims=("history", "frequency_bin")
+    ),
 }
 _WINDOW = "Hann over whole forcing periods; a sinusoid at a bin has its amplitude"
 
@@ -185,11 +181,10 @@ def _motion(point: Points, omega: float, t_end: float) -> dict[str, Any]:
         return {"status": motion.status}
     x, v = (values.reshape(t.shape) for values in motion.sample(t)[:2])
     steady = np.transpose([x[-1], v[-1]])[::SAMPLES_PER_PERIOD]
-    same = _SAME_POINT * float(np.max(np.abs(x[-1])))
     return {
         "x": x,
         "v": v,
         "spectrum": spectrum(x[-1]),
-        "period_multiple": period_multiple(scaled(steady, unit_of(omega)), same, len(steady) // 2),
+        "period_multiple": repetition(steady, float(np.max(np.abs(x[-1]))), omega),
         "status": motion.status,
     }

@@ -19,6 +19,7 @@ from gapsweep.analysis.datasets.contact_errors import (
     needed,
     rms_error,
 )
+from gapsweep.analysis.dimensions import scenes as in_turn
 from gapsweep.errors import ModelError, StudyError
 from gapsweep.model.contact import ContactLaw, Piecewise
 from gapsweep.model.labels import Representation, canonical_label, contact_law
@@ -74,10 +75,8 @@ def advice(study: Study, error: float | None = None, share: float = 0.95) -> xr.
     """
     if not study.model.is_oscillator:
         raise StudyError(
-            [
-                f"{study.source}: system: advice is for oscillators only; the report of a run "
-                "shows the adequate laws"
-            ]
+            f"{study.source}: system: advice is for oscillators only; the report of a run "
+            "shows the adequate laws"
         )
     grid = study.grid
     error = study.spec.auto.error if error is None else error
@@ -136,6 +135,7 @@ def _screened(study: Study, share: float) -> tuple[list[str], dict[str, Any]]:
         gap = axes["gap"] if "gap" in axes else Gap(axes["j_1"], axes["j_2"])
         walls = axes["K_c"], gap, axes.get("K_ratio", 1.0)
         oscillator = replace(study.oscillator, **{n: axes[n] for n in OSCILLATOR if n in axes})
+        oscillator = oscillator.at(max(grid.omega))
         forcing = abs(oscillator.forcing)
         placed = partial(_placed, oscillator, *walls, study.spec.fit.range)
         labels = []
@@ -180,9 +180,9 @@ def sentences(found: xr.Dataset) -> list[dict[str, Any]]:
         laws with their force errors, none if no wall is reached.
     """
     scenes = []
-    dims = found["force_error"].dims[:-1]
-    for place in np.ndindex(*(found.sizes[dim] for dim in dims)):
-        here = found.isel(dict(zip(dims, place, strict=True)))
+    dims = [str(dim) for dim in found["force_error"].dims[:-1]]
+    for at in in_turn(found, dims):
+        here = found.isel(at)
         if not (here["model"] >= 0).any():
             continue
         j_1, j_2 = (float(here[name]) for name in ("j_1", "j_2"))
@@ -190,7 +190,7 @@ def sentences(found: xr.Dataset) -> list[dict[str, Any]]:
         rows = _assessed(here) if may_reach else {}
         scenes.append(
             {
-                **{str(dim): float(here[dim]) for dim in dims if dim != "gap"},
+                **{dim: float(here[dim]) for dim in dims if dim != "gap"},
                 "gap": Gap(j_1, j_2).label,
                 "starts": [
                     {"start": _starts(some), "advice": _ranges(some)} for some in _alike(here)

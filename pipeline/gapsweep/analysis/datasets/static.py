@@ -34,7 +34,6 @@ from gapsweep.model.equilibria import equilibria, linear_stiffness, restoring_sl
 from gapsweep.model.labels import EXACT, Representation
 from gapsweep.model.laws.tanh import Tanh
 from gapsweep.model.oscillator import Gap, Oscillator
-from gapsweep.model.user_law import UserLaw
 from gapsweep.study.schema import COORDINATES
 from gapsweep.study.study import Study
 from gapsweep.user_code.package_digest import numerics_fingerprint
@@ -101,12 +100,11 @@ LIST_VARIABLES = {
 }
 
 
-def static(
-    study: Study, responses: xr.Dataset | None = None, *, with_own_laws: bool = True
-) -> xr.Dataset:
+def static(study: Study, responses: xr.Dataset | None = None) -> xr.Dataset:
     """Force, errors, frequencies and equilibria of laws over all swept parameters.
 
-    A law that cannot be built or evaluated leaves NaN and its reason in ``refusal``.
+    A law that cannot be built or evaluated leaves NaN and its reason in ``refusal``; so does a user
+    law, since its code could hang or end this process.
 
     Parameters
     ----------
@@ -116,9 +114,6 @@ def static(
         Responses of the study, for the displacements that the exact law visits. Without them, or
         without the exact law, the range is that of `expected_range`; attribute `visited` of
         ``force_error_ratio`` says which.
-    with_own_laws : bool
-        Whether to evaluate user laws in this process, which they could hang or end; otherwise
-        they are refused.
 
     Returns
     -------
@@ -136,12 +131,12 @@ def static(
 
     @cache
     def of_walls(label: Representation, *walls: Any) -> Values:
-        if label.is_own and not with_own_laws:
+        if label.is_own:
             return {"refusal": "user law: not evaluated"}
-        return _unless_refused(label, _of_walls, x, study, label, *walls)
+        return _unless_refused(_of_walls, x, study, label, *walls)
 
     of_all = [
-        _unless_refused(label, _of_spring, oscillator, of_walls(label, *walls), x_max)
+        _unless_refused(_of_spring, oscillator, of_walls(label, *walls), x_max)
         for label in labels
         for oscillator, *walls in models
     ]
@@ -204,8 +199,9 @@ def _with_forcing(
         dataset = dataset.assign_coords(forcing=(dims, forcing, described.attributes))
     over = [*map(str, dataset["in_gap_force"].dims), *(() if swept is None else ("forcing",))]
     shape = [*(dataset.sizes[dim] for dim in over)]
+    highest = max(study.grid.omega)  # unbalance and moving base load it most there
     cases = [
-        (replace(oscillator, forcing=p), Piecewise(K_c, gap, K_ratio=ratio))
+        (replace(oscillator, forcing=p).at(highest), Piecewise(K_c, gap, K_ratio=ratio))
         for oscillator, K_c, gap, ratio in models
         for p in forcing.tolist()
     ]
@@ -269,25 +265,18 @@ def displacements(gaps: tuple[Gap, ...], x_max: float) -> Array:
     return np.unique(points[np.abs(points) <= x_max])
 
 
-def _unless_refused(label: Representation, measured: Callable[..., Values], *given: Any) -> Values:
+def _unless_refused(measured: Callable[..., Values], *given: Any) -> Values:
     """The values that a function measures for a law, or else the reason of its refusal."""
     try:
         return measured(*given)
     except ModelError as error:
         return {"refusal": str(error)}
-    except Exception as error:  # raised by a user law, which then counts as refused
-        if not label.is_own:
-            raise
-        return {"refusal": f"{type(error).__name__}: {error}"}
 
 
 def _of_walls(x: Array, study: Study, label: str, K_c: float, gap: Gap, K_ratio: float) -> Values:
     """The law, and the values that depend on the law only, not on the oscillator."""
     law, x_max = study.law(label, K_c, gap, K_ratio), study.spec.fit.range
     force = law.force(x)
-    if isinstance(law, UserLaw) and not np.isfinite(force).all():
-        nowhere = x[~np.isfinite(force)][0]
-        raise ModelError(f"{label}: its force is not finite at x = {nowhere:g} m")
     return {
         "law": law,
         "force": force,

@@ -32,14 +32,19 @@ def timing(responses: xr.Dataset) -> xr.Dataset:
     """
     host = responses["host"]
     requested = responses["status"] != Status.NOT_REQUESTED
-    chosen = _busiest(host)
+    known = host.values[host.values >= 0]
+    chosen = int(np.bincount(known).argmax()) if known.size else -1  # has the most points
     measured = requested & (host == chosen)
     variables = {}
-    for name, (units, long_name) in COSTS.items():
-        values = responses[name].where(measured)
-        for statistic, value in (("mean", mean(values)), ("median", quantile(values, 0.5))):
-            attributes = {"units": units, "long_name": f"{long_name}, {statistic}"}
-            variables[f"{name}_{statistic}"] = value.assign_attrs(attributes)
+    with warnings.catch_warnings():
+        # numpy warns where no point was measured: NaN is correct there.
+        warnings.simplefilter("ignore", RuntimeWarning)
+        for name, (units, long_name) in COSTS.items():
+            values = responses[name].where(measured)
+            for statistic in ("mean", "median"):
+                value = getattr(values, statistic)(swept(values))
+                attributes = {"units": units, "long_name": f"{long_name}, {statistic}"}
+                variables[f"{name}_{statistic}"] = value.assign_attrs(attributes)
     for name, where in (("n_points", measured), ("n_points_elsewhere", requested & ~measured)):
         count = where.sum(swept(where)).astype("i4").drop_attrs(deep=False)
         long_name = "sweep points measured" if name == "n_points" else "points of other machines"
@@ -47,27 +52,6 @@ def timing(responses: xr.Dataset) -> xr.Dataset:
     names = str(host.attrs.get("flag_meanings", "")).split()
     chosen_name = names[chosen] if 0 <= chosen < len(names) else ""
     return xr.Dataset(variables).assign_attrs(of_study(responses), measured_on=chosen_name)
-
-
-def _busiest(host: xr.DataArray) -> int:
-    """Index of the machine with the most points; -1 if there is none."""
-    known = host.values[host.values >= 0]
-    return int(np.bincount(known).argmax()) if known.size else -1
-
-
-def quantile(values: xr.DataArray, q: float) -> xr.DataArray:
-    """Quantile over frequencies and initial conditions, without NaN entries."""
-    with warnings.catch_warnings():
-        # numpy warns if no entry is left; the result NaN is correct.
-        warnings.simplefilter("ignore", RuntimeWarning)
-        return values.quantile(q, swept(values)).drop_vars("quantile")
-
-
-def mean(values: xr.DataArray) -> xr.DataArray:
-    """Mean over frequencies and initial conditions, without NaN entries."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", RuntimeWarning)
-        return values.mean(swept(values))
 
 
 def repeatability(ratios: Array) -> float:

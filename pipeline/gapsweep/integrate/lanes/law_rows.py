@@ -34,7 +34,7 @@ _ROWS = {
 SERIES = ("numerator", "denominator")
 
 
-def rows_of(law: type[ContactLaw]) -> dict[str, int]:
+def rows_of_law(law: type[ContactLaw]) -> dict[str, int]:
     """Return the rows of the arguments of a law's formulas: own numbers from row `OWN` on."""
     several = filter(None, law.formulas)
     names = dict.fromkeys(name for each in several for name in arguments(each))
@@ -86,13 +86,15 @@ def with_law_rows(exact: SceneTable, at: RowLayout, laws: Sequence[Array]) -> Sc
     exact : SceneTable
         n systems, for located contacts.
     at : RowLayout
-        Its first rows are those of `exact`.
+        It has all blocks of the layout of `exact`.
     laws : sequence of ndarray, shape (n, N_PARAMETERS)
         Parameter rows of the law of every contact.
     """
     at = known(at)
     table = np.zeros((len(exact.table), at.n_rows))
-    table[:, : exact.at.n_rows] = exact.table
+    for name, size in exact.at.blocks.items():
+        old, new = exact.at.first[name], at.first[name]
+        table[:, new : new + size] = exact.table[:, old : old + size]
     for i, rows in enumerate(laws):
         first = at.law + i * N_PARAMETERS
         table[:-1, first : first + N_PARAMETERS] = rows

@@ -2,8 +2,9 @@
 
 A row of ``lanes`` is one vector load. The number of rows depends on the system; a `RowLayout` names
 them. It is a compile-time value: its numbers are part of its numba type, so that a step is compiled
-once for every size of system, and the number of a row is a constant in its code. Code for single
-lanes reads the same numbers from a record (`RowLayout.numbers`) and is compiled once for all sizes.
+once for every size of system, and the number of a row is a constant in its code. Loads, cubic
+springs and modulations of systems are counted at run time, in loops: their rows stand last. Code
+for single lanes reads all numbers from a record (`RowLayout.numbers`): one for all layouts.
 
 Clocks count forcing periods: a time is the pair (whole periods since the beginning of the
 point's first period, fraction of a period in [0, 1)). The fraction *is* the forcing phase, hence
@@ -18,6 +19,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 from numba import types
+from numba.core import cgutils
 from numba.core.typing.templates import AttributeTemplate, infer_getattr
 from numba.extending import (
     NativeValue,
@@ -38,6 +40,8 @@ from .parameters import N_PARAMETERS
 _DEGREES, _TIGHT = (12, 16), 2e-8
 _LAYER_DEGREES, _LAYER_TIGHT = (8, 12), 2e-5
 
+# Numbers of things that each have rows.
+_COUNTS = ("harmonics", "cubics", "modulations")
 # Names of the blocks of rows and, by the counts of a `RowLayout`, how many rows each has.
 _ONE = (
     # the clock, with the digits that its sum has lost; of the last step the length and beginning
@@ -72,9 +76,8 @@ class RowLayout:
         Contacts, cubic springs, harmonics of the forcing (a constant load is one), and of the
         contacts' stiffness.
     is_plain : bool
-        Whether the system is an oscillator: one coordinate with one contact and one cubic spring.
-    in_step : bool
-        Whether the only harmonic has the frequency and the phase of the clock.
+        Whether the system is an oscillator: one coordinate with one contact, one cubic spring and
+        one harmonic with the frequency and the phase of the clock.
     is_tanh : bool
         Whether the contact of an oscillator is smoothed by tanh.
     is_free : bool
@@ -99,7 +102,6 @@ class RowLayout:
     harmonics: int = 1
     modulations: int = 0
     is_plain: bool = True
-    in_step: bool = True
     is_tanh: bool = False
     is_free: bool = False
     is_located: bool = True
@@ -110,7 +112,7 @@ class RowLayout:
 
     derived: ClassVar[tuple[str, ...]] = (
         *("n_states", "all_lanes", "n_terms", "n_series", "first_gap", "n_turning", "n_rows"),
-        *("n_rates", "width", "gap_end"),
+        *("n_rates", "width", "gap_end", "spring_series"),
     )
 
     @property
@@ -138,7 +140,19 @@ class RowLayout:
     def of_code(self) -> "RowLayout":
         """The layout that stands for all those with the same code."""
         tangent = self.tangent if self.is_tanh else 0
-        return known(replace(self, order=self.degrees[-1], tangent=tangent))
+        found = replace(self, order=self.degrees[-1], tangent=tangent, is_free=False, harmonics=1)
+        if self.is_plain:
+            return known(found)
+        # a Taylor step without springs or modulations has no loops; to other methods they cost
+        # nothing
+        cubics, modulations = min(self.cubics, 1), min(self.modulations, 1)
+        some = (cubics, modulations) if self.is_taylor else (1, 1)
+        return known(replace(found, cubics=some[0], modulations=some[1]))
+
+    @property
+    def counted(self) -> tuple[str, ...]:
+        """Names of the numbers that code reads at run time; all others are its constants."""
+        return () if self.is_plain else (*_COUNTS, *self._item_blocks(), "spring_series", "n_rows")
 
     @cached_property
     def of_motion(self) -> "RowLayout":
@@ -207,11 +221,25 @@ class RowLayout:
         """Number of quantities whose extrema are recorded: coordinates, then gaps of contacts."""
         return 1 if self.is_plain else self.n + self.contacts
 
+    @property
+    def n_kept(self) -> int:
+        """Number of series of a step and of all solutions of the variational equation."""
+        return self.n_series + self.tangent * self.n_states * self.n_rates
+
+    @property
+    def spring_series(self) -> int:
+        """First coefficient of the series of cubic springs: of a.q, of its square, of a tangent."""
+        return self.n_kept * self.n_terms
+
+    @property
+    def n_coefficients(self) -> int:
+        """Number of all coefficients of a step."""
+        return self.spring_series + 3 * self.n_terms * self.cubics * (not self.is_plain)
+
     @cached_property
     def blocks(self) -> dict[str, int]:
         """Number of rows of every block."""
-        n, m, k, c = self.n, self.m, self.contacts, self.cubics
-        h, s = self.harmonics, self.modulations
+        n, m, k = self.n, self.m, self.contacts
         several = not self.is_plain
         return dict.fromkeys(_ONE, 1) | {
             # state, and the largest |q| at the ends of steps
@@ -232,13 +260,7 @@ class RowLayout:
             # pull, all per unit mass (multiplied by M^-1); z' = of_speed v + of_place q + of_lag z
             **{"stiffness": n * n, "damping": n * n, "lag_force": n * m},
             **{"of_speed": m * n, "of_place": m * n, "of_lag": m * m},
-            # cubic springs: alpha M^-1 a, a, and for n > 1 alpha, a'M^-1 a, 1 / (a'K^-1 a)
-            **{"cubic": n * c, "along": c * n * several},
-            **{"alpha": c * several, "softness": c * several, "holding": c * several},
             **{"pull": n * k * several, "direction": k * n * several},
-            # forcing: amplitudes, multiples of the frequency, phases in periods
-            **{"push": h * n, "multiple": h * (not self.in_step), "phase": h * (not self.in_step)},
-            **{"depth": k * s, "depth_multiple": s, "depth_phase": s},
             # scales of step errors: roots of the matrices of masses and springs, square of the
             # fastest rate [1/s^2] and rate of decay [1/s] of the linear parts, speed of a metre
             # [1/s], sizes of lags relative to a metre
@@ -250,6 +272,29 @@ class RowLayout:
             "out_of_range": 1 * self.has_laws,
             "fit": sum(top + bottom for _, top, bottom in self.laws),
             **self._runge_kutta_blocks(),
+            **self._item_blocks(),
+        }
+
+    def _item_blocks(self) -> dict[str, int]:
+        """Number of rows of the blocks with rows of every load, cubic spring and modulation."""
+        n, h, c, s, several = (
+            self.n,
+            self.harmonics,
+            self.cubics,
+            self.modulations,
+            not self.is_plain,
+        )
+        stages = several and not self.is_taylor
+        return {
+            # forcing: amplitudes, multiples of the frequency, phases in periods
+            **{"push": h * n, "multiple": h * several, "phase": h * several},
+            # cubic springs: alpha M^-1 a, a, and for n > 1 alpha, a'M^-1 a, 1 / (a'K^-1 a)
+            **{"cubic": c * n, "along": c * n * several},
+            **{"alpha": c * several, "softness": c * several, "holding": c * several},
+            # periodic stiffness of contacts
+            **{"depth": s * self.contacts, "depth_multiple": s, "depth_phase": s},
+            # of a Runge-Kutta stage: cosines of loads, cubes of springs, and three squares
+            **{"cosine": h * stages, "cube": c * stages, "bend": c * stages},
         }
 
     def _runge_kutta_blocks(self) -> dict[str, int]:
@@ -268,12 +313,9 @@ class RowLayout:
             **{"q_1": n, "v_1": n, "z_1": m, "a_1": n, "w_1": m, "tangent_1": s * s},
             # gaps of several contacts, their speeds and accelerations, at both ends of it
             **{"gap_0": 3 * k * several, "gap_1": 3 * k * several},
-            # of a stage of a system: state, cosines of loads; of every contact its gap, its force
-            # (or slope, or denominator) and the factor of its stiffness; of every cubic spring the
-            # cube, and three squares
-            **{"stage": s * several, "cosine": self.harmonics * several},
-            **{"stage_gap": k, "force": k, "modulation": k * several},
-            **{"cube": self.cubics * several, "bend": self.cubics * several},
+            # of a stage of a system: state; of every contact its gap, its force (or slope, or
+            # denominator) and the factor of its stiffness
+            **{"stage": s * several, "stage_gap": k, "force": k, "modulation": k * several},
         }
         return {name: size * (not self.is_taylor) for name, size in sizes.items()}
 
@@ -287,13 +329,15 @@ class RowLayout:
         return sum(self.blocks.values())
 
     @cached_property
-    def numbers(self) -> np.record:
-        """All sizes and first rows, by name, as a record for code compiled once for all layouts."""
+    def numbers(self) -> NDArray[Any]:
+        """All sizes and first rows, by name, for code compiled once for all layouts.
+
+        An array of one record: numba takes ten microseconds for each argument that is a record.
+        """
         given = [field.name for field in fields(self) if field.name != "laws"]
-        names = [*given, *self.derived, *self.blocks]
+        names = *given, *self.derived, *self.blocks
         values = tuple(int(getattr(self, name)) for name in names)
-        found: np.record = np.rec.array([values], dtype=[(name, np.int64) for name in names])[0]
-        return found
+        return np.array([values], dtype=_record_of(names))
 
     def __getattr__(self, name: str) -> int:
         """Return the first row of a block, and store it as an attribute."""
@@ -301,6 +345,18 @@ class RowLayout:
             raise AttributeError(name)
         self.__dict__[name] = self.first[name]
         return self.first[name]
+
+
+@cache
+def _record_of(names: tuple[str, ...]) -> Any:
+    """Return the type of a record of whole numbers; numba compares equal ones field by field."""
+    return np.dtype((np.record, [(name, np.int64) for name in names]))
+
+
+@cache
+def oscillator_layout(rtol: float, *, is_tanh: bool) -> RowLayout:
+    """Return the layout of oscillators with a located contact, or one smoothed by tanh."""
+    return RowLayout(is_tanh=is_tanh).with_degree(rtol)
 
 
 _KNOWN: dict[RowLayout, RowLayout] = {}
@@ -319,15 +375,24 @@ def aligned(*shape: int) -> NDArray[np.float64]:
     return raw[skip : skip + size].reshape(shape)
 
 
-class LayoutType(types.Opaque):
-    """numba's type of one layout: its numbers are constants of the code."""
+class LayoutType(types.Type):
+    """numba's type of one layout: its numbers are constants of the code, but for `counted` ones."""
 
     def __init__(self, layout: RowLayout) -> None:
         self.layout = layout
         super().__init__(repr(layout))
 
 
-register_model(LayoutType)(models.OpaqueModel)
+@register_model(LayoutType)
+class _Counts(models.StructModel):
+    def __init__(self, manager: Any, typ: LayoutType) -> None:
+        super().__init__(manager, typ, [(name, types.int64) for name in typ.layout.counted])
+
+
+def counts_of(context: Any, builder: Any, typ: LayoutType, value: Any) -> dict[str, Any]:
+    """Return the numbers of a layout that are read at run time, by name."""
+    counts = cgutils.create_struct_proxy(typ)(context, builder, value=value)
+    return {name: getattr(counts, name) for name in typ.layout.counted}
 
 
 _typed = cache(LayoutType)  # needed in every call from Python
@@ -340,7 +405,12 @@ def _typeof(layout: RowLayout, context: Any) -> LayoutType:
 
 @unbox(LayoutType)
 def _unbox(typ: LayoutType, value: Any, c: Any) -> NativeValue:
-    return NativeValue(c.context.get_dummy_value())
+    counts = cgutils.create_struct_proxy(typ)(c.context, c.builder)
+    for name in typ.layout.counted:
+        number = c.pyapi.object_getattr_string(value, name)
+        setattr(counts, name, c.pyapi.long_as_longlong(number))
+        c.pyapi.decref(number)
+    return NativeValue(counts._getvalue())
 
 
 @infer_getattr
@@ -358,5 +428,7 @@ class _Numbers(AttributeTemplate):
 def _number(context: Any, builder: Any, typ: LayoutType, value: Any, name: str) -> Any:
     found = getattr(typ.layout, name)
     if isinstance(found, RowLayout):
-        return context.get_dummy_value()
+        return value
+    if name in typ.layout.counted:
+        return counts_of(context, builder, typ, value)[name]
     return context.get_constant(types.int64, int(found))

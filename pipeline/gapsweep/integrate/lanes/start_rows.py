@@ -10,25 +10,29 @@ import numpy as np
 
 from gapsweep.integrate.jit import entry, internal
 
+from .outcome import CLOCK_SLACK
+
 # The absolute part of a step's tolerance never exceeds rtol times this part of the motion's
 # natural size: a step at high order costs so little more that a generous atol buys nothing, and
 # would only spoil motions much smaller than a metre. It is never zero in motion, so that a
 # start at rest, without an amplitude, gets a finite step.
 FLOOR_SHARE = 1e-3
 READY, ON_WALL, NOT_FINITE, BACKWARD = range(4)
+MOST_PLACED = 1 << 22  # section points for which rows are reserved before the motions begin
 CLOCK_ROUNDING = 4.0 * np.finfo(float).eps
 PRODUCT_ROUNDING = 1.5 * np.finfo(float).eps  # of the rounded product of two rounded numbers
 
 
 @entry
 def set_starts(
-    at, points, table, which, start, follows, t_0, t_end, record_from, section_only, rtol
-):
+    numbers, points, table, which, start, follows, t_0, t_end, record_from, section_only,
+    sections, rtol,
+):  # fmt: skip
     """Copy rows of a table of models and write initial states and times into the copies.
 
     Parameters
     ----------
-    at : record
+    numbers : array, shape (1,)
         `RowLayout.numbers`.
     points : array, shape (n + 1, n_rows)
         Receives the points, and the table's last row, the idle point, as its last one.
@@ -43,38 +47,67 @@ def set_starts(
     t_0, t_end, record_from : arrays, shape (n,)
     section_only : bool
         As in `batch.run`.
+    sections : int array, shape (n, 2)
+        Receives the first row and the end of the rows reserved for each motion's section points.
 
     Returns
     -------
-    int
+    outcome : int
         READY; ON_WALL: points start on a wall, the caller sets their modes; NOT_FINITE or BACKWARD:
         a value is not finite, or an end lies before its initial time.
+    n_sections : int
+        Number of reserved rows; -1 if they are too many, or the motions are unforced.
+    is_recording : bool
+        Whether a motion is recorded.
     """
+    at, n_sections, is_recording = numbers[0], 0, False
     # by loops: compiling an assignment of rows takes a second, for its errors about wrong shapes
     for r in range(at.n_rows):
         points[len(which), r] = table[len(table) - 1, r]
     outcome = READY
     for i in range(len(which)):
         if not (isfinite(t_0[i]) and isfinite(t_end[i])):
-            return NOT_FINITE
+            return NOT_FINITE, -1, False
         if math.isnan(record_from[i]):
-            return NOT_FINITE
+            return NOT_FINITE, -1, False
         if t_end[i] < t_0[i]:
-            return BACKWARD
+            return BACKWARD, -1, False
         point = points[i]
         for r in range(at.n_rows):
             point[r] = table[which[i], r]
         _set_clocks(at, point, t_0[i], t_end[i], record_from[i])
         is_found_by_clock = section_only and not at.is_free
         point[at.event_clock] = np.inf if is_found_by_clock else point[at.record_clock]
+        is_recording |= isfinite(record_from[i])
+        if n_sections >= 0:
+            n_due = point[at.end_cycle] - first_section(point[at.record_clock]) + 1.0
+            sections[i, 0] = n_sections
+            is_placed = not at.is_free and n_sections + max(n_due, 0.0) <= MOST_PLACED
+            n_sections = n_sections + int(max(n_due, 0.0)) if is_placed else -1
+            sections[i, 1] = n_sections
         if follows[i]:
             continue
         for j in range(at.n_states):
             if not isfinite(start[i, j]):
-                return NOT_FINITE
+                return NOT_FINITE, -1, False
         if _set_state(at, point, start[i], rtol):
             outcome = ON_WALL
-    return outcome
+        for contact in range(at.contacts):
+            _set_contact_time(at, point, contact)
+    return outcome, n_sections, is_recording
+
+
+@internal
+def first_section(record_clock):
+    """Number of the first whole period at which a section point is recorded."""
+    return max(1.0, np.ceil(record_clock - CLOCK_SLACK))
+
+
+@internal
+def _set_contact_time(at, point, contact):
+    """Begin the sum of a contact's time: the initial time is subtracted if it is closed."""
+    is_touching = point[at.mode + contact] != 0.0
+    point[at.contact_time + contact] = -point[at.t_start] if is_touching else 0.0
 
 
 @internal
@@ -96,8 +129,7 @@ def follow(at, point, ended, rtol):
     for contact in range(at.contacts):
         if is_on_wall:
             point[at.mode + contact] = ended[at.mode + contact]
-        is_touching = point[at.mode + contact] != 0.0
-        point[at.contact_time + contact] = -point[at.t_start] if is_touching else 0.0
+        _set_contact_time(at, point, contact)
 
 
 @internal

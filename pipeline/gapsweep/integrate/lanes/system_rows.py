@@ -12,8 +12,6 @@ from .row_layout import RowLayout
 from .scene_table import (
     MIN_STEP,
     SceneTable,
-    check,
-    check_tolerances,
     empty_table,
     set_clock,
 )
@@ -49,7 +47,6 @@ class Walls:
 def layout_of(system: System) -> RowLayout:
     """Return the row layout of a system."""
     terms = sum(map(len, system.modulation.values()))
-    first = system.forcing[0] if len(system.forcing) == 1 else None
     return RowLayout(
         n=system.n,
         m=system.n_lags,
@@ -58,7 +55,6 @@ def layout_of(system: System) -> RowLayout:
         harmonics=len(system.forcing),
         modulations=terms,
         is_plain=False,
-        in_step=first is not None and (first.k, first.phase) == (1, 0.0),
         is_free=not system.is_forced,
     )
 
@@ -86,8 +82,6 @@ def system_scenes(
     rtol, atol
         As in `scenes`; errors are measured in the mass norm, ``v'Mv``.
     """
-    check_tolerances(rtol, atol)
-    check(K_c=walls.K_c, K_ratio=walls.K_ratio, j_1=walls.j_1, j_2=walls.j_2)
     (layout,) = {layout_of(system) for system in systems}
     at = layout.with_degree(rtol)
     points, table = empty_table(at, len(which))
@@ -167,7 +161,7 @@ def _fill(
     alpha = np.array([each.alpha for each in system.cubic])
     put("along", along)
     put("alpha", alpha)
-    put("cubic", inverse @ along.T * alpha)
+    put("cubic", (inverse @ along.T * alpha).T)
     put("softness", np.einsum("ki,ij,kj->k", along, inverse, along))
     put("holding", np.array([linear.holding(a) for a in along]))
     fastest = 2.0 * np.pi * system.fastest
@@ -200,9 +194,8 @@ def _put_loads(at: RowLayout, table: Array, put: Put, linear: _Linear) -> None:
         speed += force * growth / (load.k * omega_rad + linear.slowest)
     put("push", np.array(push))
     table[at.floor] = speed
-    if not at.in_step:
-        put("multiple", np.array([float(load.k) for load in system.forcing]))
-        put("phase", np.array([fraction(load.phase) for load in system.forcing]))
+    put("multiple", np.array([float(load.k) for load in system.forcing]))
+    put("phase", np.array([fraction(load.phase) for load in system.forcing]))
     names = list(system.contacts)
     terms = [(names.index(name), m) for name, ms in system.modulation.items() for m in ms]
     for i, (contact, term) in enumerate(terms):

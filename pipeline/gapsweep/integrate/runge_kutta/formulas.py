@@ -13,7 +13,7 @@ from numba import njit
 
 from gapsweep.integrate import simd
 from gapsweep.integrate.jit import inlined, internal
-from gapsweep.integrate.lanes.law_rows import SERIES, arguments, rows_of, with_callees
+from gapsweep.integrate.lanes.law_rows import SERIES, arguments, rows_of_law, with_callees
 from gapsweep.integrate.lanes.parameters import ACTIVE_STIFFNESS, ACTIVE_WALL, OWN, STIFFNESS
 from gapsweep.integrate.simd import bits, fma, load
 from gapsweep.model import arithmetic
@@ -38,7 +38,7 @@ _VECTORS = {
 
 def vectorised(formula: Callable[..., Any], law: type[ContactLaw]) -> Any:
     """Return a formula of a law as a compiled function of ``(law, q, x)``, of all lanes at once."""
-    called, rows = with_callees(formula, dict(_VECTORS), inlined), rows_of(law)
+    called, rows = with_callees(formula, dict(_VECTORS), inlined), rows_of_law(law)
     values = simd.loads([rows[name] for name in arguments(formula) if name not in SERIES])
     if "numerator" in arguments(formula):
         return inlined(lambda law, q, x: called(x, law.numerator, law.denominator, *values(q)))

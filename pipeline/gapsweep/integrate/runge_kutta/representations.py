@@ -11,7 +11,7 @@ from numba.core.types import Number
 from numpy.typing import ArrayLike, NDArray
 
 from gapsweep.integrate.lanes import parameters
-from gapsweep.integrate.lanes.law_rows import rows_of, with_callees
+from gapsweep.integrate.lanes.law_rows import rows_of_law, with_callees
 from gapsweep.model.contact import ContactLaw
 from gapsweep.model.laws import LAWS
 from gapsweep.model.laws.fitted import in_blocks
@@ -57,7 +57,7 @@ def of_numbers(
     K_c [N/m], j_1, j_2 [m], K_ratio [-] and the field `ContactLaw.symbol`, each of shape (n,).
     """
     q, (sharpness,) = _rows(K_c, j_1, j_2, K_ratio, sharpness=sharpness)
-    rows = rows_of(law)
+    rows = rows_of_law(law)
     low, high, ratio = (q[..., rows[name]] for name in ("low", "high", "ratio"))
     for name, values in law.rows(low, high, ratio, sharpness).items():
         q[..., rows[name]] = values

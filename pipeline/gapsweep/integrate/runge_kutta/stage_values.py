@@ -238,11 +238,8 @@ def _set_clock(at, lane, c, h):
     """Compute the cosines of the loads and the factors of the contacts' stiffness at a stage."""
     turn = fma(h * load(lane, at.omega), c, load(lane, at.tau))
     for i in range(at.harmonics):
-        if at.in_step:
-            store(lane, at.cosine + i, simd.cos_turns(turn))
-        else:
-            phase = fma(load(lane, at.multiple + i), turn, load(lane, at.phase + i))
-            store(lane, at.cosine + i, simd.cos_turns(phase))
+        phase = fma(load(lane, at.multiple + i), turn, load(lane, at.phase + i))
+        store(lane, at.cosine + i, simd.cos_turns(phase))
     for i in range(at.contacts):
         store(lane, at.modulation + i, simd.splat(1.0))
     for j in range(at.modulations):
@@ -283,7 +280,8 @@ def _derivative(at, lane, n_harmonics, out, row):
         total = _dot(lane, at.stiffness + i * n, at.stage, n, simd.splat(0.0))
         total = _dot(lane, at.damping + i * n, v, n, total)
         total = _dot(lane, at.lag_force + i * m, z, m, total)
-        total = _dot(lane, at.cubic + i * at.cubics, at.cube, at.cubics, total)
+        for j in range(at.cubics):
+            total = fma(load(lane, at.cubic + j * n + i), load(lane, at.cube + j), total)
         total = -_dot(lane, at.pull + i * at.contacts, at.force, at.contacts, total)
         for j in range(n_harmonics):
             total = fma(load(lane, at.push + j * n + i), load(lane, at.cosine + j), total)

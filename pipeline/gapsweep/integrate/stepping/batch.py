@@ -5,6 +5,7 @@ system, `run` writes initial states into copies of the rows, runs `loop.advance`
 its buffers.
 """
 
+import threading
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -13,7 +14,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gapsweep.integrate.lanes.method import Method
-from gapsweep.integrate.lanes.outcome import CLOCK_SLACK
 from gapsweep.integrate.lanes.row_layout import RowLayout, aligned
 from gapsweep.integrate.lanes.scene_table import SceneTable, check, set_modes_on_walls
 from gapsweep.integrate.lanes.start_rows import BACKWARD, NOT_FINITE, ON_WALL, set_starts
@@ -47,28 +47,64 @@ _OF_MOTIONS = (Status.OK, Status.DIVERGED, Status.STEP_UNDERFLOW)
 _BUDGET, _USERS_BUDGET, _SHORT_CALL = 1 << 16, 1 << 10, 0.1  # s
 
 
-@dataclass(frozen=True, slots=True)
+class WorkSpace:
+    """Arrays that a thread's runs of one layout use, one run after the other.
+
+    Attributes
+    ----------
+    lanes, coefficients, lane_point, progress, fill, work
+        As in `LoopState`.
+    """
+
+    def __init__(self, at: RowLayout) -> None:
+        self.lanes = aligned(at.n_rows, at.width)
+        self.coefficients = aligned(at.n_coefficients, at.width)
+        self.lane_point = np.empty(at.width, np.int64)
+        self.progress, self.fill = np.empty(2, np.int64), np.empty(len(record.LOGS), np.int64)
+        self.work = work_space(at.order, at.contacts)
+        per_step, widths = record.rows_per_step.py_func(at), _log_columns(at)
+        self._sizes = [
+            (max(_LOG_VALUES // columns, rows), columns)
+            for columns, rows in zip(widths, per_step, strict=True)
+        ]
+        self._logs: list[Array] = [np.empty((0, columns)) for columns in widths]
+
+    def logs(self, kept: Sequence[bool], n_sections: int) -> tuple[Array, ...]:
+        """Return the logs, without rows if not `kept`; `n_sections`: reserved rows, -1: none."""
+        for log in record.LOGS:
+            if kept[log] and not len(self._logs[log]):
+                self._logs[log] = np.empty(self._sizes[log])
+        found = [log if is_kept else log[:0] for log, is_kept in zip(self._logs, kept, strict=True)]
+        if n_sections >= 0 and kept[record.SECTIONS]:
+            found[record.SECTIONS] = np.empty((n_sections, self._sizes[record.SECTIONS][1]))
+        return tuple(found)
+
+
+class _WorkSpaces(threading.local):
+    """The work spaces of a thread, by layout."""
+
+    def __init__(self) -> None:
+        self.of: dict[RowLayout, WorkSpace] = {}
+
+
+_SPACES = _WorkSpaces()
+
+
+@dataclass(slots=True, eq=False)  # creating a frozen one takes three times as long
 class Batch:
     """Outcome of `run`; arrays of shape (n,) unless noted, one entry per point.
 
     Attributes
     ----------
     at : RowLayout
-    state : ndarray, shape (n, n_states)
-        (q, v, z) at the end; of a failed point, at the failure.
-    t : ndarray
-        Time reached [s]; `t_end` where status is OK.
+    points : ndarray, shape (n, n_rows)
+        Rows of the points at their ends; of failed points, at the failure.
+    t_end : ndarray
+        Requested ends [s].
     status : ndarray of int
         `gapsweep.status.Status` values.
-    n_contacts, n_steps, n_rejected, nfev : ndarray of int
-        Wall crossings, in and out, each counted once; accepted and rejected steps; right-hand sides
-        of the motion itself (of a Taylor series, expansions).
-    reach : ndarray, shape (n, n_coordinates)
-        Largest modulus of q initially and at the ends of steps.
-    contact_time : ndarray, shape (n, n_contacts)
-        Time spent beyond the walls of every located contact [s], where all events are recorded.
-    monodromy : ndarray, shape (n, n_states, n_states), or None
-        Derivative of the end state with respect to the initial state.
+    n_stages : int
+        Stages of the method; 0 for a Taylor series.
     turns, contacts, sections : ndarray, shape (n_events, number of columns)
         Recorded events as in `record`, sorted by point, then in time for each `which`.
     steps : ndarray, shape (n_rows, DENSE_HEAD + (n + m) * n_terms), or None
@@ -76,20 +112,84 @@ class Batch:
     """
 
     at: RowLayout
-    state: Array
-    t: Array
+    points: Array = field(repr=False)
+    t_end: Array
     status: NDArray[np.int64]
-    n_contacts: NDArray[np.int64]
-    n_steps: NDArray[np.int64]
-    n_rejected: NDArray[np.int64]
-    nfev: NDArray[np.int64]
-    reach: Array
-    contact_time: Array
-    monodromy: Array | None
+    n_stages: int
     turns: Array = field(repr=False)
     contacts: Array = field(repr=False)
     sections: Array = field(repr=False)
     steps: Array | None = field(repr=False)
+
+    def _rows(self, first: int, n: int) -> Array:
+        return self.points[:, first : first + n]
+
+    def _count(self, row: int) -> NDArray[np.int64]:
+        return self.points[:, row].astype(np.int64)
+
+    @property
+    def state(self) -> Array:
+        """States (q, v, z) at the ends, shape (n, n_states)."""
+        return self._rows(self.at.q, self.at.n_states)
+
+    @property
+    def reach(self) -> Array:
+        """Largest moduli of q initially and at the ends of steps, shape (n, n_coordinates)."""
+        return self._rows(self.at.reach, self.at.n)
+
+    @property
+    def t(self) -> Array:
+        """Times reached [s]: `t_end` where the status is OK."""
+        if not self.status.any():
+            return self.t_end.copy()
+        at, table = self.at, self.points.T
+        elapsed = table[at.cycle] + (table[at.tau] - table[at.tau_start])
+        t = table[at.t_start] + elapsed * table[at.period]
+        return np.asarray(np.where(self.status == OK, self.t_end, t))
+
+    @property
+    def contact_time(self) -> Array:
+        """Times beyond the walls of located contacts [s], shape (n, n_contacts).
+
+        Only where all events are recorded.
+        """
+        touches = self._rows(self.at.mode, self.at.contacts) != 0.0
+        until_left = self._rows(self.at.contact_time, self.at.contacts)
+        return np.asarray(until_left + np.where(touches, self.t[:, None], 0.0))
+
+    @property
+    def monodromy(self) -> Array | None:
+        """Derivatives of end states by initial states, shape (n, n_states, n_states), or None."""
+        if not self.at.tangent:
+            return None
+        n = self.at.n_states
+        # columns are the images of unit states
+        columns = self._rows(self.at.tangent_state, n * n).reshape(-1, n, n)
+        return columns.transpose(0, 2, 1).copy()
+
+    @property
+    def n_contacts(self) -> NDArray[np.int64]:
+        """Numbers of wall crossings, in and out, each counted once."""
+        # Below zero: the motion began on a wall and has not left it.
+        return np.maximum(self._count(self.at.n_contacts), 0)
+
+    @property
+    def n_steps(self) -> NDArray[np.int64]:
+        """Numbers of accepted steps."""
+        return self._count(self.at.n_steps)
+
+    @property
+    def n_rejected(self) -> NDArray[np.int64]:
+        """Numbers of rejected steps."""
+        return self._count(self.at.n_rejected) if self.n_stages else np.zeros_like(self.status)
+
+    @property
+    def nfev(self) -> NDArray[np.int64]:
+        """Right-hand sides of the motions; of a Taylor series, expansions."""
+        if not self.n_stages:
+            return self.n_steps
+        n_tried = self.n_steps + self.n_rejected
+        return n_tried * (self.n_stages - 1) + self._count(self.at.n_extra)
 
     def sample(self, t: ArrayLike) -> Array:
         """States between the steps, from their own series.
@@ -110,7 +210,7 @@ class Batch:
         """
         if self.steps is None:
             raise ValueError("nothing to sample: needs dense_output=True")
-        points = np.arange(len(self.t))
+        points = np.arange(len(self.status))
         times = np.broadcast_to(t, (len(points), np.shape(t)[-1]))
         first, last = (np.searchsorted(self.steps[:, 0], points + k) for k in (0, 1))
         states, outside = sample_steps(
@@ -130,7 +230,7 @@ def run(
     t_end: Array,
     record_from: Array,
     *,
-    queue: NDArray[np.intp] | None = None,
+    queue: NDArray[np.intp],
     follows: NDArray[np.bool_] | None = None,
     section_only: bool = False,
     tangent: bool = False,
@@ -154,8 +254,8 @@ def run(
     record_from : ndarray, shape (n,)
         Time from which extrema, contacts and section points are recorded [s]. The initial
         state is not an event: only events after `t_0` are recorded.
-    queue : ndarray of int, optional
-        Points that follow no other, in the order in which lanes take them; default ascending.
+    queue : ndarray of int
+        Points that follow no other, in the order in which lanes take them.
     follows : ndarray of bool, shape (n,), optional
         Points that begin in the end state of the one before; default none. Their `start` is not
         read. A point that follows a failed point has failed.
@@ -171,121 +271,118 @@ def run(
     contacts : bool
         Record wall crossings.
     """
-    at = prepared.at.of_tangent if tangent else prepared.at
-    lanes = aligned(at.n_rows, at.width)
+    at, n = prepared.at.of_tangent if tangent else prepared.at, len(which)
+    space = _SPACES.of.get(at)
+    if space is None:
+        space = _SPACES.of[at] = WorkSpace(at)
     wanted = {"tangent": tangent, "dense": dense_output, "contacts": contacts}
-    method = method.with_work_space(at, lanes, **wanted)
-    points = np.empty((len(which) + 1, at.n_rows))
-    follows = np.append(np.zeros(len(which), bool) if follows is None else follows, False)
-    given = start, follows, t_0, t_end, record_from, section_only and not dense_output
-    outcome = set_starts(at.numbers, points, prepared.table, which, *given, prepared.rtol)
+    method = method.with_work_space(at, space.lanes, **wanted)
+    points, sections = np.empty((n + 1, at.n_rows)), np.empty((n, 2), np.int64)
+    is_next = np.zeros(n + 1, bool)  # whether a point follows the one before
+    if follows is not None:
+        is_next[:-1] = follows
+    given = start, is_next, t_0, t_end, record_from, section_only and not dense_output
+    outcome, n_sections, is_recording = set_starts(
+        at.numbers, points, prepared.table, which, *given, sections, prepared.rtol
+    )
     if outcome == NOT_FINITE:
         check(start=start, t_0=t_0, t_end=t_end, record_from=record_from)
     if outcome == BACKWARD:
         raise ValueError("t_end lies before t_0")
     if outcome == ON_WALL:
-        heads = points[:-1][~follows[:-1]]
-        set_modes_on_walls(at, heads)
-        points[:-1][~follows[:-1]] = heads
+        _set_on_walls(at, points, ~is_next)
     if at.is_tanh and (dense_output or sampled):
         points[:-1, at.layer] = (
             np.inf
         )  # no layer is crossed in one step: the motion within it is recorded
-    statuses = np.full(len(which), RUNNING)
-    limits = prepared.rtol, DIVERGED_AT, MOST_SHORT
-    queue = np.flatnonzero(~follows[:-1]) if queue is None else queue
-    is_recording = bool(np.isfinite(record_from).any())
+    if n_sections < 0:
+        sections = sections[:0]
+        if not at.is_taylor:  # then a step records no more than one
+            points[:, at.h_max] = np.minimum(points[:, at.h_max], points[:, at.period])
     # The section of an unforced motion is at extrema, which are then always searched for.
     has_events = is_recording and (not section_only or dense_output or at.is_free)
     kept = has_events, has_events and contacts, is_recording, dense_output
-    mode, contact_time = (
-        points[:-1, first : first + at.contacts] for first in (at.mode, at.contact_time)
+    space.lane_point.fill(-2)
+    space.progress.fill(0)
+    space.fill.fill(0)
+    state = LoopState(
+        at=at.numbers,
+        method=method,
+        lanes=space.lanes,
+        lane_point=space.lane_point,
+        points=points,
+        queue=queue,
+        follows=is_next,
+        statuses=np.full(n, RUNNING),
+        progress=space.progress,
+        coefficients=space.coefficients,
+        logs=space.logs(kept, n_sections),
+        fill=space.fill,
+        sections=sections,
+        work=space.work,
+        turns=not section_only,
+        contacts=has_events and contacts,
     )
-    contact_time[:] = np.where(mode != 0.0, -t_0[:, None], 0.0)
-    *events, steps = _drained(
-        at, method, lanes, points, queue, follows, statuses, limits, kept, not section_only
-    )
-    ended = points[:-1]
+    turns, touches, returns, steps = _drained(at, state, (prepared.rtol, DIVERGED_AT, MOST_SHORT))
+    ended, statuses = points[:-1], state.statuses
     if at.has_laws:
         left_range = ended[:, at.out_of_range] > 0.0
-        has_failed = np.append(False, statuses[:-1] != OK) & follows[:-1]
+        has_failed = np.append(False, statuses[:-1] != OK) & is_next[:-1]
         if method.is_users:  # not far away: the force is no number beyond the last step
             is_far = np.abs(ended[:, at.q : at.q + at.n]).max(axis=1) > DIVERGED_AT
             statuses[(statuses == Status.DIVERGED) & ~is_far] = Status.MODEL_INVALID
         statuses[left_range & np.isin(statuses, _OF_MOTIONS)] = Status.OUT_OF_FIT_RANGE
         # A point that follows a failed point has failed with the same status.
-        source = np.maximum.accumulate(np.where(has_failed, 0, np.arange(len(statuses))))
+        source = np.maximum.accumulate(np.where(has_failed, 0, np.arange(n)))
         statuses = statuses[source]
-    counts = _counts(at, ended, method.n_stages)
-    return _outcome(at, ended, statuses, t_end, events, steps if dense_output else None, counts)
-
-
-def _drained(
-    at: RowLayout,
-    method: Method,
-    lanes: Array,
-    points: Array,
-    queue: NDArray[np.intp],
-    follows: NDArray[np.bool_],
-    statuses: NDArray[np.int64],
-    limits: tuple[float, ...],
-    kept: Sequence[bool],
-    turns: bool,
-) -> list[Array]:
-    """Call the kernel until all points have ended; return the logs, sorted by point."""
-    n_kept = at.n_series + at.tangent * at.n_states * (at.n + at.m)
-    per_step, widths = record.rows_per_step.py_func(at), _log_columns(at)
-    capacities = [
-        max(_LOG_VALUES // columns, rows) for columns, rows in zip(widths, per_step, strict=True)
-    ]
-    sections = _section_rows(at, points[:-1])
-    if len(sections):
-        capacities[record.SECTIONS] = int(sections[-1, 1])
-    elif not at.is_taylor:  # then a step records no more than one
-        points[:, at.h_max] = np.minimum(points[:, at.h_max], points[:, at.period])
-    run = LoopState(
-        at=at.numbers,
-        method=method,
-        lanes=lanes,
-        lane_point=np.full(at.width, -2),
-        points=points,
-        queue=queue,
-        follows=follows,
-        statuses=statuses,
-        progress=np.zeros(2, np.int64),
-        coefficients=aligned(n_kept * at.n_terms, at.width),
-        logs=tuple(
-            np.empty((rows if is_kept else 0, columns))
-            for is_kept, rows, columns in zip(kept, capacities, widths, strict=True)
-        ),
-        fill=np.zeros(len(kept), np.int64),
-        sections=sections.copy(),
-        work=work_space(at.order, at.contacts),
+    return Batch(
+        at=at,
+        points=ended,
+        t_end=t_end,
+        status=statuses,
+        n_stages=method.n_stages,
         turns=turns,
-        contacts=bool(kept[record.CONTACTS]),
+        contacts=touches,
+        sections=returns,
+        steps=steps if dense_output else None,
     )
-    pieces: list[list[Array]] = [[] for _ in kept]
+
+
+def _set_on_walls(at: RowLayout, points: Array, is_head: NDArray[np.bool_]) -> None:
+    """Set the contact modes of the points that follow no other, and their contact times."""
+    is_head[-1] = False  # the idle point
+    heads = points[is_head]
+    set_modes_on_walls(at, heads)
+    touches = heads[:, at.mode : at.mode + at.contacts] != 0.0
+    heads[:, at.contact_time : at.contact_time + at.contacts] = np.where(
+        touches, -heads[:, [at.t_start]], 0.0
+    )
+    points[is_head] = heads
+
+
+def _drained(layout: RowLayout, run: LoopState, limits: tuple[float, ...]) -> list[Array]:
+    """Call the kernel until all points have ended; return the logs, sorted by point."""
+    pieces: list[list[Array]] = []
     users, ours = (advance_users, _USERS_BUDGET), (advance, _BUDGET)
-    outcome, (step_on, budget) = BUDGET_SPENT, users if method.is_users else ours
+    outcome, (step_on, budget) = BUDGET_SPENT, users if run.method.is_users else ours
+    is_placed = len(run.sections) > 0
     while outcome != FINISHED:
         began = time.monotonic()
-        outcome = step_on(at, run, limits, budget)
+        outcome = step_on(layout, run, limits, budget)
         if time.monotonic() - began < _SHORT_CALL:
             budget = min(2 * budget, _BUDGET)
         if outcome != FINISHED and is_late():
             held = run.lane_point >= 0
-            points[run.lane_point[held]] = lanes[:, held].T
-            statuses[statuses == RUNNING] = Status.TIMED_OUT
+            run.points[run.lane_point[held]] = run.lanes[:, held].T
+            run.statuses[run.statuses == RUNNING] = Status.TIMED_OUT
             outcome = FINISHED
         if outcome in (BUFFER_FULL, FINISHED):
-            for piece, log, n_rows in zip(pieces, run.logs, run.fill.tolist(), strict=True):
-                piece.append(log[:n_rows].copy())
+            filled = zip(run.logs, run.fill.tolist(), strict=True)
+            pieces.append([log[:n_rows].copy() if n_rows else log[:0] for log, n_rows in filled])
             run.fill[:] = 0
-    logs = [_by_point(each, len(statuses)) for each in pieces]
-    if len(sections):
-        logs[record.SECTIONS] = _written(
-            run.logs[record.SECTIONS], sections[:, 0], run.sections[:, 0]
-        )
+    logs = [_by_point(each, len(run.statuses)) for each in zip(*pieces, strict=True)]
+    if is_placed:
+        logs[record.SECTIONS] = _written(run)
     return logs
 
 
@@ -296,84 +393,27 @@ def _log_columns(at: RowLayout) -> tuple[int, ...]:
     return turns, contacts, record.STATE + at.n_states, steps
 
 
-def _section_rows(at: RowLayout, points: Array) -> NDArray[np.int64]:
-    """First row and end of the rows reserved for each motion's section points, shape (n, 2).
-
-    Empty if the rows would be too many, or the motions are unforced.
-    """
-    first = np.maximum(1.0, np.ceil(points[:, at.record_clock] - CLOCK_SLACK))  # `first_section`
-    counts = np.maximum(points[:, at.end_cycle] - first + 1.0, 0.0)
-    if at.is_free or not counts.sum() <= MOST_PLACED:
-        return np.empty((0, 2), np.int64)
-    end = np.cumsum(counts.astype(np.int64))
-    return np.stack([end - counts.astype(np.int64), end], axis=1)
-
-
-def _written(rows: Array, first: NDArray[np.int64], end: NDArray[np.int64]) -> Array:
-    """Return the rows from `first` to `end` of each point: all that were written."""
-    if (end - first).sum() == len(rows):
+def _written(run: LoopState) -> Array:
+    """Return the rows of all section points that were written in reserved rows."""
+    written, end = run.sections.T
+    rows: Array = run.logs[record.SECTIONS]
+    if (written == end).all():
         return rows
-    return np.concatenate([rows[i:j] for i, j in zip(first.tolist(), end.tolist(), strict=True)])
-
-
-def _by_point(pieces: list[Array], n_points: int) -> Array:
-    """Join all rows, sorted by point; rows of one point keep their order."""
-    if not any(map(len, pieces)):
-        return pieces[0]
-    points = [piece[:, record.POINT].astype(np.int64) for piece in pieces]
-    counts = sum(np.bincount(each, minlength=n_points) for each in points)
-    next_row = np.cumsum(counts) - counts
-    rows = np.empty((sum(map(len, pieces)), pieces[0].shape[1]))
-    for piece in pieces:
-        record.place(piece, next_row, rows)
-    return rows
-
-
-def _outcome(
-    at: RowLayout,
-    points: Array,
-    statuses: NDArray[np.int64],
-    t_end: Array,
-    events: Sequence[Array],
-    steps: Array | None,
-    counts: dict[str, NDArray[np.int64]],
-) -> Batch:
-    table = points.T
-    turns, contacts, sections = events
-    elapsed = table[at.cycle] + (table[at.tau] - table[at.tau_start])
-    monodromy = None
-    if at.tangent:
-        # columns are the images of unit states
-        n = at.n_states
-        columns = table[at.tangent_state : at.tangent_state + n * n].T.reshape(-1, n, n)
-        monodromy = columns.transpose(0, 2, 1).copy()
-    t = np.where(statuses == OK, t_end, table[at.t_start] + elapsed * table[at.period])
-    touches = points[:, at.mode : at.mode + at.contacts] != 0.0
-    until_left = points[:, at.contact_time : at.contact_time + at.contacts]
-    return Batch(
-        at=at,
-        state=points[:, at.q : at.q + at.n_states].copy(),
-        t=t,
-        status=statuses,
-        reach=points[:, at.reach : at.reach + at.n].copy(),
-        contact_time=until_left + np.where(touches, t[:, None], 0.0),
-        monodromy=monodromy,
-        turns=turns,
-        contacts=contacts,
-        sections=sections,
-        steps=steps,
-        **counts,
+    first = np.append(0, end[:-1])
+    return np.concatenate(
+        [rows[i:j] for i, j in zip(first.tolist(), written.tolist(), strict=True)]
     )
 
 
-def _counts(at: RowLayout, points: Array, n_stages: int) -> dict[str, NDArray[np.int64]]:
-    """Counts of contacts, steps and right-hand sides; `n_stages` of the method, 0 for Taylor."""
-    n_steps = points[:, at.n_steps]
-    n_rejected = points[:, at.n_rejected] if n_stages else np.zeros_like(n_steps)
-    nfev = n_steps
-    if n_stages:
-        nfev = (n_steps + n_rejected) * (n_stages - 1) + points[:, at.n_extra]
-    # Below zero: the motion began on a wall and has not left it.
-    n_contacts = np.maximum(points[:, at.n_contacts], 0.0)
-    given = {"n_contacts": n_contacts, "n_steps": n_steps, "n_rejected": n_rejected, "nfev": nfev}
-    return {name: values.astype(np.int64) for name, values in given.items()}
+def _by_point(pieces: Sequence[Array], n_points: int) -> Array:
+    """Join all rows, sorted by point; rows of one point keep their order."""
+    first = pieces[0]
+    if len(pieces) == 1 and (n_points == 1 or not len(first)):
+        return first
+    points = [piece[:, record.POINT].astype(np.int64) for piece in pieces]
+    counts = sum(np.bincount(each, minlength=n_points) for each in points)
+    next_row = np.cumsum(counts) - counts
+    rows = np.empty((sum(map(len, pieces)), first.shape[1]))
+    for piece in pieces:
+        record.place(piece, next_row, rows)
+    return rows

@@ -244,7 +244,7 @@ def _judged(at, suspects, lanes, x_bound, max_short):
 def _attend(layout, named, run, limits):
     """Do the scalar work for lanes that a step has reported: crossings, records, ends."""
     _, x_bound, max_short = limits
-    at, lanes = run.at, run.lanes
+    at, lanes = run.at[0], run.lanes
     done, bad, recording = named.done, named.bad, named.recording
     count_passings(layout, named.miscounted, run)
     done |= _settle(at, named.unclear, lanes, run.coefficients, run.work)
@@ -306,7 +306,7 @@ class LoopState(NamedTuple):
 
     Attributes
     ----------
-    at : record
+    at : array, shape (1,)
         `RowLayout.numbers`.
     method : Method
     lanes : array, shape (n_rows, width)
@@ -338,7 +338,7 @@ class LoopState(NamedTuple):
         Whether extrema are searched for; whether wall crossings are recorded.
     """
 
-    at: np.record
+    at: np.ndarray
     method: Any
     lanes: np.ndarray
     lane_point: np.ndarray
@@ -374,7 +374,7 @@ def _advance(layout, run, limits, budget):
         FINISHED, BUFFER_FULL or BUDGET_SPENT.
     """
     # Out of the record, once: to take an array out of it counts a reference.
-    at, method, lanes, coefficients = run.at, run.method, run.lanes, run.coefficients
+    at, method, lanes, coefficients = run.at[0], run.method, run.lanes, run.coefficients
     progress, n_points = run.progress, len(run.statuses)
     for k in range(at.width):
         if run.lane_point[k] < IDLE:

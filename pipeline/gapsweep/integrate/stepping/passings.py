@@ -40,7 +40,7 @@ def _count_all(among, run):
     while among != 0:
         k = lowest_bit(among)
         among &= among - 1
-        _count(run.at, run, k)
+        _count(run.at[0], run, k)
 
 
 @internal
@@ -48,7 +48,7 @@ def _record_all(among, run):
     while among != 0 and run.contacts:
         k = lowest_bit(among)
         among &= among - 1
-        _record(run.at, run, k)
+        _record(run.at[0], run, k)
 
 
 @internal

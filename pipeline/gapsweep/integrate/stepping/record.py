@@ -11,14 +11,14 @@ its zeros are isolated by the same rule on parts of the step (`roots`).
 
 import math
 
-import numpy as np
 from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic
 
 from gapsweep.integrate.jit import entry, internal
 from gapsweep.integrate.lanes.outcome import CLOCK_SLACK
-from gapsweep.integrate.lanes.rows import LaneRows, pointers
+from gapsweep.integrate.lanes.rows import rows_of
+from gapsweep.integrate.lanes.start_rows import first_section
 from gapsweep.integrate.vectors import (
     I64,
     absolute,
@@ -29,7 +29,7 @@ from .roots import DOUBLE, SIMPLE, isolate, polynomial
 from .turns import TOUCH, find_coordinate_turns, find_gap_turns
 
 MINIMUM, MAXIMUM, INFLECTION = 0, 1, 2
-TURNS, CONTACTS, SECTIONS, STEPS = range(4)  # the logs
+LOGS = TURNS, CONTACTS, SECTIONS, STEPS = range(4)
 POINT, TIME, WHICH, VALUE = range(4)
 STATE = 2  # of a section point
 DENSE_HEAD = 3  # of a step: point, start time, length; then the coefficients of q and z
@@ -110,12 +110,6 @@ def _write_return(at, run, k, start, t):
     run.fill[SECTIONS] += 1
     _write_section(at, run, k, i, start + t, t)
     run.logs[SECTIONS][i, STATE + at.n] = 0.0  # to the last bit: the next motion begins here
-
-
-@internal
-def first_section(record_clock):
-    """Number of the first whole period at which a section point is recorded."""
-    return max(1.0, np.ceil(record_clock - CLOCK_SLACK))
 
 
 @internal
@@ -315,8 +309,8 @@ def find_passed(typingctx, at, lanes, among):
     signature = types.int64(at, lanes, types.int64)
 
     def codegen(context, builder, signature, args):
-        (pointer,) = pointers(context, builder, signature, args)
-        return _emit_passed(builder, LaneRows(builder, pointer, at.layout), args[2])
+        (lanes,) = rows_of(context, builder, signature, args)
+        return _emit_passed(builder, lanes, args[2])
 
     return signature, codegen
 
@@ -349,7 +343,7 @@ def record_steps(layout, among, run):
     Section points of forced motions first; then, if a log of extrema is kept, extrema, contact
     times and, for dense output, the step itself, if it ends after the lane has begun to record.
     """
-    at = run.at
+    at = run.at[0]
     if not at.is_free:
         _record_sections(at, among, run)
     if len(run.logs[TURNS]) == 0:  # only sections are recorded

@@ -9,7 +9,7 @@ from .roots import polynomial
 
 
 @entry
-def sample_steps(at, steps, first, last, times):
+def sample_steps(numbers, steps, first, last, times):
     """Return the states at some times, from the series of recorded steps.
 
     Parameters
@@ -20,7 +20,7 @@ def sample_steps(at, steps, first, last, times):
         Rows of each point.
     times : array, shape (n_points, n_t)
         Times [s], in any order.
-    at : record
+    numbers : array, shape (1,)
         `RowLayout.numbers`.
 
     Returns
@@ -30,6 +30,7 @@ def sample_steps(at, steps, first, last, times):
     outside : int
         A point with a time outside its recorded part (beyond a rounding of the clock), or -1.
     """
+    at = numbers[0]
     states = np.empty((at.n_states, *times.shape))
     outside = -1
     for p in range(len(times)):

@@ -9,7 +9,7 @@ from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic
 
-from gapsweep.integrate.lanes.rows import LaneRows, dot, pointers, value_and_slope
+from gapsweep.integrate.lanes.rows import dot, rows_of, value_and_slope
 from gapsweep.integrate.vectors import I64, absolute, branch, copysign, is_nonzero, where
 
 TOUCH = 1e-12  # of the velocity: a closer approach to zero is a touch, by the same measure
@@ -124,9 +124,7 @@ def _turns_of(speed):
         signature = types.int64(at, lanes, coefficients, *[types.int64] * 4)
 
         def codegen(context, builder, signature, args):
-            state, kept = (
-                LaneRows(builder, p, layout) for p in pointers(context, builder, signature, args)
-            )
+            state, kept = rows_of(context, builder, signature, args)
             number, series, among, order = args[3:]
             terms = kept.below(series, layout.n_terms)
             v_1 = speed(state, number)

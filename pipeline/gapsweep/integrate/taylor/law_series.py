@@ -18,7 +18,7 @@ from typing import Any
 from llvmlite import ir
 
 from gapsweep.integrate import elementary, vectors
-from gapsweep.integrate.lanes.law_rows import SERIES, arguments, rows_of, with_callees
+from gapsweep.integrate.lanes.law_rows import SERIES, arguments, rows_of_law, with_callees
 from gapsweep.integrate.lanes.parameters import N_PARAMETERS
 from gapsweep.integrate.vectors import F64, Vec, absolute, where
 from gapsweep.model import arithmetic
@@ -290,7 +290,7 @@ class ContactForce:
         self._fit = {"numerator": fit[:n_top], "denominator": fit[n_top : n_top + n_bottom]}
         self.sharpness = None  # convergence parameter [1/m] of a law with layers
         if self._law.is_sharpened:
-            self.sharpness = self.row(rows_of(self._law)["sharpness"])
+            self.sharpness = self.row(rows_of_law(self._law)["sharpness"])
             self.approach = self._law.approach
         self.has_range = "fit_range" in arguments(self._law.formulas.force)
 
@@ -300,7 +300,7 @@ class ContactForce:
 
     def value(self, name, x):
         """Return the formula of a name at a gap, a `Vec` or a `Series`; None without a formula."""
-        formula, rows = getattr(self._law.formulas, name), rows_of(self._law)
+        formula, rows = getattr(self._law.formulas, name), rows_of_law(self._law)
         if formula is None:
             return None
         given = [

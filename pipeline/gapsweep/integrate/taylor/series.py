@@ -17,6 +17,7 @@ References
 
 import math
 from functools import reduce
+from itertools import chain
 
 from gapsweep.integrate.lanes.rows import dot
 from gapsweep.integrate.vectors import (
@@ -69,32 +70,34 @@ def _harmonic(amplitudes, rate, turn, n_terms):
     return series
 
 
-def _harmonics(lanes, tau, amplitudes, names, n_terms):
-    """Sum over harmonics of `_harmonic`; an empty list without harmonics.
+def _harmonics(lanes, tau, amplitudes, n, names):
+    """Series of sums of harmonics, for `n` quantities.
 
     Parameters
     ----------
     tau : Vec
         Phase of the clock at the beginning of the step.
-    amplitudes : list of list of Vec
-        Amplitudes of each harmonic.
-    names : (str, str)
-        Blocks of the multiples and phases; empty ones: frequency and phase of the clock.
+    amplitudes : callable
+        Function of the number of a harmonic that emits its `n` amplitudes.
+    names : (str, str, str)
+        Name of the number of harmonics, blocks of their multiples and phases; for a plain
+        oscillator frequency and phase are those of the clock.
     """
-    omega_rad, total = lanes["omega_rad"], []
-    multiples, phases = map(lanes.rows, names)
-    for i, given in enumerate(amplitudes):
+    omega_rad, n_terms = lanes["omega_rad"], lanes.layout.n_terms - 2
+    count, multiples, phases = names
+
+    def add(index, totals):
         rate, turn = omega_rad, tau
-        if multiples:
-            rate, turn = omega_rad * multiples[i], fma(multiples[i], tau, phases[i])
+        if not lanes.layout.is_plain:
+            (multiple,), (phase,) = lanes.item(multiples, index), lanes.item(phases, index)
+            rate, turn = omega_rad * multiple, fma(multiple, tau, phase)
             turn = turn - floor(turn)
-        new = _harmonic(given, rate, turn, n_terms)
-        total = (
-            [[a + b for a, b in zip(*pair, strict=True)] for pair in zip(total, new, strict=True)]
-            if total
-            else new
-        )
-    return total
+        new = _harmonic(amplitudes(index), rate, turn, n_terms)
+        return [a + b for a, b in zip(totals, chain(*new), strict=True)]
+
+    nothing = [tau.constant(-0.0)] * (n * n_terms)  # -0.0 + x is x, also for x = -0.0
+    flat = lanes.each(count, nothing, add)
+    return [flat[i * n_terms : (i + 1) * n_terms] for i in range(n)]
 
 
 def extend(equation, series, to):
@@ -160,6 +163,32 @@ class Modes:
             self.hi.append(where(below, lower, where(above, upper.constant(math.inf), upper)))
 
 
+class Spring:
+    """A cubic spring of a system in a loop over all, whose series are kept in memory.
+
+    Attributes
+    ----------
+    along, cubic : list of Vec
+        Its direction a, and its factor of the cube, by coordinate.
+    """
+
+    ALONG, SQUARE, TANGENT = range(3)  # series of a.q, of its square, and of a.y of a tangent y
+
+    def __init__(self, lanes, coefficients, index):
+        n, self._n_terms = lanes.layout.n, lanes.layout.n_terms
+        self.along, self.cubic = lanes.item("along", index, n), lanes.item("cubic", index, n)
+        self._kept = coefficients.of_item("spring_series", index, 3 * self._n_terms)
+
+    def series(self, which, n):
+        """Return coefficients 0 to n of a series."""
+        return [self._kept[which * self._n_terms + i] for i in range(n + 1)]
+
+    def extended(self, which, n, term):
+        """Keep coefficient n of a series; return it with all before."""
+        self._kept[which * self._n_terms + n] = term
+        return [*self.series(which, n - 1), term]
+
+
 class Equation:
     """The equation of motion in the present modes, per unit mass: lists of rows of matrices.
 
@@ -168,12 +197,14 @@ class Equation:
     stiffness, springs : list of list of Vec
         Stiffness of the springs only, and with the walls in contact.
     damping : list of list of Vec
-    direction, along : list of list of Vec
-        Directions of contacts and cubic springs; empty for a plain oscillator, where both are one.
+    direction : list of list of Vec
+        Directions of contacts; empty for a plain oscillator, where it is one.
     pull : list of list of Vec
         Acceleration by a unit force of each contact, by coordinate; empty for a plain oscillator.
     others : list of list of Vec
-        Factors of the first-order states and of the cubes, by coordinate.
+        Factors of the first-order states, by coordinate.
+    cubic : list of list of Vec
+        Factor of a plain oscillator's cube; of a system empty, see `each_spring`.
     lags : list of list of Vec
         Factors of speeds, coordinates and first-order states, by first-order state.
     rates : list of list of Vec
@@ -182,21 +213,19 @@ class Equation:
         Condition of the larger one of the `degrees`.
     """
 
-    def __init__(self, lanes, modes, is_tight, clock="tau"):
+    def __init__(self, lanes, coefficients, modes, is_tight, clock="tau"):
         layout = lanes.layout
-        self._lanes, self._clock = lanes, clock
+        self._lanes, self._coefficients, self._clock = lanes, coefficients, clock
         self.is_tight, self.degrees = is_tight, layout.degrees
         n, m = layout.n, layout.m
         self.zero = lanes["tau"].constant(0.0)
         self.damping, self.stiffness = lanes.matrix("damping", n), lanes.matrix("stiffness", n)
-        self.cubic = lanes.matrix("cubic", n)
-        lag_force = lanes.matrix("lag_force", n)
-        self.others = [a + b for a, b in zip(lag_force, self.cubic, strict=True)]
+        self.others = lanes.matrix("lag_force", n)
         parts = (lanes.matrix(name, m) for name in ("of_speed", "of_place", "of_lag"))
         self.lags = [a + b + c for a, b, c in zip(*parts, strict=True)]
         self.is_plain = layout.is_plain
         self.direction = [] if self.is_plain else lanes.matrix("direction", layout.contacts)
-        self.along = [] if self.is_plain else lanes.matrix("along", layout.cubics)
+        self.cubic = lanes.matrix("cubic", n) if self.is_plain else []
         self.pull = lanes.matrix("pull", n)
         self.is_located = layout.is_located
         self.contact = modes.stiffness if self.is_located else [self.zero + 1.0] * layout.contacts
@@ -205,22 +234,27 @@ class Equation:
         self.springs = self._springs() if is_spring else self.stiffness
 
     def forcing(self):
-        """Series of the forcing, by coordinate; empty without any."""
-        push = self._lanes.matrix("push", self._lanes.layout.harmonics)
-        return self._harmonics(push, ("multiple", "phase"))
+        """Series of the forcing, by coordinate."""
+        lanes, n = self._lanes, self._lanes.layout.n
+        names = "harmonics", "multiple", "phase"
+        return _harmonics(lanes, lanes[self._clock], lambda i: lanes.item("push", i, n), n, names)
 
-    def _harmonics(self, amplitudes, names):
-        lanes = self._lanes
-        return _harmonics(lanes, lanes[self._clock], amplitudes, names, lanes.layout.n_terms - 2)
+    def each_spring(self, totals, body):
+        """Emit `body`, a function of a `Spring` and of totals, for every spring of a system."""
+        lanes, kept = self._lanes, self._coefficients
+        return lanes.each("cubics", totals, lambda i, now: body(Spring(lanes, kept, i), now))
 
     def _rates(self, lanes):
         layout = lanes.layout
         if not layout.modulations:
             return []
-        depths = lanes.matrix("depth", layout.modulations)
-        scaled = [[k * d for k, d in zip(self.contact, row, strict=True)] for row in depths]
-        names = ("depth_multiple", "depth_phase")
-        rates = self._harmonics(scaled, names)
+
+        def scaled(i):
+            depths = lanes.item("depth", i, layout.contacts)
+            return [k * d for k, d in zip(self.contact, depths, strict=True)]
+
+        names = "modulations", "depth_multiple", "depth_phase"
+        rates = _harmonics(lanes, lanes[self._clock], scaled, layout.contacts, names)
         return [
             [k + first, *others] for k, (first, *others) in zip(self.contact, rates, strict=True)
         ]
@@ -266,8 +300,8 @@ class StepSeries:
         Series of every contact's b.q; for a plain oscillator, of the coordinate.
     depths : list of list of Vec
         Series of every contact's b.q less the wall in contact.
-    squares : list of list of Vec
-        Series of (a.q)^2 of every cubic spring, up to two degrees less.
+    square : list of Vec
+        Series of the square of a plain oscillator's coordinate, up to two degrees less.
     laws : list of ContactForce
         Of contacts that are not located.
     """
@@ -283,15 +317,15 @@ class StepSeries:
         self.depths = [[g[0] - w] for g, w in zip(self.gaps, modes.wall, strict=True)]
         self.laws = contact_forces(lanes, self.gaps)
         self._pressed = [law.force() for law in self.laws] or self.depths
-        self.along, self.squares = ([[] for _ in range(layout.cubics)] for _ in range(2))
-        gaps = [] if layout.is_plain else self.gaps
-        extend(equation, [*self.q, *self.z, *gaps, *self.squares], self._to)
+        self.square = []
+        others = [self.square] if layout.is_plain else self.gaps
+        extend(equation, [*self.q, *self.z, *others], self._to)
 
     def _to(self, order):
         """Extend all series to a degree."""
         for n in range(len(self.q[0]) - 2, order - 1):
             self._project_gaps(n)
-            self._extend(n, self._cubes(n))
+            self._extend(n)
             extend_lags(self.equation, self.q, self.z, n)
         extend_lags(self.equation, self.q, self.z, order - 1)
         for n in (order - 1, order):
@@ -309,33 +343,37 @@ class StepSeries:
         for depth, gap in zip(self.depths, self.gaps, strict=True):
             depth.append(gap[n])
 
-    def _cubes(self, n):
-        """Coefficient n of the cube of the motion along every cubic spring."""
-        if not self.equation.along:
-            self.along = [self.q[0]] * len(self.squares)
-        for along, direction in zip(self.along, self.equation.along, strict=False):
-            along.append(self._across(direction, n))
-        for square, along in zip(self.squares, self.along, strict=True):
-            square.append(square_term(along, n))
-        return [product_term(*pair, n) for pair in zip(self.squares, self.along, strict=True)]
+    def _less_cubes(self, n, totals):
+        """Accelerations less those due to cubic springs, of coefficient n."""
+        if self.equation.is_plain:
+            (x,), ((cubic,),), (total,) = self.q, self.equation.cubic, totals
+            self.square.append(square_term(x, n))
+            return [fma(-cubic, product_term(self.square, x, n), total)]
 
-    def _extend(self, n, cubes):
+        def less(spring, totals):
+            along = spring.extended(Spring.ALONG, n, self._across(spring.along, n))
+            square = spring.extended(Spring.SQUARE, n, square_term(along, n))
+            cube = product_term(square, along, n)
+            return [fma(-a, cube, total) for a, total in zip(spring.cubic, totals, strict=True)]
+
+        return self.equation.each_spring(totals, less)
+
+    def _extend(self, n):
         """Append coefficient n + 2 to the series of the coordinates."""
         one = self.equation
         forces = one.contact_forces(n, self._pressed)
-        others = [z[n] for z in self.z] + cubes
-        new = []
+        totals = []
         for i, springs in enumerate(one.springs if n else one.stiffness):
-            total = one.pulled(i, forces, self.forcing[i][n] if self.forcing else one.zero)
+            total = one.pulled(i, forces, self.forcing[i][n])
             for k, q in zip(springs, self.q, strict=True):
                 total = fma(-k, q[n], total)
             for c, q in zip(one.damping[i], self.q, strict=True):
                 total = fma(-c * float(n + 1), q[n + 1], total)
-            for a, value in zip(one.others[i], others, strict=True):
-                total = fma(-a, value, total)
-            new.append(total * (1.0 / ((n + 1) * (n + 2))))
-        for q, term in zip(self.q, new, strict=True):
-            q.append(term)
+            for a, z in zip(one.others[i], self.z, strict=True):
+                total = fma(-a, z[n], total)
+            totals.append(total)
+        for q, total in zip(self.q, self._less_cubes(n, totals), strict=True):
+            q.append(total * (1.0 / ((n + 1) * (n + 2))))
 
 
 def extend_lags(equation, q, z, n):

@@ -93,15 +93,27 @@ class Sizes:
         energy = energy + _square_norm(lanes, "spring_root", place)
         for contact, depth in zip(modes.stiffness, motion.depths, strict=True):
             energy = fma(contact, depth[0] * depth[0], energy)
-        alphas = [absolute(alpha) for alpha in lanes.rows("alpha")]
-        for alpha, square in zip(alphas, motion.squares, strict=True):
-            energy = fma(alpha * 0.5, square[0] * square[0], energy)
-        self.speed, self.hardening = _rough_root(energy), 0.0 * energy
-        for alpha, holding, softness in zip(
-            alphas, lanes.rows("holding"), lanes.rows("softness"), strict=True
-        ):
+
+        def alpha_of(spring):
+            (alpha,) = lanes.item("alpha", spring)
+            return absolute(alpha)
+
+        def stored(spring, totals):
+            (total,), along = totals, lanes.item("along", spring, len(place))
+            depth = dot(along, place, 0.0 * total)
+            square = depth * depth
+            return [fma(alpha_of(spring) * 0.5, square * square, total)]
+
+        (energy,) = lanes.each("cubics", [energy], stored)
+
+        def hardened(spring, totals):
+            (total,), alpha = totals, alpha_of(spring)
+            (holding,), (softness,) = lanes.item("holding", spring), lanes.item("softness", spring)
             reach = _reach(energy, holding, alpha)
-            self.hardening = fma(alpha * softness, reach * reach, self.hardening)
+            return [fma(alpha * softness, reach * reach, total)]
+
+        self.speed = _rough_root(energy)
+        (self.hardening,) = lanes.each("cubics", [0.0 * energy], hardened)
         self.springs = fma(self.hardening, 3.0, lanes["fastest"])
         for contact, compliance in zip(modes.stiffness, lanes.rows("compliance"), strict=True):
             self.springs = self.springs + contact * compliance

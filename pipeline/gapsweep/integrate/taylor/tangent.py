@@ -12,84 +12,86 @@ from numba.core import cgutils
 from numba.extending import intrinsic
 
 from gapsweep.integrate.jit import separate
-from gapsweep.integrate.lanes.rows import LaneRows, dot, pointers, value_and_slope
+from gapsweep.integrate.lanes.rows import dot, rows_of, value_and_slope
 from gapsweep.integrate.motions import VANISHED
 from gapsweep.integrate.vectors import F64, I64, absolute, fma, mask_of, where
 
 from .law_series import contact_forces
-from .series import Equation, Modes, extend, extend_lags
+from .series import Equation, Modes, Spring, extend, extend_lags
 from .terms import product_term, square_term
 
 
-class _Factors:
-    """Series with which the variational equation multiplies solutions.
+def _square(coefficients, one):
+    """Series of the square of a plain oscillator's coordinate."""
+    square = []
 
-    Attributes
-    ----------
-    squares : list of list of Vec
-        Of (a.q)^2 of every cubic spring.
-    slopes : list of list of Vec
-        Of the slope of every contact's force, where contacts are not located.
-    """
+    def to(order):
+        x = [coefficients[n] for n in range(order - 1)]
+        square.extend(square_term(x, n) for n in range(len(square), order - 1))
 
-    def __init__(self, lanes, coefficients, one):
-        layout = coefficients.layout
-        along, self.squares = ([[] for _ in range(layout.cubics)] for _ in range(2))
-        self.slopes = [[] for _ in layout.laws]
-        gaps = [
-            [
-                coefficients[(layout.first_gap + k) * layout.n_terms + n]
-                for n in range(layout.n_terms)
-            ]
-            for k in range(len(layout.laws))
-        ]
-        laws = [law.slope() for law in contact_forces(lanes, gaps)]
-
-        def to(order):
-            for n in range(len((self.squares + self.slopes)[0]), order - 1):
-                q = [coefficients[i * layout.n_terms + n] for i in range(layout.n)]
-                for number, (terms, square) in enumerate(zip(along, self.squares, strict=True)):
-                    terms.append(dot(one.along[number], q, one.zero) if one.along else q[0])
-                    square.append(square_term(terms, n))
-                for terms, law in zip(self.slopes, laws, strict=True):
-                    terms.append(law[n])
-
-        if self.squares + self.slopes:
-            extend(one, self.squares + self.slopes, to)
+    extend(one, [square], to)
+    return square
 
 
-def _variation(lanes, one, factors):
+def _slopes(lanes, coefficients, one):
+    """Series of the slopes of contact forces; none where contacts are located."""
+    n_terms, first = lanes.layout.n_terms, lanes.layout.first_gap
+    gaps = [
+        [coefficients[(first + k) * n_terms + n] for n in range(n_terms)]
+        for k in range(len(lanes.layout.laws))
+    ]
+    found = [law.slope() for law in contact_forces(lanes, gaps)]
+    slopes = [[] for _ in found]
+
+    def to(order):
+        for terms, slope in zip(slopes, found, strict=True):
+            terms.extend(slope[n] for n in range(len(terms), order - 1))
+
+    if slopes:
+        extend(one, slopes, to)
+    return slopes
+
+
+def _variation(lanes, one, square, slopes):
     """Series, of coordinates and of first-order states, of the solution in the first rows."""
     layout = lanes.layout
     state = [lanes[layout.tangent_state + i] for i in range(layout.n_states)]
     y = [[state[i], state[layout.n + i]] for i in range(layout.n)]
     z = [[value] for value in state[2 * layout.n :]]
-    gaps, along = [[] for _ in range(layout.contacts)], [[] for _ in range(layout.cubics)]
-    pressed = gaps
-    if factors.slopes:
-        pressed = [[] for _ in gaps]
+    gaps = [y[0]] if one.is_plain else [[] for _ in one.direction]
+    pressed = [[] for _ in slopes] or gaps
+
+    def bent(n, totals):
+        """Add the forces of cubic springs, coefficient n, to `totals`."""
+        place = [x[n] for x in y]
+        if one.is_plain:
+            (x,), ((cubic,),), (total,) = y, one.cubic, totals
+            return [fma(cubic * 3.0, product_term(square, x, n), total)]
+
+        def add(spring, totals):
+            along = spring.extended(Spring.TANGENT, n, dot(spring.along, place, one.zero))
+            bend = product_term(spring.series(Spring.SQUARE, n), along, n)
+            return [fma(a * 3.0, bend, t) for a, t in zip(spring.cubic, totals, strict=True)]
+
+        return one.each_spring(totals, add)
 
     def to(order):
         for n in range(len(y[0]) - 2, order - 1):
-            for series, directions in ((gaps, one.direction), (along, one.along)):
-                for k, terms in enumerate(series):
-                    place = [x[n] for x in y]
-                    terms.append(dot(directions[k], place, one.zero) if directions else place[0])
-            bends = [product_term(*pair, n) for pair in zip(factors.squares, along, strict=True)]
-            for terms, *pair in zip(pressed, factors.slopes, gaps, strict=False):
+            for terms, direction in zip(gaps, one.direction, strict=False):
+                terms.append(dot(direction, [x[n] for x in y], one.zero))
+            for terms, *pair in zip(pressed, slopes, gaps, strict=False):
                 terms.append(product_term(*pair, n))
-            is_spring = one.is_located and not one.rates
-            forces = [] if is_spring else one.contact_forces(n, pressed)
-            new = []
-            for i, springs in enumerate(one.springs):
+            forces = one.contact_forces(n, pressed) if one.rates or slopes else []
+            totals, new = [], []
+            for springs in one.springs:
                 total = None
                 for k, x in zip(springs, y, strict=True):
                     total = k * x[n] if total is None else fma(k, x[n], total)
-                for a, bend in zip(one.cubic[i], bends, strict=True):
-                    total = fma(a * 3.0, bend, total)
+                totals.append(total)
+            for i, total in enumerate(bent(n, totals)):
                 for c, x in zip(one.damping[i], y, strict=True):
                     total = fma(c * float(n + 1), x[n + 1], total)
-                for a, x in zip(one.others[i], z, strict=False):
+                for a, x in zip(one.others[i], z, strict=True):
                     total = fma(a, x[n], total)
                 total = one.pulled(i, forces, -total)
                 new.append(total * (1.0 / ((n + 1) * (n + 2))))
@@ -150,17 +152,16 @@ def _tangent_step(typingctx, at, lanes, coefficients, rtol, unclear):
         if layout.is_tanh:
             return context.get_dummy_value()
         builder.function.attributes.add("noinline")  # within the loop it would slow every step
-        rows, series = (
-            LaneRows(builder, p, layout) for p in pointers(context, builder, signature, args)
-        )
+        rows, series = rows_of(context, builder, signature, args)
         is_tight = builder.fcmp_ordered("<", args[3], ir.Constant(F64, layout.tight))
-        one = Equation(rows, Modes(rows, "mode_0"), is_tight, "tau_0")
-        factors, step = _Factors(rows, series, one), rows["step"]
+        one = Equation(rows, series, Modes(rows, "mode_0"), is_tight, "tau_0")
+        square, step = _square(series, one) if layout.is_plain else [], rows["step"]
+        slopes = _slopes(rows, series, one)
         keeps = mask_of(builder, args[4], layout.width)
 
         def advance(number):
             solution, kept = solution_rows(rows, series, number)
-            commit_solution(solution, kept, _variation(solution, one, factors), step, keeps)
+            commit_solution(solution, kept, _variation(solution, one, square, slopes), step, keeps)
 
         if layout.is_plain:  # a loop would take a tenth longer
             advance(ir.Constant(I64, 0))

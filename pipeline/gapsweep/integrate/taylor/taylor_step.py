@@ -27,7 +27,7 @@ from gapsweep.integrate.lanes.outcome import (
     SHORT_STEP,
 )
 from gapsweep.integrate.lanes.parameters import RANGE
-from gapsweep.integrate.lanes.rows import LaneRows, dot, pointers, value_and_slope
+from gapsweep.integrate.lanes.rows import dot, rows_of, value_and_slope
 from gapsweep.integrate.vectors import (
     F64,
     I64,
@@ -325,18 +325,18 @@ def _commit_contacts(lanes, modes, motion, exits, state):
     return n_walls
 
 
-def _emit_step(builder, layout, arrays, scalars):
+def _emit_step(builder, lanes, coefficients, scalars):
     """Emit the whole step; returns the packed masks (see `taylor_step`).
 
     One function: its parts follow the order of the step, and each uses results of those before.
     """
-    lanes, coefficients = (LaneRows(builder, pointer, layout) for pointer in arrays)
+    layout = lanes.layout
     rtol, x_bound, max_short = (splat(builder, s, layout.width) for s in scalars)
 
     # 1. series and step size
     modes = Modes(lanes)
     is_tight = builder.fcmp_ordered("<", scalars[0], ir.Constant(F64, layout.tight))
-    equation = Equation(lanes, modes, is_tight)
+    equation = Equation(lanes, coefficients, modes, is_tight)
     motion = (TanhMotion if layout.is_tanh else StepSeries)(lanes, modes, equation)
     kept = motion.q if layout.is_plain else motion.q + motion.z + motion.gaps
     for number, series in enumerate(kept):
@@ -456,7 +456,6 @@ def taylor_step(typingctx, at, lanes, coefficients, rtol, x_bound, max_short):
     signature = types.int64(at, lanes, coefficients, rtol, x_bound, max_short)
 
     def codegen(context, builder, signature, args):
-        arrays = pointers(context, builder, signature, args)
-        return _emit_step(builder, at.layout, arrays, args[3:])
+        return _emit_step(builder, *rows_of(context, builder, signature, args), args[3:])
 
     return signature, codegen

@@ -27,7 +27,8 @@ def _parts(x, ratio, sharpness, centre, half_gap):
     With s = |x - centre| the force over K is the sign of x - centre times
     ``max(s - g, 0) - |s - g| q + (s + g) q2``, where q = 1 / (1 + exp(2 eps d)) for a wall at the
     distance d reduces the exact law. It keeps all digits where it is small, its exponential does
-    not overflow, and a force between equal walls is odd about the centre to the last bit. The stiffnesses are relative to that of the upper wall.
+    not overflow, and a force between equal walls is odd about the centre to the last bit. The
+    stiffnesses are relative to that of the upper wall.
     """
     y = x - centre
     sign = copysign(1.0, y)

@@ -4,7 +4,7 @@ The answer in words, as a map of all laws in all cases, as one figure, and the n
 study's own answer comes before that of the rules.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -16,6 +16,7 @@ from gapsweep.report.backdrop import caption_of_walls
 from gapsweep.report.drawing import caption_of_marks
 from gapsweep.report.figures import compared_with_exact
 from gapsweep.report.heat import GROUPS, MANY, cells, heads, swept_columns
+from gapsweep.report.inputs import Inputs
 from gapsweep.report.parts import Figured, Part
 from gapsweep.report.scenes import Scenes, starts_of, swept
 from gapsweep.report.sections.findings import unreached_walls
@@ -27,39 +28,30 @@ from gapsweep.report.verdicts import (
     SIGNS,
     Contact,
     Judged,
-    contacts,
     how_many,
     in_words,
     times,
 )
 
 
-def sections(
-    responses: xr.Dataset,
-    agreement: xr.Dataset | None = None,
-    static: xr.Dataset | None = None,
-    claims: Mapping[str, Any] | None = None,
-    sections: Sequence[Mapping[str, Any]] | None = None,
-) -> Iterator[Part]:
+def sections(inputs: Inputs) -> Iterator[Part]:
     """The study's own answer, and verdicts on the laws of an oscillator that has the exact law."""
-    own = answer_of(sections)
-    # The rules of verdicts are for one displacement between two walls.
-    is_judged = agreement is not None and in_metres(responses)
-    found = contacts(agreement, static) if agreement is not None and is_judged else []
+    own, found, responses = answer_of(inputs), inputs.cases, inputs.responses
     if not (found or own.sentences or own.tables or own.figures):
         return
     said = in_words(found)
     headline = [*own.sentences] or said[:1]
-    if is_judged and (far := unreached_walls(responses)):
+    is_compared = inputs.agreement is not None and in_metres(responses)
+    if is_compared and (far := unreached_walls(responses)):
         headline[:1] = [" ".join([far, *headline[:1]])]
-    counts = claims["counts"] if claims else {}
+    counts = inputs.claims["counts"] if inputs.claims else {}
     content = {
         "counts": {verdict: counts[verdict] for verdict in VERDICTS if counts.get(verdict)},
         "map": _map(responses, found) if found else None,
         "sentences": said if own.sentences else said[1:],
         "numbers": list(map(_numbers, found[:MOST_CONTACTS])),
     }
-    figures = [*_compared(responses, found), *own.figures]
+    figures = [*_compared(inputs), *own.figures]
     yield Part("answer", "Answer", headline, own.tables, figures, content)
 
 
@@ -110,8 +102,9 @@ def _numbers(contact: Contact) -> tuple[str, list[list[str]]]:
     return f"{contact.place}{of_tanh if least else ''}", rows
 
 
-def _compared(responses: xr.Dataset, found: Sequence[Contact]) -> Iterator[Figured]:
+def _compared(inputs: Inputs) -> Iterator[Figured]:
     """Laws and the exact law in the case with the most verdicts, if it has a curve."""
+    responses, found = inputs.responses, inputs.cases
     if not found or responses.sizes["omega"] < 2:
         return
     contact = max(found, key=lambda one: (len(list(filter(None, one.columns.values()))), one.K_c))
@@ -125,8 +118,10 @@ def _compared(responses: xr.Dataset, found: Sequence[Contact]) -> Iterator[Figur
         f"Peak displacement at {contact.place}: contact laws (coloured) and the exact law (larger "
         "dots behind), for the same initial conditions"
     )
-    figure = compared_with_exact(swept(scene.sel(representation=[EXACT, *laws])), EXACT, laws)
-    looks = f"{caption_of_walls(scene, of_peaks=True)}{caption_of_marks(figure)}"
+    shown = swept(scene.sel(representation=[EXACT, *laws]))
+    figure = compared_with_exact(shown, EXACT, laws, inputs.branches)
+    words = " Dashed lines: unstable orbits." if inputs.branches is not None else ""
+    looks = f"{caption_of_walls(scene, of_peaks=True)}{words}{caption_of_marks(figure)}"
     yield Figured(figure, f"{description}.{looks}", description)
 
 

@@ -14,10 +14,12 @@ from gapsweep.model.labels import EXACT, Representation
 from gapsweep.report.bench_figures import (
     STATUS_LETTERS,
     atlas,
+    in_range,
     tolerance_figure,
     work_precision_figure,
     worst,
 )
+from gapsweep.report.inputs import Inputs
 from gapsweep.report.parts import Figured, Part, Table
 from gapsweep.report.scales import plain
 from gapsweep.status import Status
@@ -49,20 +51,14 @@ def conclusions(dataset: xr.Dataset) -> Conclusions:
 # ---- Work-precision -------------------------------------------------------------------------
 
 
-def _is_exact(label: str) -> bool:
-    """Whether a label is of the exact law, with any solver settings."""
-    return Representation(label).law == EXACT
-
-
 def beaten(bench: xr.Dataset) -> dict[str, list[str]]:
     """Methods of other laws on the Pareto front at errors of 1e-2 or below, by scenario."""
     shown = bench["on_front"].astype(bool) & (bench["total_error"] <= _USEFUL)
     found = {}
     for scene in bench["scene"].values.tolist():
         there = shown.sel(scene=scene).any("tolerance")
-        others = [m for m in bench["method"].values[there.values].tolist()]
-        others = [m for m in others if not _is_exact(m)]
-        if others:
+        labels = bench["method"].values[there.values].tolist()
+        if others := [label for label in labels if Representation(label).law != EXACT]:
             found[scene] = others
     return found
 
@@ -153,9 +149,11 @@ def _cheapest_table(bench: xr.Dataset) -> Table:
     )
 
 
-def work_precision(work_precision: xr.Dataset) -> Iterator[Part]:
+def work_precision(inputs: Inputs) -> Iterator[Part]:
     """The section on costs and errors of methods."""
-    bench = work_precision.load()
+    if inputs.work_precision is None:
+        return
+    bench = inputs.work_precision.load()
     figures = [
         Figured(
             work_precision_figure(bench.isel(scene=bench["K_c"].values == K_c)),
@@ -197,13 +195,14 @@ def work_precision(work_precision: xr.Dataset) -> Iterator[Part]:
 
 
 def _atlas_conclusions(stability: xr.Dataset) -> Conclusions:
-    outcome, tight = stability["outcome"], stability["rtol"] <= stability.attrs["tight_rtol"] * 1.01
+    outcome = stability["outcome"]
     numbers: dict[str, Any] = {"n_silent_wrong": int(stability.attrs["n_silent_wrong"])}
     sentences = [
         f"Wrong results with status ok at rtol {stability.attrs['tight_rtol']:g} or tighter: "
         f"{numbers['n_silent_wrong']}."
     ]
-    for name, where in (("tight", tight), ("loose", ~tight & stability["rtol"].notnull())):
+    for name in ("tight", "loose"):
+        where = in_range(stability, tight=name == "tight")
         counts = {
             o.name.lower(): int(((outcome == o) & where).sum())
             for o in CellOutcome
@@ -212,9 +211,10 @@ def _atlas_conclusions(stability: xr.Dataset) -> Conclusions:
         numbers[name] = counts
         words = ", ".join(f"{n} {label.replace('_', ' ')}" for label, n in counts.items())
         sentences.append(f"Runs at {name} tolerances: {words}.")
+    scenes, methods, rtol = (stability[name].values for name in ("scene", "method", "rtol"))
     silent = [
-        {"scene": str(scene), "method": str(method), "rtol": float(rtol)}
-        for scene, method, rtol in _where(stability, CellOutcome.SILENT_WRONG)
+        {"scene": str(scenes[s]), "method": str(methods[m]), "rtol": float(rtol[m, r])}
+        for s, m, r in np.argwhere(outcome.values == CellOutcome.SILENT_WRONG)
     ]
     numbers["silent_wrong"] = silent
     if silent:
@@ -223,18 +223,11 @@ def _atlas_conclusions(stability: xr.Dataset) -> Conclusions:
     return Conclusions(sentences, numbers)
 
 
-def _where(stability: xr.Dataset, outcome: CellOutcome) -> Iterator[tuple[str, str, float]]:
-    for s, m, r in np.argwhere(stability["outcome"].values == outcome):
-        yield (
-            stability["scene"].values[s],
-            stability["method"].values[m],
-            stability["rtol"].values[m, r],
-        )
-
-
-def stability(stability: xr.Dataset) -> Iterator[Part]:
+def stability(inputs: Inputs) -> Iterator[Part]:
     """The section on failures of methods."""
-    stability = stability.load()
+    if inputs.stability is None:
+        return
+    stability = inputs.stability.load()
     letters = ", ".join(f"{letter} {name}" for name, letter in STATUS_LETTERS.items())
     legend = (
         "R: correct. M: model error; the law is solved accurately, but differs from the exact law. "
@@ -291,16 +284,9 @@ def _law_table(stability: xr.Dataset) -> Table:
     for label in stability["method"].values.tolist():
         one = stability.sel({"method": label})
         more = one["n_wells"] > one["n_wells_exact"]
-        frequency = one["in_gap_frequency"].values
-        layer = one["layer_over_step"].values
-        rows.append(
-            [
-                label,
-                f"{int(more.sum())} of {one.sizes['scene']}",
-                _range(frequency),
-                _range(layer),
-            ]
-        )
+        wells = f"{int(more.sum())} of {one.sizes['scene']}"
+        ranges = [_range(one[name].values) for name in ("in_gap_frequency", "layer_over_step")]
+        rows.append([label, wells, *ranges])
     header = ["Method", "Scenarios with false wells", "In-gap frequency [Hz]", "Layer / step"]
     return Table("Properties of the laws", header, rows)
 

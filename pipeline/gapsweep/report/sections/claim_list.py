@@ -3,20 +3,19 @@
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
+from gapsweep.report.inputs import Inputs
 from gapsweep.report.parts import Part
-from gapsweep.report.tables import VERDICTS, number
+from gapsweep.report.tables import VERDICTS, number, tally
 
 
-def sections(claims: Mapping[str, Any]) -> Iterator[Part]:
+def sections(inputs: Inputs) -> Iterator[Part]:
     """The list of claims, and counts of their verdicts."""
+    if (claims := inputs.claims) is None:
+        return
     tallies = {"": claims["counts"], **claims.get("otherwise", {})}
-    sentences = [f"{words}{': ' * bool(words)}{_tally(n)}." for words, n in tallies.items()]
+    sentences = [f"{words}{': ' * bool(words)}{tally(n)}." for words, n in tallies.items()]
     content = {"verdicts": VERDICTS, "rows": list(claim_rows(claims))}
     yield Part("claims", "Claims", sentences, content=content)
-
-
-def _tally(counts: Mapping[str, int]) -> str:
-    return ", ".join(f"{counts[verdict]} {verdict}" for verdict in VERDICTS if counts[verdict])
 
 
 def claim_rows(decided: Mapping[str, Any]) -> Iterator[dict[str, Any]]:

@@ -2,8 +2,7 @@
 
 import json
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
-from typing import Any
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 import xarray as xr
@@ -12,15 +11,15 @@ from numpy.typing import NDArray
 from gapsweep.analysis.dimensions import REPRESENTATION, in_metres
 from gapsweep.model.labels import EXACT
 from gapsweep.report.drawing import labels_of
+from gapsweep.report.inputs import Inputs
 from gapsweep.report.parts import Part
 from gapsweep.report.scales import drawn, shown_unit
-from gapsweep.report.tables import VERDICTS, condensed, percent
+from gapsweep.report.tables import condensed, percent, tally
 from gapsweep.report.verdicts import (
     COLUMNS,
     SHOWN,
     Contact,
     consequence,
-    contacts,
     verdict,
     worst,
 )
@@ -32,29 +31,24 @@ from gapsweep.study.study import Study
 from gapsweep.study.unit_check import doubts_of, never_reached
 
 
-def sections(
-    responses: xr.Dataset,
-    agreement: xr.Dataset | None = None,
-    attractors: xr.Dataset | None = None,
-    advice: xr.Dataset | None = None,
-    claims: Mapping[str, Any] | None = None,
-) -> Iterator[Part]:
+def sections(inputs: Inputs) -> Iterator[Part]:
     """The main findings of a run, in sentences."""
+    responses = inputs.responses
     # First, because without contacts all other findings are about the linear system.
     far = unreached_walls(responses)
     sentences = [*_doubtful(responses), *filter(None, [far])]
     sentences += [outcomes(responses), _tried(responses)]
     sentences += _along(responses)
-    if attractors is not None:
-        sentences += _coexisting(attractors)
-    if agreement is not None:
-        # The rules of verdicts are for one displacement between two walls.
-        judged = in_metres(responses)
-        sentences += counted(contacts(agreement)) if judged else _agreeing(agreement)
-    if advice is not None:
-        sentences.append(_choices(advice))
-    if claims is not None:
-        sentences.append(_verdicts(claims))
+    if inputs.attractors is not None:
+        sentences += _coexisting(inputs.attractors)
+    if inputs.agreement is not None and not in_metres(responses):
+        sentences += _agreeing(inputs.agreement)
+    sentences += counted(inputs.cases)
+    if inputs.advice is not None:
+        sentences.append(_choices(inputs.advice))
+    if inputs.claims is not None:
+        counts = inputs.claims["counts"]
+        sentences.append(f"{sum(counts.values())} claims: {tally(counts)}.")
     yield Part("findings", "Findings", sentences)
 
 
@@ -105,8 +99,8 @@ def outcomes(responses: xr.Dataset) -> str:
     """Sentence with the counts of sweep points by class, and with reasons of failures."""
     status, kind = (responses[n].values for n in ("status", "response_class"))
     asked = status != Status.NOT_REQUESTED
-    counts = _counted(kind[asked])
-    why = _counted(status[asked & (kind == ResponseClass.FAILED)])
+    counts = Counter(kind[asked].tolist())
+    why = Counter(status[asked & (kind == ResponseClass.FAILED)].tolist())
     reasons = ", ".join(f"{n} {Status(s).label.replace('_', ' ')}" for s, n in sorted(why.items()))
     left = (responses["status"] == Status.OUT_OF_FIT_RANGE) & (
         responses["response_class"] != ResponseClass.FAILED
@@ -140,12 +134,6 @@ def _tried(responses: xr.Dataset) -> str:
     remedy = " Sweeps do not show coexisting attractors: add states to initial_condition."
     more = "" if FIXED in responses["start"].values else remedy
     return f"{several} tried at a point; further attractors may exist.{more}"
-
-
-def _counted(values: NDArray[np.integer]) -> Counter[int]:
-    """Number of occurrences of each value."""
-    numbers, counts = np.unique(values, return_counts=True)
-    return Counter(dict(zip(numbers.tolist(), counts.tolist(), strict=True)))
 
 
 def _along(responses: xr.Dataset) -> Iterator[str]:
@@ -252,9 +240,3 @@ def _choices(advice: xr.Dataset) -> str:
         f"For an error of {advice.attrs['error']:g}, auto uses the simplest adequate model of "
         f"{counts[chosen >= 0].sum()} parameter sets and initial conditions: {', '.join(parts)}."
     )
-
-
-def _verdicts(decided: Mapping[str, Any]) -> str:
-    counts = decided["counts"]
-    parts = ", ".join(f"{counts[verdict]} {verdict}" for verdict in VERDICTS if counts[verdict])
-    return f"{sum(counts.values())} claims: {parts}."

@@ -7,12 +7,12 @@ from collections import Counter
 from collections.abc import Iterator
 
 import numpy as np
-import xarray as xr
 
 from gapsweep.analysis.datasets.contact_errors import ADEQUATE, TOO_COARSE
 from gapsweep.analysis.dimensions import Array, scene_dims, scenes
 from gapsweep.model.labels import EXACT, NOT_LOCATED
 from gapsweep.report.drawing import labels_of
+from gapsweep.report.inputs import Inputs
 from gapsweep.report.parts import Part, Table
 from gapsweep.report.sections.parameter_sets import title_of
 from gapsweep.report.tables import number
@@ -22,8 +22,10 @@ _MOST_CASES = 8  # columns of cases; more cases are counted
 _WORDS = {"✓": "accurate", "◐": "between", "✗": "too coarse"}
 
 
-def sections(static: xr.Dataset) -> Iterator[Part]:
+def sections(inputs: Inputs) -> Iterator[Part]:
     """The force error of every approximation in every case, none if the forcing is zero."""
+    if (static := inputs.static) is None:
+        return
     name = "force_error_ratio"
     laws = [label for label in labels_of(static) if label not in _EXACT]
     ratio = static[[name]].sel(representation=laws).load()

@@ -1,15 +1,15 @@
 """The model section of a report: the equation, its numbers and the forces of the laws."""
 
 import json
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 import xarray as xr
 
 from gapsweep.analysis.dimensions import in_metres
-from gapsweep.model.labels import Representation
 from gapsweep.report.drawing import labels_of
+from gapsweep.report.inputs import Inputs
 from gapsweep.report.parts import Part
 from gapsweep.report.scales import plain, shortened
 
@@ -25,6 +25,9 @@ _NUMBERS = {
     "forcing": ("p", "N"),
     "mean_load": ("p₀", "N"),
     "c": ("c", "N s/m"),
+    "unbalance": ("u", "kg m"),
+    "base_amplitude": ("a", "m"),
+    "base_damping": ("s", "(share of the damping at the base)"),
     "K_c": ("K_c", "N/m"),
     "K_ratio": ("r", "(stiffness of the lower wall / K_c)"),
     "omega": ("ω", "Hz"),
@@ -39,10 +42,10 @@ _OF_LAGS = {"force": "D", "of_speed": "E", "of_place": "G", "of_lags": "H"}
 _MANY = 5  # values of a parameter; of more, the first and the last are shown
 
 
-def sections(responses: xr.Dataset) -> Iterator[Part]:
+def sections(inputs: Inputs) -> Iterator[Part]:
     """The equation of a run, its parameters and its contact laws, as pairs of name and text."""
-    of_model = _system if "system_json" in responses.attrs else _oscillator
-    yield Part("model", "Model", [], content={"pairs": of_model(responses)})
+    of_model = _system if "system_json" in inputs.responses.attrs else _oscillator
+    yield Part("model", "Model", [], content={"pairs": of_model(inputs.responses)})
 
 
 def _oscillator(responses: xr.Dataset) -> list[tuple[str, str]]:
@@ -54,13 +57,12 @@ def _oscillator(responses: xr.Dataset) -> list[tuple[str, str]]:
         f"{symbol} {_text(held[name])} {unit}".strip() for name, (symbol, unit) in _NUMBERS.items()
     ]
     numbers.append(_walls(responses))
-    labels = [label for label in labels_of(responses) if not label.is_auto]
-    if any(label.is_fitted for label in labels):
+    if any(label.is_fitted for label in labels_of(responses)):
         numbers.append(f"fits over ±{1e3 * study['fit']['range']:g} mm")
     return [
         ("Equation", _EQUATION),
         ("Numbers", ", ".join(numbers)),
-        *_laws(responses, labels),
+        *_laws(responses),
     ]
 
 
@@ -79,19 +81,18 @@ def _system(responses: xr.Dataset) -> list[tuple[str, str]]:
     rows += [(f"b of {name}", _rows(along)) for name, along in held["contacts"].items()]
     rows += [("a, α", f"{_rows(each['along'])}, {plain(each['alpha'])}") for each in held["cubic"]]
     for load in held["forcing"]:
-        size = f"{_rows(load['amplitude'])}{f' ({_rate(load)})²' if load['inertial'] else ''}"
-        rows.append(("Load", f"{size}{_turning(load)}"))
+        growth = f" ({_rate(load)}){'²' * (load['power'] == 2)}" if load["power"] else ""
+        rows.append(("Load", f"{_rows(load['amplitude'])}{growth}{_turning(load)}"))
     for name, terms in held["modulation"].items():
         parts = (f"{plain(term['depth'])}{_turning(term)}" for term in terms)
         rows.append((f"F of {name}", f"times 1 + {' + '.join(parts)}"))
     rows += _numbers_of_contacts(responses, study.get("contact", {}))
     equation = _EQUATION_OF_SYSTEMS + (_EQUATION_OF_LAGS if lags else "")
-    labels = [label for label in labels_of(responses) if not label.is_auto]
     names = ", ".join(held["coordinates"])
     return [
         ("Equation", f"{equation}; x = b·q, q = ({names})"),
         *rows,
-        *_laws(responses, labels),
+        *_laws(responses),
     ]
 
 
@@ -160,20 +161,19 @@ def _listed(texts: Sequence[str]) -> str:
     return ", ".join(texts) if len(texts) <= _MANY else f"{texts[0]} to {texts[-1]}"
 
 
-def _laws(responses: xr.Dataset, labels: Iterable[Representation]) -> list[tuple[str, str]]:
+def _laws(responses: xr.Dataset) -> list[tuple[str, str]]:
     """Name and formula of the force of each law; user laws are named by their label."""
     tables = json.loads(responses.attrs.get("tables_json", "{}"))
     is_length = in_metres(responses)
+    # The length unit of a system is the user's choice.
+    unit = "[1/m]" if is_length else "[1/unit of x]"
     found = {}
-    for label in labels:
-        if label.law_type is None:
-            table = tables.get(label.law)
-            formula = _table(table, is_length) if table else "user-defined"
-            found[f"F of {label.law}"] = formula
-        else:
-            # The length unit of a system is the user's choice.
-            unit = "[1/m]" if is_length else "[1/unit of x]"
+    for label in labels_of(responses):
+        if label.law_type is not None:
             found[f"F of {label.family}"] = label.law_type.words.replace("[1/m]", unit)
+        elif not label.is_auto:
+            table = tables.get(label.law)
+            found[f"F of {label.law}"] = _table(table, is_length) if table else "user-defined"
     return list(found.items())
 
 

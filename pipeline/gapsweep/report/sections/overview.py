@@ -5,7 +5,8 @@ memory grows with the number of sets: meshes over two long axes; curves over one
 of a few values of the second.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
 
 import numpy as np
 import xarray as xr
@@ -22,6 +23,7 @@ from gapsweep.analysis.dimensions import (
 )
 from gapsweep.model.labels import EXACT, Representation
 from gapsweep.report.captioned import LEAST, STATE, along_axis, curves_figure, maps_of, plane_of
+from gapsweep.report.inputs import Inputs
 from gapsweep.report.maps import numbered_as, numeric_axes
 from gapsweep.report.parts import Figured, Part
 from gapsweep.report.scales import long_name, named
@@ -55,25 +57,21 @@ def is_wide(responses: xr.Dataset) -> bool:
     )
 
 
-def sections(
-    responses: xr.Dataset,
-    timing: xr.Dataset,
-    agreement: xr.Dataset | None = None,
-    attractors: xr.Dataset | None = None,
-    branches: xr.Dataset | None = None,
-    curves: xr.Dataset | None = None,
-) -> Iterator[Part]:
+def sections(inputs: Inputs) -> Iterator[Part]:
     """The section on all parameter sets, which replaces a section for each set."""
+    responses = inputs.responses
     asked = responses["status"].load() != Status.NOT_REQUESTED
     n_scenes = int(asked.any((REPRESENTATION, *swept(asked))).sum())
     of_law = asked.any(swept(asked)).sum(scene_dims(asked.dims))  # parameter sets of each law
     labels = [Representation(one) for one in asked[REPRESENTATION].values[of_law.values > 0]]
     axes, few = _axes(responses)
-    is_cut = _is_cut(asked, axes + few)
+    shown = {REPRESENTATION, _START, *axes, *few}
+    is_cut = any(size > 1 for dim, size in asked.sizes.items() if dim not in shown)
+    cuts = [{axis: [i]} for axis in few for i in range(responses.sizes[axis])] or [{}]
     is_alike = bool((of_law.sel({REPRESENTATION: labels}) == n_scenes).all())
     sets = f"{'' if is_alike else 'the computed ones of '}{n_scenes} parameter sets"
     over = f", median over {sets}" * (n_scenes > 1)
-    lines = [] if few or is_cut or len(axes) != 1 else [branches, curves]
+    lines = [] if few or is_cut or len(axes) != 1 else [inputs.branches, inputs.curves]
     names = " and ".join(long_name(responses[axis]) for axis in axes)
     title = "All parameter sets" if n_scenes > 1 else "Results"
     yield Part(
@@ -81,37 +79,28 @@ def sections(
         f"{title} over {names}" if names else title,
         [_words(responses, asked, n_scenes, names, few, is_cut=is_cut)],
         [
-            *scene_tables(agreement, timing, labels, over, _apart(asked, n_scenes)),
+            *scene_tables(inputs.agreement, inputs.timing, labels, over, _apart(asked, n_scenes)),
             *(table for found in lines for table in special_points(found, responses, axes[0])),
         ],
         (
             figure
             for label in [label for label in labels if not label.protocol] or labels
             if axes
-            for cut in _cuts(responses, few)
+            for cut in cuts
             if asked.isel(cut).sel({REPRESENTATION: label}).any()
-            for figure in _figures(
-                responses.isel(cut),
-                None if attractors is None else attractors.isel(cut, missing_dims="ignore"),
-                branches,
-                curves,
-                asked.isel(cut),
-                label,
-                axes,
-            )
+            for figure in _figures(_cut_out(inputs, cut), asked.isel(cut), label, axes)
         ),
     )
 
 
-def _is_cut(asked: xr.DataArray, drawn: list[str]) -> bool:
-    """Whether figures over some axes show part of the points, at one value of a parameter."""
-    others = {REPRESENTATION, _START, *drawn}
-    return any(size > 1 for dim, size in asked.sizes.items() if dim not in others)
-
-
-def _cuts(responses: xr.Dataset, few: list[str]) -> list[dict[str, list[int]]]:
-    """Positions of the figures along the axis with a figure for each value."""
-    return [{axis: [i]} for axis in few for i in range(responses.sizes[axis])] or [{}]
+def _cut_out(inputs: Inputs, cut: Mapping[str, list[int]]) -> Inputs:
+    """The inputs with a part of the responses and attractors."""
+    found = inputs.attractors
+    return replace(
+        inputs,
+        responses=inputs.responses.isel(cut),
+        attractors=None if found is None else found.isel(cut, missing_dims="ignore"),
+    )
 
 
 def _words(
@@ -159,16 +148,9 @@ def _axes(responses: xr.Dataset) -> tuple[list[str], list[str]]:
     return sorted(drawn, key=lambda axis: axis != "omega"), few
 
 
-def _figures(
-    responses: xr.Dataset,
-    attractors: xr.Dataset | None,
-    branches: xr.Dataset | None,
-    curves: xr.Dataset | None,
-    asked: xr.DataArray,
-    label: str,
-    axes: list[str],
-) -> Iterator[Figured]:
+def _figures(inputs: Inputs, asked: xr.DataArray, label: str, axes: list[str]) -> Iterator[Figured]:
     """Figures of a representation, with other parameters at the values with the most points."""
+    responses, attractors = inputs.responses, inputs.attractors
     at = _most(asked, label, [_START] if axes[0] in STATE else axes)
     here = responses.isel(at)
     found = None if attractors is None else attractors.isel(at, missing_dims="ignore")
@@ -192,12 +174,11 @@ def _figures(
         yield from along_axis(
             part[names].load().expand_dims([REPRESENTATION, _START]),
             of_part if n_starts > 1 else None,
-            branches,
+            inputs.branches,
             axes[0],
             where + suffix + start,
-            has_curve=n_starts == 1,
         )
-    yield from curves_figure(curves, here.expand_dims(REPRESENTATION), axes[0], where)
+    yield from curves_figure(inputs.curves, here.expand_dims(REPRESENTATION), axes[0], where)
 
 
 def _start_in_words(here: xr.Dataset) -> str:

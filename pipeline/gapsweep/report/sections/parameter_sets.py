@@ -9,6 +9,7 @@ from gapsweep.analysis.dimensions import scenes as all_scenes
 from gapsweep.model.labels import EXACT
 from gapsweep.report.captioned import along_axis, curves_figure, maps_of, plane_of
 from gapsweep.report.drawing import labels_of
+from gapsweep.report.inputs import Inputs
 from gapsweep.report.maps import numbered_as
 from gapsweep.report.parts import Figured, Part
 from gapsweep.report.scales import named, plain
@@ -21,15 +22,9 @@ from gapsweep.status import Status
 _FEW = 5  # frequencies, which a caption names
 
 
-def sections(
-    responses: xr.Dataset,
-    timing: xr.Dataset,
-    agreement: xr.Dataset | None = None,
-    attractors: xr.Dataset | None = None,
-    branches: xr.Dataset | None = None,
-    curves: xr.Dataset | None = None,
-) -> Iterator[Part]:
+def sections(inputs: Inputs) -> Iterator[Part]:
     """A section for each computed parameter set."""
+    responses, agreement = inputs.responses, inputs.agreement
     scenes = Scenes(responses)
     for at in all_scenes(responses, scene_dims(responses["status"].dims)):
         here = scenes.at(at)
@@ -42,13 +37,13 @@ def sections(
             title,
             [outcomes(here)],
             [
-                *scene_tables(compared, timing.isel(at), labels_of(here)),
-                *special_points(branches, here, "omega"),
-                *special_points(curves, here, "omega"),
+                *scene_tables(compared, inputs.timing.isel(at), labels_of(here)),
+                *special_points(inputs.branches, here, "omega"),
+                *special_points(inputs.curves, here, "omega"),
             ],
             _basins(drawn, plane, title)
             if drawn.sizes["omega"] == 1 and (plane := plane_of(drawn))
-            else _over_frequency(drawn, _several(attractors, drawn, at), branches, curves, title),
+            else _over_frequency(inputs, drawn, at, title),
         )
 
 
@@ -69,20 +64,14 @@ def _basins(scene: xr.Dataset, plane: list[str], title: str) -> Iterator[Figured
         yield from maps_of([(one, "attractor"), (one, "x_max")], plane, f"{label}, {where}")
 
 
-def _over_frequency(
-    scene: xr.Dataset,
-    attractors: xr.Dataset | None,
-    branches: xr.Dataset | None,
-    curves: xr.Dataset | None,
-    title: str,
-) -> Iterator[Figured]:
+def _over_frequency(inputs: Inputs, scene: xr.Dataset, at: At, title: str) -> Iterator[Figured]:
     """Figures of all laws over frequency; without attractors, amplitudes are drawn as lines."""
+    attractors = _several(inputs.attractors, scene, at)
     yield from along_axis(
-        scene, attractors, branches, "omega", title, has_curve=attractors is None,
-        of_starts=caption_of_starts(scene),
+        scene, attractors, inputs.branches, "omega", title, of_starts=caption_of_starts(scene),
         of_attractors="" if attractors is None else _where_few(attractors, scene),
     )  # fmt: skip
-    yield from curves_figure(curves, scene, "omega", title)
+    yield from curves_figure(inputs.curves, scene, "omega", title)
 
 
 def _several(attractors: xr.Dataset | None, scene: xr.Dataset, at: At) -> xr.Dataset | None:

@@ -5,16 +5,16 @@ from collections.abc import Iterator, Mapping
 from dataclasses import asdict, fields
 from typing import Any
 
-import xarray as xr
-
 from gapsweep.integrate.problem import Solver
+from gapsweep.report.inputs import Inputs
 from gapsweep.report.parts import Part
 from gapsweep.report.scales import plain
 from gapsweep.status import Status
 
 
-def sections(responses: xr.Dataset) -> Iterator[Part]:
+def sections(inputs: Inputs) -> Iterator[Part]:
     """The provenance of a run as pairs of name and text, its settings, and how to cite it."""
+    responses = inputs.responses
     attributes = responses.attrs
     asked = responses["status"].values != Status.NOT_REQUESTED
     seconds = float(responses["cpu_time"].where(asked).sum())
