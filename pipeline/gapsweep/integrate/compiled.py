@@ -28,6 +28,8 @@ from gapsweep.model.user_law import UserLaw
 
 Array = NDArray[np.float64]
 
+# Largest relative tolerance at which steps cross overlapping layers of tanh, too.
+_THICK_LAYERS_UP_TO = 1e-5
 _LONGEST = 200  # characters of numba's message
 
 
@@ -103,10 +105,12 @@ def _is_located(models: Models) -> bool:
     return models.n_located == len(models.laws[0])
 
 
-def _has_thin_layers(models: Models) -> bool:
-    """Whether steps cross the layers of an oscillator's tanh."""
-    law = models.laws[0][0]
-    return isinstance(law, Tanh) and law.has_thin_layers
+def _crosses_layers(models: Models, solver: Solver) -> bool:
+    """Whether steps cross the layers of an oscillator's tanh at once where they can."""
+    law = models.laws[0][0] if _is_oscillator(models) else None
+    if not isinstance(law, Tanh):
+        return False
+    return law.has_thin_layers or solver.rtol <= _THICK_LAYERS_UP_TO
 
 
 def _is_oscillator(models: Models) -> bool:
@@ -142,7 +146,7 @@ def _scenes(models: Models, solver: Solver, is_taylor: bool) -> SceneTable:
     walls = _walls(models)
     if _is_oscillator(models):
         of_contact = {name: column[:, 0] for name, column in walls.items()}
-        if is_taylor and _has_thin_layers(models):
+        if is_taylor and _crosses_layers(models, solver):
             of_contact["epsilon"] = models.of_laws(attrgetter("epsilon"))[:, 0]
         return scenes(**of_contact, **_oscillators(models), **tolerances)
     of_contacts = Walls(**walls)
