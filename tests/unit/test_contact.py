@@ -15,12 +15,12 @@ from tests.builders import strategies as own
 from tests.builders.studies import LABELS
 
 import gapsweep as gs
-from gapsweep.integrate.runge_kutta.formulas import rows_of
+from gapsweep.integrate.lanes.law_rows import rows_of_law
 from gapsweep.model import laws
 from gapsweep.model.contact import FIT_RANGE
 from gapsweep.model.fit import Fit, best_pole_free, poles, rational_candidates, unit_force
 from gapsweep.model.labels import EXAMPLES, Representation
-from gapsweep.model.laws.fitted import Fitted
+from gapsweep.model.laws.fitted import Fitted, in_blocks
 
 SOFT = 1.4e4
 SYMMETRIC = gs.Gap(0.4e-3, 0.4e-3)
@@ -153,7 +153,7 @@ def numbers(law):
     found = {"stiffness": law.K_c, "low": low, "high": high, "ratio": ratio}
     if isinstance(law, Fitted):
         top, bottom = law.coefficients
-        found |= {"numerator": top, "denominator": bottom}
+        found |= {"numerator": in_blocks(top), "denominator": in_blocks(bottom)}
         found |= {"stiffness": 1.0, "fit_range": law.fit_range}
     return found | law.rows(low, high, ratio, np.asarray(sharpness))
 
@@ -185,7 +185,7 @@ def test_every_law_in_the_folder_is_registered():
 @pytest.mark.parametrize("law", laws.LAWS, ids=lambda law: law.family)
 def test_no_two_numbers_of_a_law_share_a_row(law):
     """Four rows are free: a fifth number of a law would be read as its layer."""
-    rows = rows_of(law)
+    rows = rows_of_law(law)
     assert len({*rows.values()}) == len(rows)
 
 

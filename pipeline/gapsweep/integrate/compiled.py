@@ -1,4 +1,4 @@
-"""The compiled engine: the exact law and tanh by Taylor series, all others by Runge–Kutta."""
+"""The compiled engine: laws of this package by Taylor series, all others by Runge–Kutta."""
 
 from operator import attrgetter
 from typing import Any
@@ -17,8 +17,10 @@ from gapsweep.integrate.runge_kutta import representations
 from gapsweep.integrate.runge_kutta.smooth_scenes import runge_kutta_scenes
 from gapsweep.integrate.stepping import batch, record
 from gapsweep.integrate.taylor.method import Taylor
+from gapsweep.integrate.taylor.smooth_scenes import smooth_scenes
 from gapsweep.model.contact import Piecewise
 from gapsweep.model.laws.fitted import Fitted
+from gapsweep.model.laws.sharpened import Sharpened
 from gapsweep.model.laws.tanh import Tanh
 from gapsweep.model.oscillator import CLASSIC, Oscillator
 from gapsweep.model.table import ForceTable
@@ -26,8 +28,7 @@ from gapsweep.model.user_law import UserLaw
 
 Array = NDArray[np.float64]
 
-# Largest relative tolerance at which a Taylor series of overlapping tanh layers costs no more than
-# Runge-Kutta steps.
+# Largest relative tolerance at which steps cross overlapping layers of tanh, too.
 _THICK_LAYERS_UP_TO = 1e-5
 _LONGEST = 200  # characters of numba's message
 
@@ -37,12 +38,18 @@ def prepared(models: Models, solver: Solver) -> Integrate:
     is_taylor = _by_taylor(models, solver)
     scenes = _scenes(models, solver, is_taylor)
     method: Method = Taylor()
-    if not is_taylor:
+    is_located = is_taylor and (scenes.at.is_tanh or _is_located(models))
+    if not is_located:
         laws = [_kernel_law(models, contact) for contact in range(len(models.laws[0]))]
         mass = np.ones(len(models))
         if _is_oscillator(models):
             mass = models.of_systems(attrgetter("mass"))
-        scenes, method = runge_kutta_scenes(scenes, laws, mass, solver)
+        if is_taylor:
+            rows = [law.rows(mass, len(models)) for law in laws]
+            pushes = np.abs(models.of_laws(lambda law: law.force(0.0).item())).T / mass
+            scenes = smooth_scenes(scenes, [law.kind[:3] for law in laws], rows, pushes)
+        else:
+            scenes, method = runge_kutta_scenes(scenes, laws, mass, solver)
 
     def integrate(problems: Problems) -> Motions:
         run = batch.run(
@@ -59,7 +66,7 @@ def prepared(models: Models, solver: Solver) -> Integrate:
             tangent=problems.tangent,
             dense_output=problems.dense_output,
             sampled=problems.sampled,
-            contacts=problems.contacts or (problems.contact_time and not is_taylor),
+            contacts=problems.contacts or (problems.contact_time and not is_located),
         )
 
         def events() -> Events:
@@ -78,7 +85,7 @@ def prepared(models: Models, solver: Solver) -> Integrate:
             events=events,
             sampler=run.sample,
             monodromy=run.monodromy,
-            contact_time=run.contact_time if problems.contact_time and is_taylor else None,
+            contact_time=run.contact_time if problems.contact_time and is_located else None,
         )
 
     return integrate
@@ -90,9 +97,20 @@ def _by_taylor(models: Models, solver: Solver) -> bool:
     solver.check_located(n_located, len(laws), is_oscillator=_is_oscillator(models))
     if solver.controller != "native" or (n_located and solver.runge_kutta_setting):
         return not laws
-    if _is_oscillator(models) and isinstance(laws[0], Tanh):
-        return laws[0].has_thin_layers or solver.rtol <= _THICK_LAYERS_UP_TO
-    return n_located == len(laws)
+    return _is_located(models) or all(isinstance(law, Sharpened | Fitted) for law in laws)
+
+
+def _is_located(models: Models) -> bool:
+    """Whether all contacts are located."""
+    return models.n_located == len(models.laws[0])
+
+
+def _crosses_layers(models: Models, solver: Solver) -> bool:
+    """Whether steps cross the layers of an oscillator's tanh at once where they can."""
+    law = models.laws[0][0] if _is_oscillator(models) else None
+    if not isinstance(law, Tanh):
+        return False
+    return law.has_thin_layers or solver.rtol <= _THICK_LAYERS_UP_TO
 
 
 def _is_oscillator(models: Models) -> bool:
@@ -128,7 +146,7 @@ def _scenes(models: Models, solver: Solver, is_taylor: bool) -> SceneTable:
     walls = _walls(models)
     if _is_oscillator(models):
         of_contact = {name: column[:, 0] for name, column in walls.items()}
-        if is_taylor and isinstance(models.laws[0][0], Tanh):
+        if is_taylor and _crosses_layers(models, solver):
             of_contact["epsilon"] = models.of_laws(attrgetter("epsilon"))[:, 0]
         return scenes(**of_contact, **_oscillators(models), **tolerances)
     of_contacts = Walls(**walls)

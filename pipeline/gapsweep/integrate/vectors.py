@@ -46,20 +46,29 @@ class Vec(_LaneValues):
     def _other(self, other):
         return other if isinstance(other, Vec) else self.constant(other)
 
+    def _with(self, operation, other):
+        """Apply an operation of the builder; other kinds of operands define it themselves."""
+        if not isinstance(other, Vec | int | float):
+            return NotImplemented
+        return Vec(self.builder, operation(self.builder, self.value, self._other(other).value))
+
     def __add__(self, other):
-        return Vec(self.builder, self.builder.fadd(self.value, self._other(other).value))
+        return self._with(ir.IRBuilder.fadd, other)
 
     def __sub__(self, other):
-        return Vec(self.builder, self.builder.fsub(self.value, self._other(other).value))
+        return self._with(ir.IRBuilder.fsub, other)
 
     def __rsub__(self, other):
         return self._other(other) - self
 
     def __mul__(self, other):
-        return Vec(self.builder, self.builder.fmul(self.value, self._other(other).value))
+        return self._with(ir.IRBuilder.fmul, other)
 
     def __truediv__(self, other):
-        return Vec(self.builder, self.builder.fdiv(self.value, self._other(other).value))
+        return self._with(ir.IRBuilder.fdiv, other)
+
+    def __rtruediv__(self, other):
+        return self._other(other) / self
 
     def __neg__(self):
         return Vec(self.builder, self.builder.fneg(self.value))

@@ -34,9 +34,9 @@ class Formulas(NamedTuple):
     ``stiffness`` [N/m] (of the upper wall; 1 for fits), ``low`` and ``high`` (positions of the
     walls [m]), ``ratio`` (`ContactLaw.K_ratio`), ``fit_range`` [m], and those of
     `ContactLaw.rows`, four at most. A fit has its Chebyshev series, ``numerator`` and
-    ``denominator``, directly after x. A formula is written with operators, constants, ``abs``,
-    ``min``, ``max``, the functions ``sqrt``, ``exp``, ``log``, ``atan`` and ``copysign`` of
-    ``math``, those of `gapsweep.model.arithmetic` and functions of the same file.
+    ``denominator`` (`fitted.in_blocks`), directly after x. A formula is written with operators,
+    constants, ``abs``, ``min``, ``max``, the functions ``sqrt``, ``exp``, ``log``, ``atan`` and
+    ``copysign`` of ``math``, those of `gapsweep.model.arithmetic` and functions of the same file.
     """
 
     force: Callable[..., Any]

@@ -38,7 +38,7 @@ from .parameters import N_PARAMETERS
 # Degrees of Taylor polynomials for loose and for tight tolerances, and the relative tolerance below
 # which these are tight: the cheapest pair measured. A step is compiled once for both degrees.
 _DEGREES, _TIGHT = (12, 16), 2e-8
-_TANH_DEGREES, _TANH_TIGHT = (8, 12), 2e-5
+_LAYER_DEGREES, _LAYER_TIGHT = (8, 12), 2e-5
 
 # Numbers of things that each have rows.
 _COUNTS = ("harmonics", "cubics", "modulations")
@@ -84,6 +84,9 @@ class RowLayout:
         Whether the system is unforced: its section is then at the maxima of the first coordinate.
     is_located : bool
         Whether steps end where a contact passes a wall.
+    laws : tuple of (int, int, int)
+        Of a Taylor series the law of every contact: its place in `LAWS`, numbers of coefficients of
+        numerator and denominator. Empty if contacts are located.
     is_taylor : bool
         Whether steps are those of a Taylor series; a Runge-Kutta method needs more rows.
     order : int
@@ -103,12 +106,13 @@ class RowLayout:
     is_free: bool = False
     is_located: bool = True
     is_taylor: bool = True
+    laws: tuple[tuple[int, int, int], ...] = ()
     order: int = 12
     tangent: int = 0
 
     derived: ClassVar[tuple[str, ...]] = (
         *("n_states", "all_lanes", "n_terms", "n_series", "first_gap", "n_turning", "n_rows"),
-        *("n_rates", "width", "spring_series"),
+        *("n_rates", "width", "gap_end", "spring_series"),
     )
 
     @property
@@ -121,12 +125,12 @@ class RowLayout:
         """Degrees for which the code of a step is compiled."""
         if not self.is_taylor:
             return (self.order,)
-        return _TANH_DEGREES if self.is_tanh else _DEGREES
+        return _LAYER_DEGREES if self.has_layers else _DEGREES
 
     @property
     def tight(self) -> float:
         """Relative tolerance below which a Taylor step has the larger degree."""
-        return _TANH_TIGHT if self.is_tanh else _TIGHT
+        return _LAYER_TIGHT if self.has_layers else _TIGHT
 
     def with_degree(self, rtol: float) -> "RowLayout":
         """Return the layout with the degree of the Taylor polynomials at a tolerance."""
@@ -191,6 +195,28 @@ class RowLayout:
         return 0 if self.is_plain else self.n + self.m
 
     @property
+    def is_smooth(self) -> bool:
+        """Whether contact forces are smooth."""
+        return self.is_tanh or bool(self.laws)
+
+    @property
+    def has_layers(self) -> bool:
+        """Whether contact forces are smooth within layers at the walls, as no fit is."""
+        return self.is_smooth and not any(top for _, top, _ in self.laws)
+
+    @property
+    def has_laws(self) -> bool:
+        """Whether contacts have rows of parameters of their laws."""
+        return bool(self.laws) or not self.is_taylor
+
+    @property
+    def gap_end(self) -> int:
+        """First row of the contacts' gaps at the end of the last step."""
+        if self.is_plain:
+            return self.q
+        return self.gap if self.is_taylor else self.gap_1
+
+    @property
     def n_turning(self) -> int:
         """Number of quantities whose extrema are recorded: coordinates, then gaps of contacts."""
         return 1 if self.is_plain else self.n + self.contacts
@@ -240,6 +266,11 @@ class RowLayout:
             # [1/s], sizes of lags relative to a metre
             **{"mass_root": n * n * several, "spring_root": n * n * several},
             **{"fastest": 1 * several, "decay": 1 * several, "slow": 1 * several, "lag_floor": m},
+            # parameters of the contacts' laws, whether the motion has left the range of a fit,
+            # coefficients of fits
+            "law": k * N_PARAMETERS * self.has_laws,
+            "out_of_range": 1 * self.has_laws,
+            "fit": sum(top + bottom for _, top, bottom in self.laws),
             **self._runge_kutta_blocks(),
             **self._item_blocks(),
         }
@@ -274,12 +305,10 @@ class RowLayout:
             # derivatives at the beginning of the next step: of speeds, and of first-order states
             **{"a": n, "w": m},
             # the next step and the longest one [s], the step before a smoothing layer, why the last
-            # one is repeated if it is, whether the motion has left the range of a fit
-            **dict.fromkeys(("h", "h_max", "h_saved", "failed", "out_of_range"), 1),
+            # one is repeated if it is
+            **dict.fromkeys(("h", "h_max", "h_saved", "failed"), 1),
             # `n_extra`: right-hand sides at initial states and on walls
             **{"n_rejected": 1, "n_extra": 1},
-            # parameters of the contacts' laws
-            "law": k * N_PARAMETERS,
             # end of the attempted step, committed or not; of its tangent
             **{"q_1": n, "v_1": n, "z_1": m, "a_1": n, "w_1": m, "tangent_1": s * s},
             # gaps of several contacts, their speeds and accelerations, at both ends of it
@@ -305,7 +334,8 @@ class RowLayout:
 
         An array of one record: numba takes ten microseconds for each argument that is a record.
         """
-        names = *(field.name for field in fields(self)), *self.derived, *self.blocks
+        given = [field.name for field in fields(self) if field.name != "laws"]
+        names = *given, *self.derived, *self.blocks
         values = tuple(int(getattr(self, name)) for name in names)
         return np.array([values], dtype=_record_of(names))
 

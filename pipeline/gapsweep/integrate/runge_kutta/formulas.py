@@ -5,18 +5,15 @@ functions have theirs here. Numbers that differ between points are in the parame
 contact; numbers that a batch shares are in `law`.
 """
 
-import builtins
 import math
 from collections.abc import Callable
-from inspect import signature
-from types import BuiltinFunctionType, CellType, FunctionType
 from typing import Any
 
 from numba import njit
 
 from gapsweep.integrate import simd
 from gapsweep.integrate.jit import inlined, internal
-from gapsweep.integrate.lanes import parameters
+from gapsweep.integrate.lanes.law_rows import SERIES, arguments, rows_of_law, with_callees
 from gapsweep.integrate.lanes.parameters import ACTIVE_STIFFNESS, ACTIVE_WALL, OWN, STIFFNESS
 from gapsweep.integrate.simd import bits, fma, load
 from gapsweep.model import arithmetic
@@ -37,73 +34,15 @@ _VECTORS = {
     **{arithmetic.fma: simd.fma, arithmetic.select: simd.select, arithmetic.splat: simd.splat},
     arithmetic.is_any: _is_any,
 }
-# Rows of the arguments that are numbers of every law.
-_ROWS = {
-    "stiffness": STIFFNESS,
-    "low": parameters.WALL_LOW,
-    "high": parameters.WALL_HIGH,
-    "ratio": parameters.RATIO,
-    "layer": parameters.LAYER,
-    "saturation": parameters.SATURATION,
-    "fit_range": parameters.RANGE,
-}
-
-
-# Arguments that are series of a fit: fields of the compiled law.
-_SERIES = ("numerator", "denominator")
-
-
-def rows_of(law: type[ContactLaw]) -> dict[str, int]:
-    """Return the rows of the arguments of a law's formulas: own numbers from row `OWN` on."""
-    several = filter(None, law.formulas)
-    names = dict.fromkeys(name for each in several for name in _arguments(each))
-    own = [name for name in names if name not in _ROWS and name not in _SERIES]
-    free = parameters.LAYER - OWN
-    assert len(own) <= free, f"{law.family}: {own}: a law has at most {free} own numbers"
-    return _ROWS | {name: OWN + i for i, name in enumerate(own)}
 
 
 def vectorised(formula: Callable[..., Any], law: type[ContactLaw]) -> Any:
     """Return a formula of a law as a compiled function of ``(law, q, x)``, of all lanes at once."""
-    called, rows = with_callees(formula, dict(_VECTORS), inlined), rows_of(law)
-    values = simd.loads([rows[name] for name in _arguments(formula) if name not in _SERIES])
-    if "numerator" in _arguments(formula):
+    called, rows = with_callees(formula, dict(_VECTORS), inlined), rows_of_law(law)
+    values = simd.loads([rows[name] for name in arguments(formula) if name not in SERIES])
+    if "numerator" in arguments(formula):
         return inlined(lambda law, q, x: called(x, law.numerator, law.denominator, *values(q)))
     return inlined(lambda law, q, x: called(x, *values(q)))
-
-
-def _arguments(formula: Callable[..., Any]) -> list[str]:
-    """Names of a formula's arguments after the displacement."""
-    return [*signature(formula).parameters][1:]
-
-
-def with_callees(function: Any, known: dict[Any, Any], compiled: Callable[..., Any]) -> Any:
-    """Compile a function, and the plain Python functions that it calls by name.
-
-    Parameters
-    ----------
-    function : callable
-        Returned as it is if it is neither known nor a plain function.
-    known : dict
-        Compiled functions by function, which take their place; new ones are added.
-    compiled : callable
-        Compiles one function, as ``numba.njit``.
-    """
-    if isinstance(function, BuiltinFunctionType):
-        return known.get(function, function)
-    if not isinstance(function, FunctionType):
-        return function
-    if function not in known:
-        names, code = {**vars(builtins), **function.__globals__}, function.__code__
-        cells = [CellType(cell.cell_contents) for cell in function.__closure__ or ()]
-        defaults = function.__defaults__
-        copy = FunctionType(code, names, function.__name__, defaults, tuple(cells))
-        known[function] = compiled(copy)  # before its callees: it may call itself
-        for name in names.keys() & {*code.co_names}:
-            names[name] = with_callees(names[name], known, compiled)
-        for cell in cells:
-            cell.cell_contents = with_callees(cell.cell_contents, known, compiled)
-    return known[function]
 
 
 # --- located contacts ---------------------------------------------------------------------------

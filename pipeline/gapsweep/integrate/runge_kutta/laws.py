@@ -46,7 +46,7 @@ class Law:
 # frozen inside a step: the loop ends steps at walls.
 PIECEWISE = LAWS.index(Piecewise)
 LOCATED, TABLE = len(LAWS), len(LAWS) + 1
-_NONE = np.zeros(1)
+_NONE = np.zeros(0)
 
 
 class Formula(NamedTuple):
@@ -57,7 +57,8 @@ class Formula(NamedTuple):
     number : int
         Number of the formula, as `LOCATED`.
     numerator, denominator : ndarray
-        Fits: Chebyshev series in x / range [N]; the denominator is positive in the range.
+        Fits: Chebyshev series in x / range [N], `in_blocks`; the denominator is positive in the
+        range.
     points, pieces : ndarray
         Tables: left ends of the pieces [m], and `gapsweep.ForceTable.pieces`.
     """

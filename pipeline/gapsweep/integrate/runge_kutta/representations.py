@@ -11,12 +11,13 @@ from numba.core.types import Number
 from numpy.typing import ArrayLike, NDArray
 
 from gapsweep.integrate.lanes import parameters
+from gapsweep.integrate.lanes.law_rows import rows_of_law, with_callees
 from gapsweep.model.contact import ContactLaw
 from gapsweep.model.laws import LAWS
+from gapsweep.model.laws.fitted import in_blocks
 from gapsweep.model.user_law import SLOPE_LENGTH, SLOPE_STEP
 
 from . import laws
-from .formulas import rows_of, with_callees
 from .laws import Formula, Law
 
 Array = NDArray[np.float64]
@@ -56,7 +57,7 @@ def of_numbers(
     K_c [N/m], j_1, j_2 [m], K_ratio [-] and the field `ContactLaw.symbol`, each of shape (n,).
     """
     q, (sharpness,) = _rows(K_c, j_1, j_2, K_ratio, sharpness=sharpness)
-    rows = rows_of(law)
+    rows = rows_of_law(law)
     low, high, ratio = (q[..., rows[name]] for name in ("low", "high", "ratio"))
     for name, values in law.rows(low, high, ratio, sharpness).items():
         q[..., rows[name]] = values
@@ -82,7 +83,8 @@ def fitted(
     top, bottom = np.array(numerator, dtype=float), np.array(denominator, dtype=float)
     # To the loop a denominator that is not positive means that a pole was passed.
     sign = np.sign(np.polynomial.chebyshev.chebval(0.0, bottom))
-    return Law(Formula(LAWS.index(law), numerator=sign * top, denominator=sign * bottom), q)
+    series = {"numerator": in_blocks(sign * top), "denominator": in_blocks(sign * bottom)}
+    return Law(Formula(LAWS.index(law), **series), q)
 
 
 def table(points: ArrayLike, pieces: ArrayLike, j_1: float, j_2: float) -> Law:

@@ -7,8 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gapsweep.integrate.lanes import parameters
+from gapsweep.integrate.lanes.law_rows import with_law_rows
 from gapsweep.integrate.lanes.outcome import AT_START
-from gapsweep.integrate.lanes.row_layout import known
 from gapsweep.integrate.lanes.scene_table import SceneTable
 from gapsweep.integrate.problem import Solver
 from gapsweep.model.laws.tanh import SATURATION
@@ -45,30 +45,18 @@ def runge_kutta_scenes(
     located = any(getattr(kind, "number", None) == laws.LOCATED for kind in kinds)
     if located and solver.contact_force == "as_written":
         kinds = (Formula(laws.PIECEWISE),) * len(kinds)  # the loop still ends steps at walls
-    at = known(
-        replace(
-            exact.at,
-            is_located=located,
-            is_taylor=False,
-            order=tableaux.DEGREE,
-            tangent=0,
-        )
-    )
-    table = np.zeros((len(exact.table), at.n_rows))
-    for name, size in exact.at.blocks.items():
-        old, new = exact.at.first[name], at.first[name]
-        table[:, new : new + size] = exact.table[:, old : old + size]
-    points, has_layer, has_range = table[:-1], False, False
-    for i, law in enumerate(kernel_laws):
-        rows = law.rows(mass, len(points))
+    at = replace(exact.at, is_located=located, is_taylor=False, order=tableaux.DEGREE, tangent=0)
+    rows = [law.rows(mass, len(exact.table) - 1) for law in kernel_laws]
+    for each in rows:
         # Where the tail of tanh, exp(-2 |z|), is far below the tolerance, its layer has no edge.
         reach = (3.0 - 0.5 * np.log(exact.rtol)) / SATURATION
-        rows[rows[:, parameters.SATURATION] > 0.0, parameters.LAYER] *= min(1.0, max(0.1, reach))
-        has_layer |= bool((rows[:, parameters.LAYER] > 0.0).any())
-        has_range |= bool((rows[:, parameters.RANGE] > 0.0).any())
-        first = at.law + i * parameters.N_PARAMETERS
-        points[:, first : first + parameters.N_PARAMETERS] = rows
-        table[-1, first : first + parameters.N_PARAMETERS] = rows[0]
+        each[each[:, parameters.SATURATION] > 0.0, parameters.LAYER] *= min(1.0, max(0.1, reach))
+    scenes = with_law_rows(exact, at, rows)
+    at, points = scenes.at, scenes.table[:-1]
+    has_layer, has_range = (
+        any((each[:, row] > 0.0).any() for each in rows)
+        for row in (parameters.LAYER, parameters.RANGE)
+    )
     highest = np.ones(len(points))
     for name in ("multiple", "depth_multiple"):
         block = slice(at.first[name], at.first[name] + at.blocks[name])
@@ -93,4 +81,4 @@ def runge_kutta_scenes(
         contacts=False,
         is_users=any(isinstance(law.kind, laws.User) for law in kernel_laws),
     )
-    return replace(exact, at=at, table=table), method
+    return scenes, method

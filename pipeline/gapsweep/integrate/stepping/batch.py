@@ -325,7 +325,7 @@ def run(
     )
     turns, touches, returns, steps = _drained(at, state, (prepared.rtol, DIVERGED_AT, MOST_SHORT))
     ended, statuses = points[:-1], state.statuses
-    if not at.is_taylor:
+    if at.has_laws:
         left_range = ended[:, at.out_of_range] > 0.0
         has_failed = np.append(False, statuses[:-1] != OK) & is_next[:-1]
         if method.is_users:  # not far away: the force is no number beyond the last step

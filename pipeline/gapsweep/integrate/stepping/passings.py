@@ -92,7 +92,7 @@ def _count(at, run, k):
     lanes, work = run.lanes, run.work
     for contact in range(at.contacts):
         load_series(run.coefficients, (at.first_gap + contact) * at.n_terms, k, work.series)
-        end = lanes[at.q if at.is_plain else at.gap_1 + contact, k]
+        end = lanes[at.gap_end + contact, k]
         for side in (1.0, -1.0):
             wall = lanes[(at.upper if side > 0.0 else at.lower) + contact, k]
             n_times, n_by_ends, heads_out = _passings(at, run, k, end, wall, side)
@@ -111,7 +111,7 @@ def _record(at, run, k):
     begun = lanes[at.cycle_0, k] + lanes[at.tau_0, k] - lanes[at.event_clock, k]
     for contact in range(at.contacts):
         load_series(run.coefficients, (at.first_gap + contact) * at.n_terms, k, work.series)
-        end, first = lanes[at.q if at.is_plain else at.gap_1 + contact, k], run.fill[CONTACTS]
+        end, first = lanes[at.gap_end + contact, k], run.fill[CONTACTS]
         for side in (1.0, -1.0):
             wall = lanes[(at.upper if side > 0.0 else at.lower) + contact, k]
             n_times, _, _ = _passings(at, run, k, end, wall, side)

@@ -44,14 +44,16 @@ def _step(layout: Any, method: Any, lanes: Any, coefficients: Any, limits: Any) 
     rtol, x_bound, max_short = limits
     packed = taylor_step(layout, lanes, coefficients, rtol, x_bound, max_short)
     every, width = layout.all_lanes, layout.width
+    first = packed & every
+    unclear, miscounted = (first, 0) if layout.is_located else (0, first)
     if method.tangent:
-        tangent_step(layout, lanes, coefficients, rtol, packed & every)
+        tangent_step(layout, lanes, coefficients, rtol, unclear)
     return StepOutcome(
-        packed & every,
+        unclear,
         (packed >> width) & every,
         (packed >> 2 * width) & every,
         (packed >> 3 * width) & every,
-        0,
+        miscounted,
     )
 
 

@@ -28,6 +28,9 @@ from gapsweep.integrate.vectors import (
     where,
 )
 
+from .law_series import contact_forces
+from .terms import product_term, square_term
+
 
 def _cos_sin_of_period(tau):
     """cos and sin of 2 pi tau for tau in [0, 1], absolute error of a rounding."""
@@ -97,29 +100,6 @@ def _harmonics(lanes, tau, amplitudes, n, names):
     return [flat[i * n_terms : (i + 1) * n_terms] for i in range(n)]
 
 
-def square_term(x, n):
-    """Coefficient n of x^2. The newest coefficient comes last: only the last product waits."""
-    if n == 0:
-        return x[0] * x[0]
-    total = None
-    for i in range((n - 1) // 2, 0, -1):
-        total = x[i] * x[n - i] if total is None else fma(x[i], x[n - i], total)
-    total = x[0] * x[n] if total is None else fma(x[0], x[n], total)
-    total = total * 2.0
-    return total if n % 2 else fma(x[n // 2], x[n // 2], total)
-
-
-def product_term(a, b, n):
-    """Coefficient n of a*b, newest factors last."""
-    if n == 0:
-        return a[0] * b[0]
-    total = None
-    for i in range(1, n):
-        total = a[i] * b[n - i] if total is None else fma(a[i], b[n - i], total)
-    total = a[0] * b[n] if total is None else fma(a[0], b[n], total)
-    return fma(a[n], b[0], total)
-
-
 def extend(equation, series, to):
     """Extend series to the degree of the step; the terms beyond it, up to the last row, are zero.
 
@@ -166,12 +146,15 @@ class Modes:
         Interval of the gap that the mode allows.
     stiffness : list of Vec
         Stiffness of the wall in contact; 0 if none is.
+
+    Where contacts are not located, no wall is in contact, and a mode has no ends.
     """
 
     def __init__(self, lanes, mode="mode"):
         self.touching, self.wall, self.lo, self.hi, self.stiffness = [], [], [], [], []
         names = mode, "lower", "upper", "lower_stiffness", "upper_stiffness"
         for mode, lower, upper, *stiffness in zip(*map(lanes.rows, names), strict=True):
+            mode = mode if lanes.layout.is_located else 0.0 * mode
             above, below = mode > 0.0, mode < 0.0
             self.touching.append(above | below)
             self.stiffness.append(where(above, stiffness[1], where(below, stiffness[0], 0.0)))
@@ -244,9 +227,11 @@ class Equation:
         self.direction = [] if self.is_plain else lanes.matrix("direction", layout.contacts)
         self.cubic = lanes.matrix("cubic", n) if self.is_plain else []
         self.pull = lanes.matrix("pull", n)
-        self.contact = modes.stiffness
+        self.is_located = layout.is_located
+        self.contact = modes.stiffness if self.is_located else [self.zero + 1.0] * layout.contacts
         self.rates = self._rates(lanes)
-        self.springs = self.stiffness if self.rates else self._springs()
+        is_spring = self.is_located and not self.rates
+        self.springs = self._springs() if is_spring else self.stiffness
 
     def forcing(self):
         """Series of the forcing, by coordinate."""
@@ -286,9 +271,14 @@ class Equation:
         ]
 
     def contact_forces(self, n, depths):
-        """Coefficient n of contact forces that `springs` lacks, from the series of depths."""
+        """Coefficient n of contact forces that `springs` lacks, from the series of depths.
+
+        Where contacts are not located, from the series of constant contacts' forces.
+        """
         if self.rates:
             return [product_term(*pair, n) for pair in zip(self.rates, depths, strict=True)]
+        if not self.is_located:
+            return [force[n] for force in depths]
         # At degree 0 K (x - wall), not the difference of two large products.
         return [] if n else [k * d[0] for k, d in zip(self.contact, depths, strict=True)]
 
@@ -312,7 +302,11 @@ class StepSeries:
         Series of every contact's b.q less the wall in contact.
     square : list of Vec
         Series of the square of a plain oscillator's coordinate, up to two degrees less.
+    laws : list of ContactForce
+        Of contacts that are not located.
     """
+
+    laws = ()
 
     def __init__(self, lanes, modes, equation):
         layout = lanes.layout
@@ -321,6 +315,8 @@ class StepSeries:
         self.z = [[z] for z in lanes.rows("z")]
         self.gaps = [self.q[0]] if layout.is_plain else [[g] for g in lanes.rows("gap")]
         self.depths = [[g[0] - w] for g, w in zip(self.gaps, modes.wall, strict=True)]
+        self.laws = contact_forces(lanes, self.gaps)
+        self._pressed = [law.force() for law in self.laws] or self.depths
         self.square = []
         others = [self.square] if layout.is_plain else self.gaps
         extend(equation, [*self.q, *self.z, *others], self._to)
@@ -365,7 +361,7 @@ class StepSeries:
     def _extend(self, n):
         """Append coefficient n + 2 to the series of the coordinates."""
         one = self.equation
-        forces = one.contact_forces(n, self.depths)
+        forces = one.contact_forces(n, self._pressed)
         totals = []
         for i, springs in enumerate(one.springs if n else one.stiffness):
             total = one.pulled(i, forces, self.forcing[i][n])

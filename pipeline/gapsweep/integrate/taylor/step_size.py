@@ -3,6 +3,7 @@
 import math
 from functools import reduce
 
+from gapsweep.integrate.lanes.parameters import WALL_HIGH, WALL_LOW
 from gapsweep.integrate.lanes.rows import dot
 from gapsweep.integrate.vectors import (
     absolute,
@@ -11,6 +12,7 @@ from gapsweep.integrate.vectors import (
     minimum,
     rough_exp2,
     rough_log2,
+    sqrt,
 )
 
 # The step size comes from terms that the step still contains, h^N and h^(N-1). With this factor
@@ -53,6 +55,8 @@ class Sizes:
             self._of_one(lanes, modes, motion)
         else:
             self._of_many(lanes, modes, motion)
+        if motion.laws:
+            self._add_laws(lanes, motion)
 
     def _of_one(self, lanes, modes, motion):
         # In contact the depth is what counts: an error of x there is one of a much larger force.
@@ -66,6 +70,22 @@ class Sizes:
         self.hardening = cubic * (farthest * farthest)
         self.springs = fma(self.hardening, 3.0, stiffness + contact)
         self.damping = lanes["damping"]
+
+    def _add_laws(self, lanes, motion):
+        """Add energy and stiffness of contacts that are not located."""
+        names = "lower", "upper", "lower_stiffness", "upper_stiffness"
+        energy = self.speed * self.speed
+        for gap, lower, upper, below, above in zip(
+            motion.gaps, *map(lanes.rows, names), strict=True
+        ):
+            depth = maximum(gap[0] - upper, 0.0 * upper)
+            energy = fma(above, depth * depth, energy)
+            depth = maximum(lower - gap[0], 0.0 * lower)
+            energy = fma(below, depth * depth, energy)
+        self.speed = _rough_root(energy)
+        compliances = [1.0] if lanes.layout.is_plain else lanes.rows("compliance")
+        for law, gap, compliance in zip(motion.laws, motion.gaps, compliances, strict=True):
+            self.springs = self.springs + absolute(law.value("slope", gap[0])) * compliance
 
     def _of_many(self, lanes, modes, motion):
         place, speed = [q[0] for q in motion.q], [q[1] for q in motion.q]
@@ -127,6 +147,19 @@ def _off_grid(logarithm):
     return (math.floor(logarithm * 2**20) + 0.25) * 2.0**-20
 
 
+def longest_step(motion):
+    """Longest step [s] of gaps near smoothing layers, see `Sharpened.approach`; else infinite."""
+    found = motion.q[0][0].constant(math.inf)
+    for law, (x, v, bend, *_) in zip(motion.laws, motion.gaps, strict=True):
+        if law.sharpness is not None:
+            part, layers = law.approach
+            to_wall = minimum(*(absolute(x - law.row(wall)) for wall in (WALL_LOW, WALL_HIGH)))
+            # half of it by the speed, half by the acceleration
+            most = fma(to_wall, 0.5 * part, 0.5 * layers / law.sharpness)
+            found = minimum(found, minimum(most / absolute(v), sqrt(most / absolute(bend))))
+    return found
+
+
 def step_size(lanes, motion, sizes, rtol, order):
     """Largest h [s] (to about 6 %) for which the motion and the growth of errors are accurate.
 
@@ -156,7 +189,7 @@ def step_size(lanes, motion, sizes, rtol, order):
         (log_scale - _off_grid(math.log2(n)) - _log_speed(lanes, motion, n)) * (1.0 / (n - 1))
         for n in (order, order - 1)
     ]
-    if lanes.layout.is_tanh:
+    if lanes.layout.is_smooth:
         for n in (order - 2, order - 3):
             log_n = log_scale - log_error * ((order - n) / (order - 1)) - math.log2(n)
             limits.append((log_n - _log_speed(lanes, motion, n)) * (1.0 / (n - 1)))

@@ -16,7 +16,9 @@ from gapsweep.integrate.lanes.rows import dot, rows_of, value_and_slope
 from gapsweep.integrate.motions import VANISHED
 from gapsweep.integrate.vectors import F64, I64, absolute, fma, mask_of, where
 
-from .series import Equation, Modes, Spring, extend, extend_lags, product_term, square_term
+from .law_series import contact_forces
+from .series import Equation, Modes, Spring, extend, extend_lags
+from .terms import product_term, square_term
 
 
 def _square(coefficients, one):
@@ -31,13 +33,33 @@ def _square(coefficients, one):
     return square
 
 
-def _variation(lanes, one, square):
+def _slopes(lanes, coefficients, one):
+    """Series of the slopes of contact forces; none where contacts are located."""
+    n_terms, first = lanes.layout.n_terms, lanes.layout.first_gap
+    gaps = [
+        [coefficients[(first + k) * n_terms + n] for n in range(n_terms)]
+        for k in range(len(lanes.layout.laws))
+    ]
+    found = [law.slope() for law in contact_forces(lanes, gaps)]
+    slopes = [[] for _ in found]
+
+    def to(order):
+        for terms, slope in zip(slopes, found, strict=True):
+            terms.extend(slope[n] for n in range(len(terms), order - 1))
+
+    if slopes:
+        extend(one, slopes, to)
+    return slopes
+
+
+def _variation(lanes, one, square, slopes):
     """Series, of coordinates and of first-order states, of the solution in the first rows."""
     layout = lanes.layout
     state = [lanes[layout.tangent_state + i] for i in range(layout.n_states)]
     y = [[state[i], state[layout.n + i]] for i in range(layout.n)]
     z = [[value] for value in state[2 * layout.n :]]
-    gaps = [[] for _ in one.direction]
+    gaps = [y[0]] if one.is_plain else [[] for _ in one.direction]
+    pressed = [[] for _ in slopes] or gaps
 
     def bent(n, totals):
         """Add the forces of cubic springs, coefficient n, to `totals`."""
@@ -55,9 +77,11 @@ def _variation(lanes, one, square):
 
     def to(order):
         for n in range(len(y[0]) - 2, order - 1):
-            for terms, direction in zip(gaps, one.direction, strict=True):
+            for terms, direction in zip(gaps, one.direction, strict=False):
                 terms.append(dot(direction, [x[n] for x in y], one.zero))
-            forces = one.contact_forces(n, gaps) if one.rates else []
+            for terms, *pair in zip(pressed, slopes, gaps, strict=False):
+                terms.append(product_term(*pair, n))
+            forces = one.contact_forces(n, pressed) if one.rates or slopes else []
             totals, new = [], []
             for springs in one.springs:
                 total = None
@@ -132,11 +156,12 @@ def _tangent_step(typingctx, at, lanes, coefficients, rtol, unclear):
         is_tight = builder.fcmp_ordered("<", args[3], ir.Constant(F64, layout.tight))
         one = Equation(rows, series, Modes(rows, "mode_0"), is_tight, "tau_0")
         square, step = _square(series, one) if layout.is_plain else [], rows["step"]
+        slopes = _slopes(rows, series, one)
         keeps = mask_of(builder, args[4], layout.width)
 
         def advance(number):
             solution, kept = solution_rows(rows, series, number)
-            commit_solution(solution, kept, _variation(solution, one, square), step, keeps)
+            commit_solution(solution, kept, _variation(solution, one, square, slopes), step, keeps)
 
         if layout.is_plain:  # a loop would take a tenth longer
             advance(ir.Constant(I64, 0))

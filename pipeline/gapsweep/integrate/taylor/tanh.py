@@ -41,7 +41,8 @@ from gapsweep.integrate.vectors import (
     where,
 )
 
-from .series import StepSeries, extend, product_term, square_term
+from .series import StepSeries, extend
+from .terms import product_term, square_term
 
 # With w(y), the integral of s / (1 + exp(2 s)) from y to infinity, and integrals over y from 0 on:
 # I = 2 int(y w), and of the delay k^2 / (eps v)^5: 3/2 int(y^2 w - pi^2/12 w + 2 w^2).

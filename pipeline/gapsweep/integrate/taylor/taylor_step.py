@@ -20,7 +20,13 @@ from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic
 
-from gapsweep.integrate.lanes.outcome import CLOCK_SLACK, MAX_HALVINGS, SHORT_STEP
+from gapsweep.integrate.lanes.outcome import (
+    CLOCK_SLACK,
+    MAX_HALVINGS,
+    MODEL_INVALID,
+    SHORT_STEP,
+)
+from gapsweep.integrate.lanes.parameters import RANGE
 from gapsweep.integrate.lanes.rows import dot, rows_of, value_and_slope
 from gapsweep.integrate.vectors import (
     F64,
@@ -39,7 +45,7 @@ from gapsweep.integrate.vectors import (
 )
 
 from .series import Equation, Modes, StepSeries
-from .step_size import Sizes, step_size
+from .step_size import Sizes, longest_step, step_size
 from .tangent import commit_solution, solution_rows
 from .tanh import Layers, TanhMotion, variation
 
@@ -238,6 +244,59 @@ class _Exits:
         return leaves, crosses, t, outward, end
 
 
+class _Passings:
+    """Walls that gaps pass within a step that does not end there.
+
+    Attributes
+    ----------
+    h, step : Vec
+        The step.
+    crosses, is_unclear : Mask
+        No lanes.
+    n_walls : Vec
+        Number of walls that lie between both ends of the step.
+    is_miscounted : Mask
+        Lanes in which a gap may have passed a wall, or have left its law's range, and come back.
+    is_out, has_pole : Mask
+        Lanes in which a gap ends outside the range of its law, or beyond a pole.
+    ends : list of tuple of Vec
+        For every contact, the gap and its rate at the end of the step.
+    """
+
+    def __init__(self, lanes, motion, h, is_last):
+        none, one = h < h, h.constant(1.0)
+        self.h = self.step = h
+        self.crosses = self.is_unclear = none
+        self.is_miscounted, self.is_out, self.has_pole = none, none, none
+        self.n_walls, is_first = 0.0 * h, lanes["n_steps"].equals(0.0)
+        self.ends = [value_and_slope(gap, h) for gap in motion.gaps]
+        walls = lanes.rows("lower"), lanes.rows("upper")
+        for law, gap, (end, _), low, high in zip(
+            motion.laws, motion.gaps, self.ends, *walls, strict=True
+        ):
+            shape = _Shape(gap, low, high, h)
+            turns = ~(shape.rises | shape.falls)
+            heading = where(gap[1].equals(0.0), gap[2], gap[1])
+            for wall, side in ((low, -1.0), (high, 1.0)):
+                was, is_ = (gap[0] - wall) * side > 0.0, (end - wall) * side > 0.0
+                self.n_walls = self.n_walls + where((was & ~is_) | (is_ & ~was), one, 0.0)
+                # a motion that begins on the wall and moves outwards has not passed it
+                begins = is_first & gap[0].equals(wall) & (heading * side > 0.0)
+                self.n_walls = self.n_walls - where(begins, one, 0.0)
+                is_near = (shape.bottom <= wall) & (shape.top >= wall)
+                self.is_miscounted = self.is_miscounted | (turns & is_near)
+            if law.has_range:
+                reach = law.row(RANGE)
+                is_within = (shape.top <= reach) & (shape.bottom >= -reach)
+                self.is_miscounted = self.is_miscounted | (turns & ~is_within)
+                self.is_out = self.is_out | (absolute(end) > reach)
+                denominator = law.value("denominator", end)
+                if denominator is not None:
+                    # a step next to a pole is short, as the series converges up to the pole only
+                    is_next = (h < lanes["min_step"]) & ~is_last
+                    self.has_pole = self.has_pole | is_next | (denominator <= 0.0)
+
+
 def _state_at(motion, step):
     """q, v and z after a part of the step, as one list."""
     pairs = [value_and_slope(q, step) for q in motion.q]
@@ -294,6 +353,7 @@ def _emit_step(builder, lanes, coefficients, scalars):
     if layout.is_tanh:
         layers = Layers(lanes, modes, motion)
         free_step = minimum(free_step, layers.longest)
+    free_step = minimum(longest_step(motion), free_step) if motion.laws else free_step
     period, tau, tau_low, cycle = (lanes[name] for name in ("period", "tau", "tau_low", "cycle"))
     end_cycle, end_tau = lanes["end_cycle"], lanes["end_tau"]
     left = maximum(((end_cycle - cycle) + (end_tau - tau) - tau_low) * period, 0.0 * period)
@@ -302,7 +362,10 @@ def _emit_step(builder, lanes, coefficients, scalars):
     h = where(is_last, left, h)
 
     # 2., 3. which lanes leave their intervals, and where exactly
-    exits = _Exits(builder, motion, modes, h, layers)
+    if layout.is_located:
+        exits = _Exits(builder, motion, modes, h, layers)
+    else:
+        exits = _Passings(lanes, motion, h, is_last)
     if layers:
         layers.cross(exits, left, fma(sizes.speed, rtol, lanes["floor"]))
     step, crosses, is_unclear = exits.step, exits.crosses, exits.is_unclear
@@ -336,7 +399,16 @@ def _emit_step(builder, lanes, coefficients, scalars):
     is_section = (cycle_1 > cycle) & (cycle_1 - lanes["record_clock"] >= -CLOCK_SLACK)
     is_recording = is_section | (cycle_1 + tau_1 - lanes["event_clock"] >= -CLOCK_SLACK)
 
-    n_walls = _commit_contacts(lanes, modes, motion, exits, state)
+    if layout.is_located:
+        n_walls = _commit_contacts(lanes, modes, motion, exits, state)
+    else:
+        n_walls = exits.n_walls
+        is_bad = is_bad | exits.has_pole
+        n_short = where(exits.has_pole & is_fine, MODEL_INVALID, n_short)
+        lanes["out_of_range"] = where(exits.is_out, 1.0, lanes["out_of_range"])
+        if not layout.is_plain:
+            for k, (end, _) in enumerate(exits.ends):
+                lanes[layout.gap + k] = end
     before = lanes.rows("q") + lanes.rows("v") + lanes.rows("z")
     for i, (old, new) in enumerate(zip(before, state, strict=True)):
         lanes[layout.q + i] = where(keeps, old, new)
@@ -353,7 +425,7 @@ def _emit_step(builder, lanes, coefficients, scalars):
     if layers:
         layers.commit(state, exits.h, keeps)
         is_recording = is_recording & ~layers.repeats
-    packed = is_unclear.bits()
+    packed = (is_unclear if layout.is_located else exits.is_miscounted).bits()
     for k, mask in enumerate((is_done, is_bad & ~keeps, is_recording), start=1):
         packed = builder.or_(packed, builder.shl(mask.bits(), ir.Constant(I64, k * layout.width)))
     return packed
@@ -378,7 +450,8 @@ def taylor_step(typingctx, at, lanes, coefficients, rtol, x_bound, max_short):
     -------
     int64
         Four masks of `at.width` bits, lowest first: lanes not advanced because a crossing is
-        unclear; lanes at their end; lanes that failed; lanes that record (an unclear one perhaps).
+        unclear, or, where contacts are not located, lanes whose walls may be miscounted; lanes at
+        their end; lanes that failed; lanes that record (an unclear one perhaps).
     """
     signature = types.int64(at, lanes, coefficients, rtol, x_bound, max_short)
 

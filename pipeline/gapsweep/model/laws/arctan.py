@@ -17,10 +17,12 @@ Array = NDArray[np.float64]
 
 
 def _force(x, stiffness, low, high, ratio, sharpness):
-    below, above = x - low, x - high
-    t_below, t_above = atan(sharpness * below), atan(sharpness * above)
-    below = ratio * below
-    return stiffness * fma(0.5, below + above, INVERSE_PI * (above * t_above - below * t_below))
+    t1, t2 = atan(sharpness * (x - low)), atan(sharpness * (x - high))
+    t1 = ratio * t1
+    # one product of functions of x: a Taylor series of the force has one convolution less
+    switched = x * (t2 - t1) - (high * t2 - low * t1)
+    linear = (0.5 + 0.5 * ratio) * x - 0.5 * (high + ratio * low)
+    return stiffness * fma(INVERSE_PI, switched, linear)
 
 
 def _slope(x, stiffness, low, high, ratio, sharpness):

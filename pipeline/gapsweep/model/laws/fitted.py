@@ -18,26 +18,64 @@ from gapsweep.model.oscillator import called_as, checked
 Array = NDArray[np.float64]
 
 
+_BLOCK = 4  # coefficients
+
+
+def in_blocks(c: ArrayLike) -> Array:
+    """Return the coefficients of a Chebyshev series for `_series`.
+
+    With ``T_(4j+i) = 2 T_4j T_i - T_(4j-i)`` the series is a sum of ``T_4j q_j``, in which each q_j
+    has four terms: its value needs a third of the products of functions of u, and is as accurate.
+    """
+    given = np.asarray(c, dtype=float)
+    blocks = np.zeros(-(-given.size // _BLOCK) * _BLOCK)
+    blocks[: given.size] = given
+    for first in range(blocks.size - _BLOCK, 0, -_BLOCK):
+        for i in range(1, _BLOCK):
+            blocks[first - i] -= blocks[first + i]
+            blocks[first + i] *= 2.0
+    return blocks
+
+
+def _basis(u):
+    """T_2, T_3 and T_4."""
+    t2 = 2.0 * (u * u) - 1.0
+    return t2, u * (2.0 * t2 - 1.0), 2.0 * (t2 * t2) - 1.0
+
+
+def _block(c, j, u, t2, t3):
+    k = 4 * j
+    return fma(c[k + 3], t3, fma(c[k + 2], t2, fma(c[k + 1], u, c[k])))
+
+
+def _slope_of_block(c, j, u, t2):
+    k = 4 * j
+    return fma(3.0 * c[k + 3], 2.0 * t2 + 1.0, fma(4.0 * c[k + 2], u, c[k + 1]))
+
+
 def _series(c, u):
-    """Chebyshev series `c` at `u`, by Clenshaw's recurrence."""
+    """Chebyshev series at `u`, from its coefficients `in_blocks`, by Clenshaw's recurrence."""
     b1, b2 = splat(0.0), splat(0.0)
-    two_u = 2.0 * u
-    for k in range(c.size - 1, 0, -1):
-        b1, b2 = fma(two_u, b1, c[k] - b2), b1
-    return fma(u, b1, c[0] - b2)
+    t2, t3, t4 = _basis(u)
+    for j in range(c.size // 4 - 1, 0, -1):
+        b1, b2 = fma(2.0 * t4, b1, _block(c, j, u, t2, t3) - b2), b1
+    return fma(t4, b1, _block(c, 0, u, t2, t3) - b2)
 
 
 def _series_and_slope(c, u):
-    """Chebyshev series `c` at `u`, and its derivative with respect to `u`.
+    """Chebyshev series at `u`, and its derivative with respect to `u`.
 
     The derivative is by Clenshaw's recurrence, differentiated.
     """
     b1, b2, d1, d2 = splat(0.0), splat(0.0), splat(0.0), splat(0.0)
-    two_u = 2.0 * u
-    for k in range(c.size - 1, 0, -1):
-        d1, d2 = fma(two_u, d1, fma(2.0, b1, -d2)), d1
-        b1, b2 = fma(two_u, b1, c[k] - b2), b1
-    return fma(u, b1, c[0] - b2), fma(u, d1, b1 - d2)
+    t2, t3, t4 = _basis(u)
+    half = 16.0 * (u * t2)  # derivative of T_4
+    for j in range(c.size // 4 - 1, 0, -1):
+        slope = fma(2.0 * half, b1, _slope_of_block(c, j, u, t2) - d2)
+        d1, d2 = fma(2.0 * t4, d1, slope), d1
+        b1, b2 = fma(2.0 * t4, b1, _block(c, j, u, t2, t3) - b2), b1
+    slope = fma(half, b1, _slope_of_block(c, 0, u, t2) - d2)
+    return fma(t4, b1, _block(c, 0, u, t2, t3) - b2), fma(t4, d1, slope)
 
 
 # Polynomials have a denominator, too, which they do not use: all fits have the same arguments.

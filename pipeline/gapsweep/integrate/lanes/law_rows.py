@@ -1,0 +1,103 @@
+"""Rows of a contact law's numbers, and copies of its formulas for another kind of number."""
+
+import builtins
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from inspect import signature
+from types import BuiltinFunctionType, CellType, FunctionType
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gapsweep.model.contact import ContactLaw
+
+from . import parameters
+from .parameters import N_PARAMETERS, OWN, STIFFNESS
+from .row_layout import RowLayout, known
+from .scene_table import SceneTable
+
+Array = NDArray[np.float64]
+
+# Rows of the arguments that are numbers of every law.
+_ROWS = {
+    "stiffness": STIFFNESS,
+    "low": parameters.WALL_LOW,
+    "high": parameters.WALL_HIGH,
+    "ratio": parameters.RATIO,
+    "layer": parameters.LAYER,
+    "saturation": parameters.SATURATION,
+    "fit_range": parameters.RANGE,
+}
+
+# Arguments that are series of a fit: fields of the compiled law.
+SERIES = ("numerator", "denominator")
+
+
+def rows_of_law(law: type[ContactLaw]) -> dict[str, int]:
+    """Return the rows of the arguments of a law's formulas: own numbers from row `OWN` on."""
+    several = filter(None, law.formulas)
+    names = dict.fromkeys(name for each in several for name in arguments(each))
+    own = [name for name in names if name not in _ROWS and name not in SERIES]
+    free = parameters.LAYER - OWN
+    assert len(own) <= free, f"{law.family}: {own}: a law has at most {free} own numbers"
+    return _ROWS | {name: OWN + i for i, name in enumerate(own)}
+
+
+def arguments(formula: Callable[..., Any]) -> list[str]:
+    """Names of a formula's arguments after the displacement."""
+    return [*signature(formula).parameters][1:]
+
+
+def with_callees(function: Any, known: dict[Any, Any], compiled: Callable[..., Any]) -> Any:
+    """Compile a function, and the plain Python functions that it calls by name.
+
+    Parameters
+    ----------
+    function : callable
+        Returned as it is if it is neither known nor a plain function.
+    known : dict
+        Compiled functions by function, which take their place; new ones are added.
+    compiled : callable
+        Compiles one function, as ``numba.njit``.
+    """
+    if isinstance(function, BuiltinFunctionType):
+        return known.get(function, function)
+    if not isinstance(function, FunctionType):
+        return function
+    if function not in known:
+        names, code = {**vars(builtins), **function.__globals__}, function.__code__
+        cells = [CellType(cell.cell_contents) for cell in function.__closure__ or ()]
+        defaults = function.__defaults__
+        copy = FunctionType(code, names, function.__name__, defaults, tuple(cells))
+        known[function] = compiled(copy)  # before its callees: it may call itself
+        for name in names.keys() & {*code.co_names}:
+            names[name] = with_callees(names[name], known, compiled)
+        for cell in cells:
+            cell.cell_contents = with_callees(cell.cell_contents, known, compiled)
+    return known[function]
+
+
+def with_law_rows(exact: SceneTable, at: RowLayout, laws: Sequence[Array]) -> SceneTable:
+    """Return a table of the same systems with a law at every contact.
+
+    Parameters
+    ----------
+    exact : SceneTable
+        n systems, for located contacts.
+    at : RowLayout
+        It has all blocks of the layout of `exact`.
+    laws : sequence of ndarray, shape (n, N_PARAMETERS)
+        Parameter rows of the law of every contact.
+    """
+    at = known(at)
+    table = np.zeros((len(exact.table), at.n_rows))
+    for name, size in exact.at.blocks.items():
+        old, new = exact.at.first[name], at.first[name]
+        table[:, new : new + size] = exact.table[:, old : old + size]
+    for i, rows in enumerate(laws):
+        first = at.law + i * N_PARAMETERS
+        table[:-1, first : first + N_PARAMETERS] = rows
+        table[-1, first : first + N_PARAMETERS] = rows[0]
+        table[-1, first + STIFFNESS] = 0.0  # the idle point stays at rest
+    return replace(exact, at=at, table=table)
