@@ -386,9 +386,11 @@ class _Execution:
         """Store the completed results, and then release the claims on their points."""
         if self.arrived:
             self.stored.update(self.cache.commit(self.arrived))
-        for job in self.held:
-            numbers, keys = job.block.numbers[job.rows], job.block.keys[job.rows]
+        if self.held:
+            numbers = np.concatenate([job.block.numbers[job.rows] for job in self.held])
+            keys = np.concatenate([job.block.keys[job.rows] for job in self.held])
             self.plan.enter(numbers, self.cache.recorded(keys))
+        for job in self.held:
             self.claims.release(*job.claimed)
             self.computing.difference_update(_heads(job.block, job.rows).tolist())
         self.arrived, self.held = [], []
