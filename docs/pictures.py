@@ -21,6 +21,7 @@ from workflows.paper.refined import starts
 
 import gapsweep as gs
 from gapsweep.report.bench_figures import atlas
+from gapsweep.report.branch_lines import lines, shown
 from gapsweep.report.style import MATPLOTLIB, colour
 
 IMAGES = Path(__file__).parent / "images"
@@ -81,11 +82,19 @@ def hero() -> None:
         steady = gs.respond(joint, law, frequency[:, None], x.ravel(), v.ravel())
         left.plot(frequency, 1e3 * steady.x_max, ".", color=colour(label), markersize=size)
         left.plot([], [], ".", color=colour(label), markersize=8, label=name)
+    exact = laws["exact contact"][1]
+    orbits = shown(gs.branches(joint, exact, between=(3.0, 16.0)), ["omega", "x_max"], {})
+    for _, is_stable, part in lines(orbits, "omega", "x_max"):
+        if not is_stable:
+            left.plot(*part.T, "k--", linewidth=0.9)
+    left.plot([], [], "k--", linewidth=0.9, label="exact contact, unstable")
     left.set(xlabel="forcing frequency [Hz]", ylabel="peak displacement [mm]")
     left.legend(loc="upper left", frameon=False)
-    edges = np.linspace(-4e-3, 4e-3, 120), np.linspace(-0.3, 0.3, 120)
-    basins = gs.basins(joint, laws["exact contact"][1], 12.0, x=edges[0], v=edges[1])
-    basins.gapsweep.map("attractor", x="x_0", y="v_0", ax=right)
+    edges = np.linspace(-4e-3, 4e-3, 240), np.linspace(-0.3, 0.3, 240)
+    basins = gs.basins(joint, exact, 12.0, x=edges[0], v=edges[1])
+    basins.gapsweep.attractors(ax=right)
+    below = {"loc": "upper left", "bbox_to_anchor": (0.0, -0.2), "frameon": False, "fontsize": 8}
+    right.legend(handles=right.get_legend().legend_handles, **below)
     left.set_title("steady states from 12 initial conditions", loc="left", fontsize=10)
     right.set_title("basins of the exact law at 12 Hz", loc="left", fontsize=10)
     figure.savefig(IMAGES / "hero.png", dpi=110)

@@ -69,8 +69,6 @@ def sentence(progress: Progress) -> str:
     """The stage of a run, or its counts and the time left if it is known."""
     if progress.stage:
         return printable(progress.stage)
-    if progress.n_hits == progress.n_done < progress.n_points:
-        return "loading kernels (the first run compiles them, up to a minute)"
     left = ""
     if (progress.seconds_left or 0.0) > SOON_SECONDS:
         left = f", {timedelta(seconds=round(progress.seconds_left or 0.0))} left"

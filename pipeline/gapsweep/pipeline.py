@@ -192,7 +192,6 @@ def carry_out(
     stages = stages_of(study)
     if planned.n_missing:
         check_modules(study)  # before the computation, although their files come last
-        planned = _writable(planned, path)
     say = partial(tell, on_progress, planned.progress)
     connect = partial(_connected, client, say, scheduler, workers=workers, dashboard=dashboard)
     run = RunContext(folder, study, cache=path, connect=connect, timeout=timeout)
@@ -210,6 +209,7 @@ def carry_out(
 
         progress = _computed(
             planned,
+            path,
             recorder,
             connect,
             begin,
@@ -300,12 +300,6 @@ def _prepare(study: Study, timeout: float, on_progress: OnProgress | None) -> No
 def _opened(path: Path) -> Cache | None:
     """The cache in a folder; None if there is no folder."""
     return Cache(path, read_only=True) if path.exists() else None
-
-
-def _writable(planned: Plan, path: Path) -> Plan:
-    """The plan with a cache that results can be written to, before the user waits for workers."""
-    check_writable(path if path.exists() else path.parent, "another cache with --cache")
-    return planned if planned.cache is not None else replace(planned, cache=Cache(path))
 
 
 def expected_seconds(plan: Plan, workers: int) -> float | None:
@@ -533,11 +527,9 @@ def query(
     with progress_bar() if on_progress is None else nullcontext(on_progress) as observer:
         _prepare(study, DEFAULT_TIMEOUT, observer)
         planned = make_plan(study, _opened(path), selection=selection)
-        if planned.n_missing:
-            planned = _writable(planned, path)
         say = partial(tell, observer, planned.progress)
         connect = partial(_connected, client, say, scheduler, workers=workers)
-        progress = _computed(planned, observer, connect)
+        progress = _computed(planned, path, observer, connect)
     return _exported(planned, selection, progress)
 
 
@@ -576,6 +568,7 @@ def _exported(planned: Plan, selection: Selection, progress: Progress) -> xr.Dat
 
 def _computed(
     planned: Plan,
+    path: Path,
     on_progress: OnProgress | None,
     connect: Callable[[], AbstractContextManager[Client]],
     begin: Callable[[], None] = lambda: None,
@@ -590,16 +583,18 @@ def _computed(
     if not planned.n_missing:
         begin()
         return before
+    # Before the user waits for workers.
+    check_writable(path if path.exists() else path.parent, "another cache with --cache")
     from gapsweep.execution.execute import execute
 
     with connect() as connected:
         begin()
+        planned.cache = planned.cache or Cache(path)
         try:
             done = execute(planned, connected, on_progress=on_progress, **how)
         except KeyboardInterrupt as interrupt:
             tell(on_progress, before, "stopping the computation")
-            assert planned.cache is not None
-            interrupt.add_note(f"computed points are in {planned.cache.path}; run again to resume")
+            interrupt.add_note(f"computed points are in {path}; run again to resume")
             raise
         tell(on_progress, done, "closing the cluster")
     return done

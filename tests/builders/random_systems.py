@@ -12,8 +12,8 @@ import numpy as np
 import gapsweep as gs
 from tests.oracles import piecewise_linear as exact
 
-# Kernels are compiled for so many: what a system has less of is put in without any effect.
-HARMONICS, LAGS = 3, 2
+# Kernels are compiled for so many: first-order states that a system lacks have no effect.
+LAGS = 2
 RTOL, ATOL = 1e-12, 1e-15
 TOLERANCE = 1e-9
 # Of a gap's extreme to a wall, in units of the largest coordinate's error: nearer ones may touch
@@ -77,10 +77,9 @@ def relative(found: Any, truth: Any) -> float:
 
 
 def as_gapsweep(system: exact.System) -> tuple[gs.System, dict[str, gs.Piecewise]]:
-    """System and laws for gapsweep, padded to `HARMONICS` loads and `LAGS` first-order states."""
+    """System and laws for gapsweep, padded to `LAGS` first-order states."""
     n, m = system.n, system.n_lags
     loads = [gs.Harmonic(amplitude=h.p, k=h.k, phase=h.phase) for h in system.harmonics]
-    loads += [gs.Harmonic(amplitude=np.zeros(n))] * (HARMONICS - len(loads))
     force, of_speed, of_place, of_lags = system.lags()
     more = LAGS - m
     decays = -np.eye(LAGS)

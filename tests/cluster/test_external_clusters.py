@@ -176,6 +176,7 @@ def test_a_cluster_that_starts_workers_when_there_is_work_gets_it(tables, tmp_pa
         ) as ds:  # fmt: skip
             assert (ds["status"] == gs.Status.OK).all()
     assert "waiting for workers" in stages
+    assert any(re.search("kernels of (piecewise|tanh)", stage) for stage in stages)
 
 
 def test_a_run_waits_until_the_first_worker_joins_and_says_so(tables, tmp_path):

@@ -30,8 +30,7 @@ def test_signs_that_reorder_or_hide_a_text_are_not_printed(capsys, sign):
     assert printable(f"K_c\tε ≤ 10⁻³\n{sign}") == "K_c\tε ≤ 10⁻³\n"
 
 
-def test_until_the_first_point_is_computed_machine_code_is_awaited():
-    assert "kernels" in sentence(Progress(10, 2))
+def test_a_stage_takes_the_place_of_the_counts():
     assert "3/10 points" in sentence(Progress(10, 2, 1))
     assert sentence(Progress(10, 2, stage="starting")) == "starting"
 

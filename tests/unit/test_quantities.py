@@ -4,11 +4,13 @@ import math
 import subprocess
 import sys
 
+import click
 import numpy as np
 import pint
 import pytest
 
 import gapsweep as gs
+from gapsweep.cli import options
 from gapsweep.model.systems import paper_oscillator
 from gapsweep.study.axis_selection import positions
 
@@ -205,6 +207,35 @@ def test_selections_have_units():
     assert positions("omega", axis, "540 rpm").tolist() == [1]
     assert positions("omega", axis, [300 * U.rpm, 10.0]).tolist() == [0, 2]
     assert positions("omega", axis, slice("300 rpm", 550 * U.rpm)).tolist() == [0, 1]
+
+
+def test_selections_of_the_command_line_have_units():
+    wanted = options.selected(("omega=300 rpm,9", "K_c=14 kN/m:2e4", "zeta=2 %"))
+    assert wanted == {"omega": [5.0, 9.0], "K_c": slice(14e3, 2e4), "zeta": [0.02]}
+    with pytest.raises(click.BadParameter, match=r"omega = '3 mm': must be .* Hz"):
+        options.selected(("omega=3 mm",))
+
+
+@pytest.mark.parametrize(
+    ("call", "words"),
+    [
+        (
+            lambda: gs.branches(paper_oscillator(), gs.Piecewise(1e4, GAP), between=("3 m", 9.0)),
+            "omega = '3 m': must be .* Hz",
+        ),
+        (lambda: gs.static_error(gs.Piecewise(1e4, GAP), 3 * U.kg), "visited = 3 kilogram: .* m,"),
+        (lambda: gs.simulate(paper_oscillator(), gs.Piecewise(1e4, GAP), 9.0, t_end="9 Hz"), "s,"),
+    ],
+)
+def test_calls_refuse_other_dimensions(call, words):
+    with pytest.raises(gs.ModelError, match=words):
+        call()
+
+
+def test_ranges_of_calls_have_units():
+    law = gs.Tanh(1e4, GAP, "10 1/mm")
+    found = gs.static_error(law, ("-2 mm", 2 * U.mm), forcing="4 N")
+    assert found == gs.static_error(law, (-2e-3, 2e-3), forcing=4.0)
 
 
 def test_parameters_of_user_laws_are_in_si_base_units():

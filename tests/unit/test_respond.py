@@ -3,6 +3,7 @@
 import math
 import re
 import time
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import fields, replace
 from functools import partial
 from types import SimpleNamespace
@@ -678,3 +679,15 @@ def test_multipliers_are_complex_and_largest_first():
     made = found.to_dataset()
     stored = made["multiplier_real"].values + 1j * made["multiplier_imag"].values
     assert_array_equal(stored, np.stack(found.multipliers))
+
+
+def test_threads_do_not_share_the_work_space_of_motions():
+    """The kernel runs without Python's lock, so that motions of two threads overlap."""
+    omegas, law = (7.0, 9.0), gs.Piecewise(1.4e4, SYMMETRIC)
+
+    def motion(omega):
+        return gs.simulate(paper_oscillator(), law, omega, n_periods=3000).section.tolist()
+
+    with ThreadPoolExecutor(2) as threads:
+        together = list(threads.map(motion, omegas))
+    assert together == [motion(omega) for omega in omegas]

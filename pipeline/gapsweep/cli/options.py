@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from gapsweep.errors import printable
+from gapsweep.errors import ModelError, printable
 from gapsweep.execution.progress import DEFAULT_TIMEOUT
 
 if TYPE_CHECKING:
@@ -117,6 +117,7 @@ def selected(wanted: tuple[str, ...]) -> dict[str, Any]:
 
 
 def _selected(text: str) -> tuple[str, Any]:
+    from gapsweep.quantities import without_units
     from gapsweep.study.schema import OF_CALLS
 
     key, equals, value = text.partition("=")
@@ -128,12 +129,19 @@ def _selected(text: str) -> tuple[str, Any]:
         return key, value.split(",")
     if key == "initial_condition" and not value.replace(",", "").replace(":", "").isdecimal():
         return key, value.split(",")  # the study checks the names
-    number = int if key == "initial_condition" else float
+
+    def number(part: str) -> float:
+        if key == "initial_condition":
+            return int(part)
+        return float(without_units(key, part))
+
     try:
         if ":" in value:
             low, _, high = value.partition(":")
             return key, slice(number(low) if low else None, number(high) if high else None)
         return key, [number(part) for part in value.split(",")]
+    except ModelError as error:
+        raise click.BadParameter(str(error), param_hint="--sel") from None
     except ValueError:
         raise click.BadParameter(
             f"{text!r}: must be a number, a list or a range; {', '.join(_LABELLED)} take text",

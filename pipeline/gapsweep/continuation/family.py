@@ -51,8 +51,9 @@ class Window:
         ModelError
             If `between` is not two numbers in ascending order, or out of the parameter's range.
         """
+        ends = without_units(f"between of {name}", between)
         try:
-            low, high = map(float, without_units(f"between of {name}", between))
+            low, high = map(float, ends)
         except (TypeError, ValueError):
             raise ModelError(
                 f"between = {between!r}: must be the two ends of {name}, as between=(1.0, 30.0)"

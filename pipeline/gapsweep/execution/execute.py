@@ -160,7 +160,10 @@ class _Execution:
                 n_known = self.progress.n_done - self.progress.n_hits
                 if n_known >= _KNOWN * self.n_missing:
                     self.progress.seconds_left = self.costs.seconds_left(self.n_left)
-                on_progress(self.progress)
+                if self.in_flight and not self.progress.n_computed:
+                    tell(on_progress, self.progress, self._first_stage())
+                else:
+                    on_progress(self.progress)
             if self.in_flight:
                 while not completed.has_ready() and next(meanwhile, False):
                     pass
@@ -172,6 +175,12 @@ class _Execution:
                 time.sleep(_WAIT_SECONDS)
             else:
                 break
+
+    def _first_stage(self) -> str:
+        """Stage until the first result arrives: workers load or compile code for their laws."""
+        numbers = {job.block.representation for job in self.in_flight.values()}
+        laws = ", ".join(self.plan.study.grid.representations[i] for i in sorted(numbers))
+        return f"loading kernels of {laws} (the first run compiles them)"
 
     # --- sending ---------------------------------------------------------------------------------
 

@@ -79,7 +79,7 @@ class Block:
         return found
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(eq=False)
 class Plan:
     """All sweep points of a study, in the order of computation, with their status in the cache.
 
@@ -97,7 +97,8 @@ class Plan:
     places : ndarray of PLACE, shape (n_cells,)
         Where the results are stored in the cache; slab -1 without a result.
 
-    A run enters the status and the places of the results that it stores.
+    A run sets the cache, if there was none, and enters status and places of the results that it
+    stores.
     """
 
     study: Study

@@ -32,7 +32,7 @@ from gapsweep.response.window_call import Call, arrived
 from gapsweep.status import Status
 
 Array = NDArray[np.float64]
-# Of a call: number of each motion's case, CPU time of all [s], the counts of `COUNTS`, and the
+# A call: number of each motion's case, CPU time of all [s], the counts of `COUNTS`, and the
 # periods of motions; None of calls that are no part of motions.
 _Cost = tuple[NDArray[np.intp], float, list[NDArray[np.int64]], NDArray[Any] | None]
 

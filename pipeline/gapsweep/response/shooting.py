@@ -99,7 +99,8 @@ class NewtonShooting:
             section = self.section[:, k, : self.n[k]].copy()
             of_point = self.y[:, k].copy(), self.n[k], self.multipliers[k].copy(), self.omega[k]
             self._whole[k] = *of_point, section
-            unlike = np.abs(section - np.roll(section, part, axis=1)).max()
+            rolled = np.concatenate([section[:, -part:], section[:, :-part]], axis=1)
+            unlike = np.abs(section - rolled).max()
             least = limit.ROUNDING * np.abs(section).max()
             self._goal[k] = min(self._goal[k], max(limit.PART_CLOSES * unlike, least))
             self._noise[k] = limit.AS_GOOD * self._apart[k]

@@ -160,7 +160,7 @@ def _opened(path: Path) -> BufferedReader:
 
 
 def sha256(path: Path) -> str:
-    """SHA-256 of a file in hex; a large file is read again only if it has changed."""
+    """SHA-256 of a file in hex; a large file is read only if it has changed."""
     with _opened(path) as file:
         about = os.fstat(file.fileno())
         if about.st_size < _SMALL:

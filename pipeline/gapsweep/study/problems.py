@@ -166,9 +166,11 @@ def _likely(loc: Loc, spec: type[BaseModel], parameters: Collection[str]) -> str
     keys += [*parameters] * is_swept
     # Another form of the table may have the key.
     known = [key for key in dict.fromkeys(keys) if key not in (loc[-1], _PARAMETERS)]
-    alike = difflib.get_close_matches(str(loc[-1]), known, n=1)
+    folded = {key.casefold(): key for key in known}
+    # Above the likeness of damping and base_damping.
+    alike = difflib.get_close_matches(str(loc[-1]).casefold(), folded, n=1, cutoff=0.75)
     if alike:
-        return f"; did you mean {alike[0]}?"
+        return f"; did you mean {folded[alike[0]]}?"
     more = "; parameters of a [system] must be in [parameters]" * is_swept
     return f"; known keys: {', '.join(known)}{more}"
 

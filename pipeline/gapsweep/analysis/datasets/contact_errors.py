@@ -24,6 +24,7 @@ from gapsweep.model.equilibria import (
 from gapsweep.model.fit import MAX_DEGREE
 from gapsweep.model.laws.tanh import Tanh
 from gapsweep.model.oscillator import Gap, Oscillator, called_as, checked
+from gapsweep.quantities import without_units
 
 Array = NDArray[np.float64]
 
@@ -223,6 +224,7 @@ def error_of_parts(law: ContactLaw, x_max: float) -> tuple[float, float]:
 
 def _range(visited: Any) -> tuple[float, float]:
     """The lowest and highest displacement of a range, if it is one."""
+    visited = without_units("visited", visited)
     if np.shape(visited) == (2,):
         low, high = (checked("visited", x) for x in visited)
         if low < high:

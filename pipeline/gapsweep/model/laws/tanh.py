@@ -2,7 +2,7 @@
 
 import math
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from math import copysign, exp
 from typing import ClassVar
 
@@ -117,18 +117,24 @@ class Tanh(Switched):
         """
         if self.K_ratio != 1.0:
             return None
-        half = 0.5 * self.epsilon * self.gap.width
-        low, high = 0.0, half
-        for _ in range(_HALVINGS):
-            middle = 0.5 * (low + high)
-            falls = _blend_slope(middle - half) + _blend_slope(-middle - half) < 0.0
-            low, high = (middle, high) if falls else (low, middle)
-        centre, turn = 0.5 * (self.gap.j_2 - self.gap.j_1), low / self.epsilon
+        turn = _turn(0.5 * self.epsilon * self.gap.width) / self.epsilon
+        centre = 0.5 * (self.gap.j_2 - self.gap.j_1)
         return centre - turn, centre + turn
 
     def _switch(self, z: Array) -> tuple[Array, Array]:
         s = np.tanh(z)
         return s, 1.0 - s * s
+
+
+@lru_cache(maxsize=1024)
+def _turn(half: float) -> float:
+    """Return the extremum u > 0 of the force between walls at ±half, for all stiffnesses alike."""
+    low, high = 0.0, half
+    for _ in range(_HALVINGS):
+        middle = 0.5 * (low + high)
+        falls = _blend_slope(middle - half) + _blend_slope(-middle - half) < 0.0
+        low, high = (middle, high) if falls else (low, middle)
+    return low
 
 
 def _blend_slope(z: float) -> float:
