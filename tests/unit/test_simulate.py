@@ -108,6 +108,10 @@ def test_a_motion_that_fails_at_once_has_no_history():
     run = gs.simulate(paper_oscillator(), law, 9.0, [0.0, 1e3], **given)
     with pytest.raises(gs.ModelError, match="first step"):
         _ = run.x
+    exact = gs.Piecewise(SOFT, SYMMETRIC)
+    run = gs.simulate(paper_oscillator(), exact, 9.0, 1e10, **given)
+    with pytest.raises(gs.ModelError, match="first step"):
+        _ = run.x
 
 
 def test_arrays_broadcast_to_many_points():
@@ -123,9 +127,12 @@ def test_arrays_broadcast_to_many_points():
 
 def test_run_away_ends_as_diverged():
     softening = paper_oscillator(alpha=-7e8)
-    run = gs.simulate(softening, gs.Piecewise(0.0, SYMMETRIC), 5.0, x_0=5e-3, t_end=5.0, **LOOSE)
+    given = {"t_end": 5.0, "dense_output": True, **LOOSE}
+    run = gs.simulate(softening, gs.Piecewise(0.0, SYMMETRIC), 5.0, x_0=5e-3, **given)
     assert run.status is gs.Status.DIVERGED
     assert run.t_end < 5.0
+    assert run.t[-1] == pytest.approx(run.t_end, rel=1e-3)  # all but the last step
+    assert np.isfinite(run.x).all()
 
 
 @pytest.mark.parametrize(

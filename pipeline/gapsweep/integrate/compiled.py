@@ -74,7 +74,7 @@ def prepared(models: Models, solver: Solver) -> Integrate:
 
         n_steps = run.n_steps
         return Motions(
-            t=run.t,
+            t=run.t_sampled if problems.dense_output else run.t,
             state=run.state,
             status=run.status,
             n_contacts=run.n_contacts,

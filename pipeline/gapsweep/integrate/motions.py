@@ -66,7 +66,8 @@ class Motions:
     Attributes
     ----------
     t : ndarray, shape (n,)
-        Time [s] reached: ``t_end`` unless the motion failed.
+        Time [s] reached: ``t_end`` unless the motion failed; with dense output, the end of what
+        `sampler` covers, the start if that is nothing.
     state : ndarray, shape (n, n_states)
         Coordinates [m], their velocities [m/s], then first-order states at `t`.
     status : ndarray of int, shape (n,)

@@ -235,7 +235,7 @@ class Trajectory:
         earlier = first - _CLOCK_ROUNDING * (first - self.t_0)
         motions = self._dense_from(earlier if is_inside else math.inf)
         end = float(np.min(motions.t))
-        if not motions.n_steps.all():
+        if not end > self.t_0:
             raise ModelError("no history: a motion failed in its first step")
         inside = (t >= self.t_0) & (t <= end)
         if not np.all(inside):

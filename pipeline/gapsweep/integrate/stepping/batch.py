@@ -148,6 +148,17 @@ class Batch:
         return np.asarray(np.where(self.status == OK, self.t_end, t))
 
     @property
+    def t_sampled(self) -> Array:
+        """Ends of what `sample` covers [s]; a failed motion is not recorded in its last step."""
+        found = self.t
+        if self.steps is not None and self.status.any():
+            last = np.searchsorted(self.steps[:, 0], np.arange(len(found)) + 1) - 1
+            for p in np.flatnonzero(self.status).tolist():
+                step = self.steps[last[p]] if last[p] >= 0 else [-1]
+                found[p] = step[1] + step[2] if step[0] == p else self.points[p, self.at.t_start]
+        return found
+
+    @property
     def contact_time(self) -> Array:
         """Times beyond the walls of located contacts [s], shape (n, n_contacts).
 
