@@ -97,9 +97,7 @@ def _by_taylor(models: Models, solver: Solver) -> bool:
     solver.check_located(n_located, len(laws), is_oscillator=_is_oscillator(models))
     if solver.controller != "native" or (n_located and solver.runge_kutta_setting):
         return not laws
-    # Measured: series of several smooth contacts cost more than Runge-Kutta steps.
-    is_smooth = len(laws) == 1 and isinstance(laws[0], Sharpened | Fitted)
-    return _is_located(models) or is_smooth
+    return _is_located(models) or all(isinstance(law, Sharpened | Fitted) for law in laws)
 
 
 def _is_located(models: Models) -> bool:
