@@ -131,7 +131,7 @@ def test_run_away_ends_as_diverged():
     run = gs.simulate(softening, gs.Piecewise(0.0, SYMMETRIC), 5.0, x_0=5e-3, **given)
     assert run.status is gs.Status.DIVERGED
     assert run.t_end < 5.0
-    assert run.t[-1] == pytest.approx(run.t_end, rel=1e-3)  # all but the last step
+    assert 0.0 < run.t[-1] <= run.t_end  # without the last step
     assert np.isfinite(run.x).all()
 
 
