@@ -19,8 +19,9 @@ from gapsweep.integrate.stepping import batch, record
 from gapsweep.integrate.taylor.method import Taylor
 from gapsweep.integrate.taylor.smooth_scenes import smooth_scenes
 from gapsweep.model.contact import Piecewise
+from gapsweep.model.laws.arctan import Arctan
 from gapsweep.model.laws.fitted import Fitted
-from gapsweep.model.laws.sharpened import Sharpened
+from gapsweep.model.laws.logarctan import LogArctan
 from gapsweep.model.laws.tanh import Tanh
 from gapsweep.model.oscillator import CLASSIC, Oscillator
 from gapsweep.model.table import ForceTable
@@ -97,7 +98,12 @@ def _by_taylor(models: Models, solver: Solver) -> bool:
     solver.check_located(n_located, len(laws), is_oscillator=_is_oscillator(models))
     if solver.controller != "native" or (n_located and solver.runge_kutta_setting):
         return not laws
-    return _is_located(models) or all(isinstance(law, Sharpened | Fitted) for law in laws)
+    if _is_located(models) or _crosses_layers(models, solver):
+        return True
+    # Measured (decision 50): series of tanh, and of fits at several contacts, cost more than
+    # Runge-Kutta steps.
+    by_series = (Arctan, LogArctan) if len(laws) > 1 else (Arctan, LogArctan, Fitted)
+    return all(isinstance(law, by_series) for law in laws)
 
 
 def _is_located(models: Models) -> bool:

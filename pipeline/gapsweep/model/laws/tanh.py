@@ -21,42 +21,44 @@ _HALVINGS = 60  # to the last digits of a double
 _THIN = 30.0  # gap over the width of a layer
 
 
-def _parts(x, ratio, sharpness, centre, half_gap):
-    """Parts of both formulas; `near` and `far` of a name belong to the near and the far wall.
+def _parts(x, ratio, sharpness, centre, half_gap, decay):
+    """Side of the gap's centre, distances to both walls, their weights, and the two exponentials.
 
-    With s = |x - centre| the force over K is the sign of x - centre times
-    ``max(s - g, 0) - |s - g| q + (s + g) q2``, where q = 1 / (1 + exp(2 eps d)) for a wall at the
-    distance d reduces the exact law. It keeps all digits where it is small, its exponential does
-    not overflow, and a force between equal walls is odd about the centre to the last bit. The
-    stiffnesses are relative to that of the upper wall.
+    With s = |x - centre|, F/K = sign * ((s - g) / (1 + E) + (s + g) E2 / (1 + E2)) where
+    E = exp(-2 eps (s - g)) and E2 = exp(-2 eps (s + g)) = E exp(-4 eps g): one exponential for two
+    walls, and a force between equal walls that is odd about the centre to the last bit. The clip at
+    40 > 2 * 19.06 only touches arguments where tanh is +-1 in double anyway, and keeps E finite.
+    The weights are the stiffnesses of the near and of the far wall over that of the upper one.
     """
     y = x - centre
-    sign = copysign(1.0, y)
-    s = sign * y
+    s = abs(y)
     near, far = s - half_gap, s + half_gap
-    side = copysign(1.0, near)
-    e, e2 = exp(side * (-2.0 * sharpness) * near), exp(-2.0 * sharpness * far)
-    is_below = sign < 0.0  # by the sign that the force gets, also of a zero
+    e = exp(min(max(-2.0 * sharpness * near, -40.0), 40.0))
+    is_below = copysign(1.0, y) < 0.0  # by the sign that the force gets, also of a zero
     weights = select(is_below, ratio, 1.0), select(is_below, 1.0, ratio)
-    return sign, s, near, far, side, (e / (1.0 + e), e2 / (1.0 + e2)), weights
+    return y, near, far, weights, e, e * decay
 
 
-def _force(x, stiffness, ratio, sharpness, centre, half_gap):
-    parts = _parts(x, ratio, sharpness, centre, half_gap)
-    sign, s, near, _, side, (q, q2), (w, w2) = parts
-    q, q2 = side * w * q, w2 * q2
-    exact = select(side > 0.0, w, 0.0) * near
-    # one product of functions of x: a Taylor series of the force has one convolution less
-    return stiffness * sign * (exact + fma(s, q2 - q, half_gap * (q2 + q)))
+def _force(x, stiffness, ratio, sharpness, centre, half_gap, decay, saturation):
+    y, near, far, (w, w2), e, e2 = _parts(x, ratio, sharpness, centre, half_gap, decay)
+    p, p2 = 1.0 + e, 1.0 + e2
+    f = fma(w * near, p2, w2 * far * e2 * p) / (p * p2)
+    # Where tanh is saturated the law *is* the piecewise one, exactly: no leak of e-18 into the gap.
+    f = select(
+        near > saturation,
+        w * near,
+        select((near < -saturation) & (far > saturation), 0.0, f),
+    )
+    return copysign(stiffness, y) * f
 
 
-def _slope(x, stiffness, ratio, sharpness, centre, half_gap):
-    parts = _parts(x, ratio, sharpness, centre, half_gap)
-    _, _, near, far, side, (q, q2), (w, w2) = parts
+def _slope(x, stiffness, ratio, sharpness, centre, half_gap, decay):
+    _, near, far, (w, w2), e, e2 = _parts(x, ratio, sharpness, centre, half_gap, decay)
     two_eps = 2.0 * sharpness
-    t = side * q - two_eps * near * (q - q * q)
-    t2 = q2 - two_eps * far * (q2 - q2 * q2)
-    return stiffness * (select(side > 0.0, w, 0.0) + w2 * t2 - w * t)
+    s1, s2 = 1.0 / (1.0 + e), e2 / (1.0 + e2)
+    t1 = fma(two_eps * near, s1 * (1.0 - s1), s1)
+    t2 = fma(-two_eps * far, s2 * (1.0 - s2), s2)
+    return stiffness * (w * t1 + w2 * t2)
 
 
 @called_as("gs.Tanh(1.4e4, gs.Gap(4e-4, 4e-4), epsilon=1e4), in N/m, m and 1/m")
@@ -84,7 +86,6 @@ class Tanh(Switched):
         "s₂ = tanh ε(x − j₂), ε [1/m] in its name"
     )
     formulas: ClassVar[Formulas] = Formulas(_force, _slope)
-    approach: ClassVar[tuple[float, float]] = 0.5, 2.0
 
     @classmethod
     def rows(cls, low: Array, high: Array, ratio: Array, sharpness: Array) -> dict[str, Array]:
@@ -96,6 +97,7 @@ class Tanh(Switched):
             "sharpness": sharpness,
             "half_gap": half_gap,
             "centre": 0.5 * (high + low),
+            "decay": np.exp(-4.0 * sharpness * half_gap),
             "layer": layer,
             "saturation": layer,
         }
