@@ -67,7 +67,7 @@ class Motions:
     ----------
     t : ndarray, shape (n,)
         Time [s] reached: ``t_end`` unless the motion failed; with dense output, the end of what
-        `sampler` covers, the start if that is nothing.
+        `sampler` covers, its beginning if nothing is recorded.
     state : ndarray, shape (n, n_states)
         Coordinates [m], their velocities [m/s], then first-order states at `t`.
     status : ndarray of int, shape (n,)
