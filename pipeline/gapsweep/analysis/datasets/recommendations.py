@@ -221,7 +221,7 @@ def _starts(some: xr.Dataset) -> str:
         first, last = (_start(some.isel({START: i})) for i in (0, -1))
         is_row = np.ptp(some[START].values) == n - 1
         return (
-            f"{n} initial conditions, {first} to {last}"
+            f"{n} initial conditions (first: {first}; last: {last})"
             if is_row
             else f"{n} initial conditions, as {first}, {last}"
         )
