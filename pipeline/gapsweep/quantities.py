@@ -19,18 +19,16 @@ UNITS = {
     **dict.fromkeys(("t", "t_0", "t_end", "t_max", "time_limit", "timeout"), "s"),
     **dict.fromkeys(("forcing", "mean_load", "forcing: amplitude", "F", "noise"), "N"),
     **dict.fromkeys(("zeta", "K_ratio", "depth", "rtol", "settle_tol", "error", "ratio"), "1"),
-    **{"base_damping": "1"},
     **dict.fromkeys(("epsilon", "gamma"), "m-1"),
     **dict.fromkeys(("K_c", "stiffness"), "N m-1"),
     **dict.fromkeys(("c", "damping"), "N s m-1"),
-    **{
-        "mass": "kg",
-        **dict.fromkeys(("unbalance", "forcing: amplitude at power 2"), "kg m"),
-        "forcing: amplitude at power 1": "N s",
-        "alpha": "N m-3",
-        "phase": "rad",
-        "density": "kg m-3",
-    },
+    **dict.fromkeys(("unbalance", "forcing: amplitude at power 2"), "kg m"),
+    "base_damping": "1",
+    "forcing: amplitude at power 1": "N s",
+    "mass": "kg",
+    "alpha": "N m-3",
+    "phase": "rad",
+    "density": "kg m-3",
 }
 # Units as engineers write them, by their UDUNITS text.
 _WRITTEN = {

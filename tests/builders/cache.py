@@ -83,7 +83,7 @@ def point(study, *place):
 
 def rows(cache, keys):
     """Stored responses by key."""
-    found = cache.find(keys)
+    found = cache.found(cache.recorded(keys))
     asked = [keys[i].tobytes() for i in found.at.tolist()]
     return dict(zip(asked, found.responses.rows(), strict=True))
 

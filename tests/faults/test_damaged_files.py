@@ -145,8 +145,8 @@ def test_damage_costs_the_frames_that_it_touches(tmp_path, what, n_trials):
         (path / whole.name).write_bytes(data)
         lost = {key for frame, key in held[whole].items() if frame not in data}
         with Cache(path) as cache:
-            is_there = cache.status(every) >= 0
-            found = cache.find(every)
+            is_there = cache.held(every)["status"] >= 0
+            found = cache.found(cache.recorded(every))
             assert {every[n].tobytes() for n in np.flatnonzero(~is_there)} == lost
             assert found.at.tolist() == np.flatnonzero(is_there).tolist()
             assert found.responses.columns["x_max"].tolist() == found.at.tolist()
@@ -157,7 +157,7 @@ def test_damage_costs_the_frames_that_it_touches(tmp_path, what, n_trials):
             )
             cache.merge()
         with Cache(path) as cache:
-            assert (cache.status(every) == gs.Status.OK).all()
+            assert (cache.held(every)["status"] == gs.Status.OK).all()
             maintenance.clean(cache, numerics_fingerprint(), apply=True)
             assert verify(cache).is_sound
         shutil.rmtree(path)
@@ -178,7 +178,7 @@ def test_files_that_come_and_go_change_no_number(tmp_path, what):
         os.mkfifo(tmp_path / "pipe.seg")
         (tmp_path / "notes.txt").write_text("mine")
     with Cache(tmp_path) as cache:
-        found = cache.find(keys(*range(240)))
+        found = cache.found(cache.recorded(keys(*range(240))))
         assert len(found.at) == (240 - len(held[path]) if what == "removed" else 240)
         assert found.responses.columns["x_max"].tolist() == found.at.tolist()
 
@@ -191,7 +191,7 @@ def test_a_file_that_is_no_segment_is_told_and_left_alone_by_a_run(tmp_path):
     with pytest.warns(UserWarning, match=said):
         cache = Cache(tmp_path)
     cache.merge()
-    assert len(cache.find(keys(*range(240))).at) == 240
+    assert len(cache.found(cache.recorded(keys(*range(240)))).at) == 240
     assert (tmp_path / "theirs.seg").exists()
 
 

@@ -47,7 +47,7 @@ def writer(path, first, n, often):
 def held(path, names):
     """The names of points that a cache holds, after a check of their results."""
     with Cache(path) as cache:
-        found = cache.find(keys(*names))
+        found = cache.found(cache.recorded(keys(*names)))
         there = [names[i] for i in found.at.tolist()]
         assert found.responses.columns["x_max"].tolist() == there
         assert verify(cache).is_sound
@@ -78,7 +78,7 @@ def test_writers_at_once_need_no_lock(tmp_path):
     with Cache(tmp_path, read_only=True) as reader:
         seen = set()
         while any(process.poll() is None for process in writers):
-            found = reader.find(keys(*range(180)))
+            found = reader.found(reader.recorded(keys(*range(180))))
             assert found.responses.columns["x_max"].tolist() == found.at.tolist()
             assert set(found.at.tolist()) >= seen, "what was there is there"
             seen = set(found.at.tolist())

@@ -162,8 +162,8 @@ CASES = {
     "taylor thin tanh": oscillator(gs.Tanh(1.4e5, SYMMETRIC, 1e6), **POLES),
     "taylor hard tanh": oscillator(gs.Tanh(1.4e6, SYMMETRIC, 2e5), **POLES),
     "taylor closed tanh": oscillator(gs.Tanh(1e5, gs.Gap(0.0, 0.0), 3e4, K_ratio=2.0), **POLES),
-    **{  # of all laws but the two that Taylor series integrate
-        f"native {law.family}": oscillator(gs.contact_law(law.examples[0], 1.4e4, GAP, K_ratio=0.5))
+    **{
+        f"taylor {law.family}": oscillator(gs.contact_law(law.examples[0], 1.4e4, GAP, K_ratio=0.5))
         for law in LAWS
         if law not in (gs.Piecewise, gs.Tanh)
     },
@@ -171,7 +171,7 @@ CASES = {
     "native user": oscillator(gs.law(spring, 1.4e4, GAP)),
     "native unlocated": oscillator(UNLOCATED, **KINKS),
     "taylor free tanh": oscillator(TANH, model=FREE, **POLES),
-    "native loaded arctan": oscillator(gs.Arctan(1.4e4, GAP, 1e4), model=LOADED),
+    "taylor loaded arctan": oscillator(gs.Arctan(1.4e4, GAP, 1e4), model=LOADED),
     "native machine": machine(gs.Tanh(2e3, STOP, 3e3), gs.LogArctan(1e3, WALL, 2e3, K_ratio=0.4)),
     "native machine table": machine(STOP_TABLE, FAINT, within=1e-9),
     "native machine fits": machine(
@@ -196,7 +196,7 @@ CASES = {
 COMPILED = [name for name, case in CASES.items() if case.how is not SCIPY]
 # Most of these share their kernels with other tests; with all others, tests are extended.
 COMMON = ("taylor oscillator", "taylor closed", "taylor free", "taylor tanh", "taylor machine")
-COMMON += ("native arctan", "native poly", "scipy oscillator")
+COMMON += ("taylor arctan", "taylor poly", "scipy oscillator")
 params = partial(responses.params, common=COMMON)
 
 
@@ -595,6 +595,36 @@ def test_thin_layers_are_met_alike_in_any_batch():
         assert bits(gs.simulate(OSCILLATOR, law, frequency, **start), None, None) == bits(
             together, i, None
         )
+
+
+@pytest.mark.parametrize("rtol", [1e-4, 1e-6])
+def test_series_meet_thin_layers_that_are_far_away(rtol):
+    """At the beginning of a step its series shows nothing of a layer at the other end."""
+    law, omega = gs.Arctan(1.4e4, gs.Gap(4e-4, 4e-4), 1e6), np.array([5.0, 7.0, 9.0, 12.0])
+    run, truth = (
+        gs.simulate(OSCILLATOR, law, omega, 1e-4, t_end=1.0, **how)
+        for how in ({"rtol": rtol}, {"engine": "scipy", "rtol": 1e-12, "atol": 1e-16})
+    )
+    reach = np.array([np.abs(each).max() for each in truth.extrema])
+    assert run.n_contacts.tolist() == truth.n_contacts.tolist()
+    assert (truth.n_contacts > 10).all()
+    assert (np.abs(run.x_end - truth.x_end) < 30.0 * rtol * reach).all()
+
+
+@pytest.mark.parametrize("label", ["poly-13", "ratpoly-5/3"])
+def test_asymmetric_fits_have_idle_lanes(label):
+    """An asymmetric fit has a force at x = 0, where idle lanes rest."""
+    law, omega = gs.contact_law(label, 1.4e4, gs.Gap(1e-4, 6e-4)), np.array([5.0, 7.0, 12.0])
+    assert abs(law.force(0.0)) > 1e-4
+    start, t = {"x_0": 1e-4, "t_end": 1.0, "dense_output": True}, np.linspace(0.0, 1.0, 9)
+    run = gs.simulate(OSCILLATOR, law, omega, **start)
+    assert (run.status == gs.Status.OK).all()
+    truth = gs.simulate(OSCILLATOR, law, omega, engine="scipy", rtol=1e-12, atol=1e-16, **start)
+    reach = max(np.abs(each).max() for each in truth.extrema)
+    assert_allclose(run.x_end, truth.x_end, rtol=0.0, atol=100.0 * 1e-9 * reach)  # of rtol 1e-9
+    for i, frequency in enumerate(omega):
+        alone = gs.simulate(OSCILLATOR, law, frequency, **start)
+        assert bits(alone, None, t) == bits(run, i, t)
 
 
 @pytest.mark.parametrize("law", [PIECEWISE, TANH], ids=["taylor", "native"])

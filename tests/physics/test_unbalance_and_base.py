@@ -205,6 +205,12 @@ def test_absolute_displacements_are_the_closed_form(name):
     assert run.absolute(0.3) - run.sample(0.3)[0] == pytest.approx(base, rel=1e-12)
 
 
+def test_absolute_displacements_of_systems_are_refused():
+    found = gs.respond(one_mass(machine(**LOADS["base"])), FREE, 9.0)
+    with pytest.raises(gs.ModelError, match=r"absolute_range: .*BaseMotion\.at"):
+        gs.absolute_range(found)
+
+
 def test_datasets_of_studies_have_absolute_displacements(tmp_path):
     block = {"representation": "piecewise", "K_c": 0.0, "gap": [1.0, 1.0], "omega": [4.6, 9.0]}
     tables = {"oscillator": MACHINE, "sweep": [block | {"base_amplitude": [0.0, 1e-4]}]}

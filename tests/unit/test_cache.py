@@ -43,7 +43,7 @@ def one(name, **values):
 
 
 def peaks(cache, *names):
-    found = cache.find(keys(*names))
+    found = cache.found(cache.recorded(keys(*names)))
     return dict(zip(found.at.tolist(), found.responses.columns["x_max"].tolist(), strict=True))
 
 
@@ -81,7 +81,7 @@ def test_committed_slabs_are_there_after_reopening(tmp_path):
         cache.commit(made(names, [result(x_max=float(name)) for name in names]))
         cache.commit([one(2000, status=KILLED)])
     with Cache(path, read_only=True) as cache:
-        assert cache.status(keys(1, 2000, 3000)).tolist() == [OK, KILLED, MISSING]
+        assert cache.held(keys(1, 2000, 3000))["status"].tolist() == [OK, KILLED, MISSING]
         assert peaks(cache, *reversed(names)) == dict(enumerate(reversed(names)))
         assert cache.seconds(cache.held(keys(1))).tolist() == [0.25]
         assert math.isnan(*cache.seconds(cache.held(keys(3000))))
@@ -168,7 +168,7 @@ def test_a_closed_cache_is_freed_without_the_garbage_collector(tmp_path):
     try:
         with Cache(tmp_path) as cache:
             cache.commit([one(1)])
-            assert cache.find(keys(1)).at.size
+            assert cache.found(cache.recorded(keys(1))).at.size
         freed = weakref.ref(cache)
         del cache
         assert freed() is None
@@ -232,7 +232,7 @@ def test_a_hostile_frame_with_sound_checksums_is_one_line_and_can_be_removed(tmp
     with Cache(tmp_path) as cache:
         cache.commit([one(2), replace(SOUND, **change)])
         with pytest.raises(gs.StoreError, match="'gapsweep cache gc --apply' removes it"):
-            cache.find(keys(1, 2))
+            cache.found(cache.recorded(keys(1, 2)))
         assert maintenance.info(cache, NOW)["points"] == 2
     assert call("verify", tmp_path).return_value == 1
     call("gc", tmp_path, "--apply")
@@ -268,4 +268,4 @@ def test_a_forged_number_of_a_commit_does_not_end_the_numbers(tmp_path):
     write(tmp_path, [packed(one(1), 2**40)])
     with Cache(tmp_path) as cache:
         cache.commit([one(1, x_max=5.0)])
-        assert cache.status(keys(1)).tolist() == [OK]
+        assert cache.held(keys(1))["status"].tolist() == [OK]

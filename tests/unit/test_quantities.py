@@ -150,6 +150,21 @@ def test_other_dimensions_are_refused_in_one_line(name, text, unit):
             assert unit in line
 
 
+@pytest.mark.parametrize("power", [0, 1, 2])
+def test_loads_of_systems_have_the_unit_of_their_power(power):
+    def study(amplitude):
+        load = {"amplitude": [amplitude], "power": power}
+        system = {"mass": [[1.0]], "stiffness": [[1.0]], "forcing": [load]}
+        tables = {"study": {"name": "s"}, "sweep": [{"representation": "piecewise", "omega": 1.0}]}
+        return gs.Study.from_dict(tables | {"system": system})
+
+    (load,) = study(("3 kN", "3 kN s", "3 t m")[power]).spec.system.forcing
+    assert load.amplitude == [3e3]
+    for wrong in ("3 mm", "much"):
+        with pytest.raises(gs.StudyError, match=r"in N.* power = 1 in N s, with power = 2 in kg m"):
+            study(wrong)
+
+
 def test_no_rounding_of_a_conversion_is_left():
     assert gs.Gap("0.3 mm", 0.7 * U.mm) == gs.Gap(0.3e-3, 0.7e-3)
     texts = [f"{n} um" for n in range(1, 1000)]

@@ -1,4 +1,4 @@
-"""The compiled engine: laws of this package by Taylor series, all others by Runge–Kutta."""
+"""The compiled engine: Taylor or Runge–Kutta steps, by the laws of the contacts."""
 
 from operator import attrgetter
 from typing import Any

@@ -2,7 +2,7 @@
 
 A formula is a function of numbers. The compiled engine computes a copy of it for vectors, in which
 these functions, ``abs``, ``min``, ``max`` and those of ``math`` are its own
-(`gapsweep.integrate.runge_kutta.formulas`), and another copy for Taylor series
+(`gapsweep.integrate.runge_kutta.formulas`), and of some laws another copy for Taylor series
 (`gapsweep.integrate.taylor.law_series`).
 """
 

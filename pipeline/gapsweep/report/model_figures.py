@@ -37,7 +37,7 @@ _DIRECTIONS = {"up": 1, "down": -1}
 _CONTACT = "#f2f2f2"  # background beyond a wall
 _MOST_CELLS = 10**6
 _SIZE = 7.0, 4.2  # inches
-_EXACT = "#000000"
+_ORBITS = "#000000"  # of any law, the only one of the figure
 
 
 @called_as("gs.frequency_response(oscillator, law, omega=np.linspace(2, 16, 300)), in Hz")
@@ -118,7 +118,7 @@ def frequency_response(
         figure = Picture(figsize=_SIZE)
         axes = figure.subplots()
         if lines is not None:
-            marks.put(axes, branch_lines.orbits(lines, "omega", ["x_max"], _EXACT))
+            marks.put(axes, branch_lines.orbits(lines, "omega", ["x_max"], _ORBITS))
         for (direction, found), values in zip(computed.items(), x_max, strict=True):
             x = frequencies[:: _DIRECTIONS[direction]]
             _dots(axes, x, drawn(values), found, f"sweep {direction}")

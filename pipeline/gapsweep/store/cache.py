@@ -34,9 +34,9 @@ _KEPT = 64  # decoded slabs: neighbouring points are read together
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Found:
-    """The stored results among the requested keys."""
+    """The results that are stored at some places."""
 
-    at: NDArray[np.intp]  # shape (n,); positions of these keys in the request, ascending
+    at: NDArray[np.intp]  # shape (n,); positions of their places in the request, ascending
     responses: Responses
     host: NDArray[np.str_]  # shape (n,); machine that computed each
     versions: frozenset[str]  # versions of Python and the libraries, as text
@@ -46,7 +46,7 @@ _Contents = tuple[Slab, Stored, NDArray[np.intp], NDArray[np.uint8]]
 
 
 class Cache:
-    """The point cache, opened in a context manager.
+    """The point cache in a folder; the end of a ``with`` block releases its index from memory.
 
     Parameters
     ----------
@@ -111,28 +111,22 @@ class Cache:
         held[np.isin(held["slab"], lost)] = np.array((-1, 0, MISSING, -1), held.dtype)
         return held
 
-    def status(self, keys: NDArray[np.void]) -> NDArray[np.int8]:
-        """Stored status of each key; `MISSING` where no result or a damaged one is stored."""
-        return np.ascontiguousarray(self.held(keys)["status"])
-
     def is_in(self, places: Held, digests: Collection[bytes]) -> NDArray[np.bool_]:
         """Mask of places, as of `held`, in frames with some of these checksums."""
         slabs, rows = np.unique(places["slab"], return_inverse=True)
         is_there = [n >= 0 and self._frames[n].digest in digests for n in slabs.tolist()]
         return np.array(is_there, bool)[rows]
 
-    def find(self, keys: NDArray[np.void], structure: AnyStructure = _OSCILLATOR) -> Found:
-        """Stored results of keys of one structure; damaged results are left out, as if missing.
+    def found(self, places: NDArray[np.void], structure: AnyStructure = _OSCILLATOR) -> Found:
+        """Stored results at places, as of `held`, of one structure.
+
+        Damaged results are left out, as if missing.
 
         Raises
         ------
         StoreError
             If a frame is as it was written, but holds no result.
         """
-        return self.found(self.recorded(keys), structure)
-
-    def found(self, places: NDArray[np.void], structure: AnyStructure = _OSCILLATOR) -> Found:
-        """Stored results at places, as of `held`; otherwise as `find`."""
         at, parts, hosts, versions = [], [], [], set()
         for slab, contents, asked, rows in self._contents_of(places):
             at.append(asked)

@@ -136,6 +136,8 @@ def _message(error: Any, spec: type[BaseModel], names: Collection[str]) -> str:
 
 def _number(loc: Loc, value: Any) -> str:
     """Return which number is allowed, with all its units for a quantity of another dimension."""
+    if loc[0] == "system" and loc[-2:-1] == ("amplitude",):
+        return f"{allowed('N')}; with power = 1 in N s, with power = 2 in kg m"
     units = "" if loc[0] == "parameters" else units_of(loc)
     try:
         without_units("", value, units)

@@ -511,7 +511,7 @@ def check(tables: dict[str, Any], source: str = "study") -> StudySpec:
     except ValidationError as error:
         also = wrong_matrices(tables, source)
         found = problems(source, error, StudySpec, _parameters(tables))
-        raise StudyError(*([*found, *_missing(tables, source), *also])) from None
+        raise StudyError(*found, *_missing(tables, source), *also) from None
 
 
 def _missing(tables: Any, source: str) -> list[str]:

@@ -208,7 +208,7 @@ def _with_forcing(
         for oscillator, K_c, gap, ratio in models
         for p in forcing.tolist()
     ]
-    ranges, x_max = _visited(dataset, responses, over[1:]), study.spec.fit.range
+    ranges, x_max = _visited(responses, over[1:]), study.spec.fit.range
     is_expected = ranges is None
     if ranges is None:
         ranges = np.array([expected_range(*case, x_max) for case in cases])
@@ -230,9 +230,7 @@ def _with_forcing(
     return dataset.assign({name: (over, np.reshape(errors, shape), about)})
 
 
-def _visited(
-    dataset: xr.Dataset, responses: xr.Dataset | None, dims: Sequence[str]
-) -> Array | None:
+def _visited(responses: xr.Dataset | None, dims: Sequence[str]) -> Array | None:
     """Lowest and highest displacement [m] of the exact law in every case, if there are any."""
     if responses is None or EXACT not in responses["representation"]:
         return None

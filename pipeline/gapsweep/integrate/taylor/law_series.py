@@ -3,7 +3,8 @@
 A law has one formula for its force and one for its slope (`gapsweep.model.contact.Formulas`). Here
 both are emitted with a `Series` as displacement: each operation and each function of a formula is
 a recurrence for the coefficients of its result [1]_. A law therefore needs no code for its series,
-and the variational equation has the series of its slope in the same way.
+and the variational equation has the series of its slope in the same way. Only functions have forms
+here that arctan, log-arctan and fits call: Runge-Kutta steps integrate the other laws.
 
 References
 ----------
@@ -15,12 +16,10 @@ from collections.abc import Callable
 from functools import cached_property, lru_cache
 from typing import Any
 
-from llvmlite import ir
-
 from gapsweep.integrate import elementary, vectors
 from gapsweep.integrate.lanes.law_rows import SERIES, arguments, rows_of_law, with_callees
 from gapsweep.integrate.lanes.parameters import N_PARAMETERS
-from gapsweep.integrate.vectors import F64, Vec, absolute, where
+from gapsweep.integrate.vectors import Vec, absolute
 from gapsweep.model import arithmetic
 from gapsweep.model.laws import LAWS
 
@@ -111,18 +110,6 @@ class Series:
     __radd__ = __add__
     __rmul__ = __mul__
 
-    def __lt__(self, other):
-        return self[0] < _at(other, 0)
-
-    def __le__(self, other):
-        return self[0] <= _at(other, 0)
-
-    def __gt__(self, other):
-        return self[0] > _at(other, 0)
-
-    def __ge__(self, other):
-        return self[0] >= _at(other, 0)
-
 
 def _at(a, n):
     """Coefficient n of a series or of a constant."""
@@ -155,70 +142,12 @@ def _integral(rate, first):
     return Series(lambda n: rate[n - 1] * (1.0 / n) if n else first(), [rate])
 
 
-def _sqrt(a):
-    def term(n):
-        if n == 0:
-            return vectors.sqrt(a[0])
-        total = a[n]
-        for i in range(1, n):
-            total = vectors.fma(-series[i], series[n - i], total)
-        return total * half[0]
-
-    series = Series(term, [a], 1.0)
-    half = Series(lambda n: series[0].constant(0.5) / series[0])
-    return series
-
-
-def _exp(a):
-    def term(n):
-        if n == 0:
-            return elementary.exp(a[0])
-        return product_term(series, a.rate, n - 1) * (1.0 / n)
-
-    series = Series(term, [a], 1.0)
-    return series
-
-
 def _log(a):
     return _integral(a.rate / a, lambda: elementary.log(a[0]))
 
 
 def _atan(a):
     return _integral(a.rate / (a.squared + 1.0), lambda: elementary.arctan(a[0]))
-
-
-def _select(condition, a, b):
-    """Return a or b, as a condition for coefficients 0 selects."""
-    if isinstance(a, Series) or isinstance(b, Series):
-
-        def term(n):
-            return where(condition, _at(a, n), _at(b, n))
-
-        return Series(term, [s for s in (a, b) if isinstance(s, Series)])
-    if not (isinstance(a, Vec) or isinstance(b, Vec)):
-        vector = ir.VectorType(F64, condition.value.type.count)
-        zero = Vec(condition.builder, ir.Constant(vector, [ir.Constant(F64, 0.0)] * vector.count))
-        a = zero.constant(a)
-    return where(condition, a, b)
-
-
-def _absolute(a):
-    if not isinstance(a, Series):
-        return absolute(a)
-    return _select(a < 0.0, -a, a)
-
-
-def _copysign(a, sign):
-    sign = _at(sign, 0)
-    if not isinstance(a, Series):
-        a = a if isinstance(a, Vec) else sign.constant(a)
-        return vectors.copysign(a, sign)
-    size = _absolute(a)
-    return _select(vectors.copysign(sign.constant(1.0), sign) < 0.0, -size, size)
-
-
-def _extreme(is_taken):
-    return lambda a, b: _select(is_taken(a, b), a, b)
 
 
 def _fma(a, b, c):
@@ -244,13 +173,11 @@ def _of(series, vector):
     return lambda a: series(a) if isinstance(a, Series) else vector(a)
 
 
-# Forms for series of the functions that formulas call.
+# Forms of the functions that formulas call: for series, or for vectors where no series is given.
 _FORMS = {
-    **{abs: _absolute, min: _extreme(lambda a, b: a < b), max: _extreme(lambda a, b: a > b)},
-    **{math.sqrt: _of(_sqrt, vectors.sqrt), math.exp: _of(_exp, elementary.exp)},
+    **{abs: absolute, arithmetic.fma: _fma, arithmetic.splat: lambda a: a},
     **{math.log: _of(_log, elementary.log), math.atan: _of(_atan, elementary.arctan)},
-    **{arithmetic.fma: _fma, arithmetic.select: _select, math.copysign: _copysign},
-    **{arithmetic.splat: lambda a: a, arithmetic.is_any: lambda condition: True},
+    arithmetic.is_any: lambda condition: True,
 }
 
 
@@ -291,7 +218,6 @@ class ContactForce:
         self.sharpness = None  # convergence parameter [1/m] of a law with layers
         if self._law.is_sharpened:
             self.sharpness = self.row(rows_of_law(self._law)["sharpness"])
-            self.approach = self._law.approach
         self.has_range = "fit_range" in arguments(self._law.formulas.force)
 
     def row(self, number):

@@ -19,6 +19,9 @@ from gapsweep.integrate.vectors import (
 # the energy of a free swing is kept to some 20 rtol over 50 cycles, whatever the spring.
 SAFETY = 0.5
 _STEPS_PER_PERIOD = 8192  # at a stiff wall: over so many the tangent's errors come to about rtol
+# How much closer to a wall with a smoothing layer a step may come: part of its distance, and
+# layers. At its beginning the series shows little of a layer that is still far away.
+_CLOSER, _LAYERS = 0.75, 4.0
 _POLE = 1.854  # K(1/2), complete elliptic integral: of the stiffest, purely cubic swing
 
 
@@ -148,14 +151,13 @@ def _off_grid(logarithm):
 
 
 def longest_step(motion):
-    """Longest step [s] of gaps near smoothing layers, see `Sharpened.approach`; else infinite."""
+    """Longest step [s] of gaps near smoothing layers, see `_CLOSER`; infinite without layers."""
     found = motion.q[0][0].constant(math.inf)
     for law, (x, v, bend, *_) in zip(motion.laws, motion.gaps, strict=True):
         if law.sharpness is not None:
-            part, layers = law.approach
             to_wall = minimum(*(absolute(x - law.row(wall)) for wall in (WALL_LOW, WALL_HIGH)))
             # half of it by the speed, half by the acceleration
-            most = fma(to_wall, 0.5 * part, 0.5 * layers / law.sharpness)
+            most = fma(to_wall, 0.5 * _CLOSER, 0.5 * _LAYERS / law.sharpness)
             found = minimum(found, minimum(most / absolute(v), sqrt(most / absolute(bend))))
     return found
 

@@ -25,9 +25,6 @@ ARCTAN_LAYER = 4.0
 class Sharpened(ContactLaw):
     """A law with a convergence parameter [1/m], whose inverse is the width of its layer."""
 
-    # How much closer to a wall a Taylor step may come: part of its distance, and layers. At its
-    # beginning the series shows little of a layer that is still far away.
-    approach: ClassVar[tuple[float, float]] = 0.75, 4.0
     is_numbers: ClassVar[bool] = True
     is_sharpened: ClassVar[bool] = True
 
