@@ -183,7 +183,7 @@ class ForceTable(ContactLaw):
         return np.asarray((3.0 * c_3 * d + 2.0 * c_2) * d + c_1)
 
     def _piece(self, x: ArrayLike) -> Array:
-        """Distance of `x` [m] from the start of its piece, and the coefficients of the piece."""
+        """Distance of `x` [m] from the lower end of its piece, and coefficients of the piece."""
         x = numbers("x", x)
         piece = self.pieces[np.searchsorted(self._places, x, side="right")]
         return np.stack([x - piece[..., 0], *np.moveaxis(piece[..., 1:], -1, 0)])
