@@ -330,3 +330,15 @@ def test_a_law_of_the_user_is_said_not_to_be_assessed(tmp_path, monkeypatch, cap
     assert "own:bushing: not assessed" in capsys.readouterr().out
     assert exit_code(["advise", "s.toml", "--json"]) == FINISHED
     assert json.loads(capsys.readouterr().out)["not_assessed"] == ["own:bushing"]
+
+
+def test_an_unbalance_is_judged_by_its_force_next_to_the_natural_frequency():
+    """At the highest speed it is several times as large, and any error a smaller share of it."""
+    oscillator = {"mass": 12.0, "omega_n": 18.0, "zeta": 0.02, "forcing": 0.0, "unbalance": 2e-4}
+    block = {"representation": ["piecewise", "tanh-1e5"], "K_c": 2.5e5, "gap": [2e-4, 2e-4]}
+    of_study = {"study": {"name": "rotor"}, "oscillator": oscillator}
+    found = [
+        advice(gs.Study.from_dict(of_study | {"sweep": [block | {"omega": omega}]}))
+        for omega in ([17.0, 18.0, 45.0], [17.0, 18.0])
+    ]
+    assert_allclose(*(each["force_error"].values for each in found))

@@ -56,6 +56,7 @@ def test_slices_hold_both_ends(axis, data):
         ("gap", ["0.4/0.4", "0/0.8"], "0.40/0.4", [0]),
         ("gap", ["0.4/0.4", "0/0.8"], slice(None), [0, 1]),
         ("start", ["fixed", "fixed", "sweep_up"], "fixed", [0, 1]),
+        ("start", ["rest", "+0.4 mm"], "+0.4 mm", [1]),  # a label, no quantity
         ("initial_condition", [0, 1, 2], range(2), [0, 1]),
         ("x_0", [0.0, np.nan, 1e-3], 1e-3, [2]),
         ("omega", 7.0, 7, [0]),  # a selection before has left a scalar

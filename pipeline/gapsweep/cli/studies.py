@@ -179,6 +179,7 @@ def query(
     """
     from gapsweep import pipeline
     from gapsweep.cli.query_output import Form, check_output, written
+    from gapsweep.status import Status
 
     shown = Form.of(form, columns, digits, output)
     if output is not None:
@@ -188,7 +189,10 @@ def query(
     shown.check(loaded)
     with options.at_work() as observer:
         found = pipeline.query(loaded, on_progress=observer, **how, **options.selected(wanted))
-    echo(f"{found.attrs['n_points']} points, {found.attrs['n_hits']} from the cache", err=True)
+    n_points = found.attrs["n_points"]
+    n_before = n_points - int((found["status"] != Status.NOT_REQUESTED).sum())
+    before = f"; {n_before} precede the selection in a sweep" if n_before > 0 else ""
+    echo(f"{n_points} points, {found.attrs['n_hits']} from the cache{before}", err=True)
     written(found, shown, output)
     if shown.hint:
         echo(shown.hint, err=True)

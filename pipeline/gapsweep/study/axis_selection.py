@@ -44,7 +44,9 @@ def positions(
     ValueError
         If the axis lacks a wanted value; one line with that value and the values of the axis.
     """
-    axis, wanted = np.atleast_1d(np.asarray(held)), without_units(name, wanted)
+    axis = np.atleast_1d(np.asarray(held))
+    if is_numeric(axis):  # a label may look like a quantity, as "+0.4 mm"
+        wanted = without_units(name, wanted)
     if isinstance(wanted, slice):
         return _within(name, axis, wanted, of)
     places: dict[Any, list[int]] = {}

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from bisect import bisect_left
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -153,6 +153,15 @@ def rms_error(law: ContactLaw, low: float, high: float) -> float:
     """RMS difference from the exact force between two displacements [N]."""
     _, _, weights, error = _sampled(law, low, high)
     return float(np.sqrt((error**2 * weights).sum() / weights.sum()))
+
+
+def at_resonance(oscillator: Oscillator, frequencies: Iterable[float]) -> Oscillator:
+    """The oscillator with the loads, as `forcing`, of the frequency [Hz] next to its natural one.
+
+    Contact begins there. An unbalance loads it more at higher frequencies, so that a force error is
+    a smaller part of the forcing.
+    """
+    return oscillator.at(min(frequencies, key=lambda omega: abs(omega - oscillator.omega_n)))
 
 
 def expected_range(

@@ -15,6 +15,7 @@ import xarray as xr
 from gapsweep.analysis.datasets.contact_errors import (
     TOO_COARSE,
     allowed_error,
+    at_resonance,
     expected_range,
     needed,
     rms_error,
@@ -135,7 +136,7 @@ def _screened(study: Study, share: float) -> tuple[list[str], dict[str, Any]]:
         gap = axes["gap"] if "gap" in axes else Gap(axes["j_1"], axes["j_2"])
         walls = axes["K_c"], gap, axes.get("K_ratio", 1.0)
         oscillator = replace(study.oscillator, **{n: axes[n] for n in OSCILLATOR if n in axes})
-        oscillator = oscillator.at(max(grid.omega))
+        oscillator = at_resonance(oscillator, grid.omega)
         forcing = abs(oscillator.forcing)
         placed = partial(_placed, oscillator, *walls, study.spec.fit.range)
         labels = []
@@ -221,7 +222,7 @@ def _starts(some: xr.Dataset) -> str:
         first, last = (_start(some.isel({START: i})) for i in (0, -1))
         is_row = np.ptp(some[START].values) == n - 1
         return (
-            f"{n} initial conditions, {first} to {last}"
+            f"{n} initial conditions (first: {first}; last: {last})"
             if is_row
             else f"{n} initial conditions, as {first}, {last}"
         )

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from gapsweep.analysis.datasets.contact_errors import (
     ADEQUATE,
+    at_resonance,
     error_of_parts,
     expected_range,
     in_gap,
@@ -199,9 +200,11 @@ def _with_forcing(
         dataset = dataset.assign_coords(forcing=(dims, forcing, described.attributes))
     over = [*map(str, dataset["in_gap_force"].dims), *(() if swept is None else ("forcing",))]
     shape = [*(dataset.sizes[dim] for dim in over)]
-    highest = max(study.grid.omega)  # unbalance and moving base load it most there
     cases = [
-        (replace(oscillator, forcing=p).at(highest), Piecewise(K_c, gap, K_ratio=ratio))
+        (
+            at_resonance(replace(oscillator, forcing=p), study.grid.omega),
+            Piecewise(K_c, gap, K_ratio=ratio),
+        )
         for oscillator, K_c, gap, ratio in models
         for p in forcing.tolist()
     ]

@@ -171,12 +171,14 @@ def _figures(inputs: Inputs, asked: xr.DataArray, label: str, axes: list[str]) -
         if of_part is not None:
             of_part = of_part[list(_OF_ATTRACTORS)].load().expand_dims(REPRESENTATION)
         names = ["amplitude", "extrema", "response_class"]
+        has_attractors = of_part is not None and n_starts > 1
         yield from along_axis(
             part[names].load().expand_dims([REPRESENTATION, _START]),
-            of_part if n_starts > 1 else None,
+            of_part if has_attractors else None,
             inputs.branches,
             axes[0],
-            where + suffix + start,
+            where + suffix + start * (not has_attractors),
+            of_starts=start.replace(",", " from", 1) * has_attractors,
         )
     yield from curves_figure(inputs.curves, here.expand_dims(REPRESENTATION), axes[0], where)
 
