@@ -14,7 +14,7 @@ from gapsweep.errors import ModelError
 UNITS = {
     **dict.fromkeys(("omega", "omega_n"), "Hz"),
     **dict.fromkeys(("gap", "j_1", "j_2", "x_0", "q_0", "x", "atol", "range", "start_jitter"), "m"),
-    **dict.fromkeys(("visited", "freeplay", "amplitude", "base_amplitude"), "m"),
+    **dict.fromkeys(("visited", "amplitude", "base_amplitude"), "m"),
     **dict.fromkeys(("v_0", "v", "speed"), "m s-1"),
     **dict.fromkeys(("t", "t_0", "t_end", "t_max", "time_limit", "timeout"), "s"),
     **dict.fromkeys(("forcing", "mean_load", "forcing: amplitude", "F", "noise"), "N"),
@@ -27,7 +27,7 @@ UNITS = {
     "forcing: amplitude at power 1": "N s",
     "mass": "kg",
     "alpha": "N m-3",
-    "phase": "rad",
+    **dict.fromkeys(("phase", "freeplay"), "rad"),
     "density": "kg m-3",
 }
 # Units as engineers write them, by their UDUNITS text.

@@ -253,6 +253,43 @@ def test_ranges_of_calls_have_units():
     assert found == gs.static_error(law, (-2e-3, 2e-3), forcing=4.0)
 
 
+@pytest.mark.parametrize(
+    "law",
+    [
+        gs.Piecewise(1e4, GAP),
+        gs.Arctan(1e4, GAP, 1e4),
+        gs.LogArctan(1e4, GAP, 1e4),
+        gs.Polynomial(1e4, GAP, 13),
+        gs.ForceTable(x=[-1e-3, 0.0, 1e-3], F=[-8.0, 0.0, 8.0]),
+        gs.law(lambda x: 1e9 * x**3, 1.0, gs.Gap(0.0, 0.0)),
+    ],
+    ids=str,
+)
+def test_displacements_of_laws_have_units(law):
+    for given in (0.7 * U.mm, "0.7 mm"):
+        assert law.force(given) == law.force(0.7e-3)
+        assert law.derivative([given, 1e-4]).tolist() == law.derivative([0.7e-3, 1e-4]).tolist()
+    with pytest.raises(gs.ModelError, match=r"x = .* hertz: must be .* m,"):
+        law.force(1.0 * U.Hz)
+
+
+def test_base_motions_have_units():
+    machine = paper_oscillator(base_amplitude="1 mm")
+    base = gs.BaseMotion(along=[2.0], base_amplitude="1 mm", phase="90 deg")
+    for omega, t in ((540.0 * U.rpm, 12.5 * U.ms), ("9 Hz", "12.5 ms")):
+        angle = 0.225 * math.pi
+        assert machine.base(omega, t) == pytest.approx(1e-3 * math.cos(angle), rel=1e-12)
+        assert base.at(omega, t) == pytest.approx([-2e-3 * math.sin(angle)], rel=1e-12)
+        assert machine.at(omega) == machine.at(9.0)
+
+
+def test_the_freeplay_of_a_flap_is_an_angle():
+    law = gs.systems.typical_section_law(freeplay="2 deg")
+    assert law.gap.j_1 == pytest.approx(math.radians(2.0), rel=1e-14)
+    with pytest.raises(gs.ModelError, match=r"freeplay = '2 mm': must be .* rad,"):
+        gs.systems.typical_section_law(freeplay="2 mm")
+
+
 def test_parameters_of_user_laws_are_in_si_base_units():
     def hertz(x, k):
         return k * x * abs(x) ** 0.5

@@ -20,6 +20,7 @@ from gapsweep.errors import ModelError
 from gapsweep.model.arithmetic import select
 from gapsweep.model.fit import unit_force
 from gapsweep.model.oscillator import Gap, called_as, checked
+from gapsweep.model.system import numbers
 from gapsweep.status import DIVERGED_AT
 
 Array = NDArray[np.float64]
@@ -218,11 +219,11 @@ class Piecewise(ContactLaw):
         return ()
 
     def force(self, x: ArrayLike) -> Array:
-        x = np.asarray(x, dtype=float)
+        x = numbers("x", x)
         return np.asarray(self.K_c * unit_force(x, self.gap, self.K_ratio))
 
     def derivative(self, x: ArrayLike) -> Array:
-        x = np.asarray(x, dtype=float)
+        x = numbers("x", x)
         below = np.where(x < -self.gap.j_1, self.K_ratio * self.K_c, 0.0)
         return np.where(x > self.gap.j_2, self.K_c, below)
 
@@ -256,5 +257,5 @@ def checked_law(law: ContactLaw) -> ContactLaw:
 
 def penetrations(x: ArrayLike, gap: Gap) -> tuple[Array, Array]:
     """Return the signed distances from the lower and the upper wall [m]."""
-    x = np.asarray(x, dtype=float)
+    x = numbers("x", x)
     return x + gap.j_1, x - gap.j_2

@@ -228,7 +228,7 @@ class Oscillator:
         """
         if not (self.unbalance or self.base_amplitude):
             return self
-        rate = 2.0 * math.pi * omega
+        rate = 2.0 * math.pi * checked("omega", omega)
         load, late = self.forcing + self.inertial_load * rate**2, self.damper_load * rate
         amplitude = math.hypot(load, late) if late else load
         return replace(self, forcing=amplitude, unbalance=0.0, base_amplitude=0.0, base_damping=1.0)
@@ -237,7 +237,8 @@ class Oscillator:
         """Return the displacement of the base [m] at a frequency [Hz] and times [s]."""
         import numpy as np  # not needed to describe a model
 
-        return self.base_amplitude * np.cos(2.0 * math.pi * omega * np.asarray(t, float))
+        rate = 2.0 * math.pi * checked("omega", omega)
+        return self.base_amplitude * np.cos(rate * np.asarray(without_units("t", t), float))
 
     @property
     def damping_ratio(self) -> float:

@@ -197,6 +197,7 @@ class BaseMotion:
         object.__setattr__(self, "base_amplitude", checked("base_amplitude", self.base_amplitude))
         object.__setattr__(self, "base_damping", share("base_damping", self.base_damping))
         object.__setattr__(self, "along", numbers("base: along", self.along))
+        object.__setattr__(self, "phase", checked("phase", self.phase))
 
     def harmonics(self, mass: Array, damping: Array) -> tuple[Harmonic, ...]:
         """Return the loads on relative coordinates as harmonics, for matrices of a system."""
@@ -209,7 +210,7 @@ class BaseMotion:
 
     def at(self, omega: float, t: ArrayLike) -> Array:
         """Return absolute less relative displacements at a frequency [Hz], shape (..., n)."""
-        turns = 2.0 * math.pi * self.k * omega * np.asarray(t, float)
+        turns = 2.0 * math.pi * self.k * checked("omega", omega) * numbers("t", t)
         moved: Array = np.multiply.outer(np.cos(turns + self.phase), self.along)
         return self.base_amplitude * moved
 

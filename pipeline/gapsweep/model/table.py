@@ -175,17 +175,18 @@ class ForceTable(ContactLaw):
         return tuple(self._places[1:-1][rises[1:] != rises[:-1]].tolist())
 
     def force(self, x: ArrayLike) -> Array:
-        start, c_3, c_2, c_1, c_0 = self._piece(x)
-        d = np.asarray(x, dtype=float) - start
+        d, c_3, c_2, c_1, c_0 = self._piece(x)
         return np.asarray(((c_3 * d + c_2) * d + c_1) * d + c_0)
 
     def derivative(self, x: ArrayLike) -> Array:
-        start, c_3, c_2, c_1, _ = self._piece(x)
-        d = np.asarray(x, dtype=float) - start
+        d, c_3, c_2, c_1, _ = self._piece(x)
         return np.asarray((3.0 * c_3 * d + 2.0 * c_2) * d + c_1)
 
     def _piece(self, x: ArrayLike) -> Array:
-        return np.moveaxis(self.pieces[np.searchsorted(self._places, x, side="right")], -1, 0)
+        """Distance of `x` [m] from the lower end of its piece, and coefficients of the piece."""
+        x = numbers("x", x)
+        piece = self.pieces[np.searchsorted(self._places, x, side="right")]
+        return np.stack([x - piece[..., 0], *np.moveaxis(piece[..., 1:], -1, 0)])
 
     @cached_property
     def _places(self) -> Array:

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from gapsweep.errors import ModelError, described
 from gapsweep.model.contact import ContactLaw
 from gapsweep.model.oscillator import NO_LOSS, called_as, checked
+from gapsweep.model.system import numbers
 from gapsweep.quantities import without_units
 from gapsweep.user_code.load import blame, plain
 
@@ -141,11 +142,11 @@ class UserLaw(ContactLaw):
         return self.name
 
     def force(self, x: ArrayLike) -> Array:
-        x = np.asarray(x, dtype=float)
+        x = numbers("x", x)
         return np.reshape([self._as_compiled(float(v)) for v in x.ravel()], x.shape)
 
     def derivative(self, x: ArrayLike) -> Array:
-        x = np.asarray(x, dtype=float)
+        x = numbers("x", x)
         h = SLOPE_STEP * np.maximum(np.abs(x), SLOPE_LENGTH)
         return np.asarray((self.force(x + h) - self.force(x - h)) / (2.0 * h))
 

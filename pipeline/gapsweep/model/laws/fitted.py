@@ -14,6 +14,7 @@ from gapsweep.model.arithmetic import fma, splat
 from gapsweep.model.contact import FIT_RANGE, ContactLaw, Formulas
 from gapsweep.model.fit import MAX_DEGREE, MAX_RATIONAL_DEGREE, Fit, polynomial_fit, rational_fit
 from gapsweep.model.oscillator import called_as, checked
+from gapsweep.model.system import numbers
 
 Array = NDArray[np.float64]
 
@@ -164,12 +165,12 @@ class Fitted(ContactLaw):
         return self.fit.r_squared
 
     def force(self, x: ArrayLike) -> Array:
-        u = np.asarray(x, dtype=float) / self.fit_range
+        u = numbers("x", x) / self.fit_range
         top, bottom = self.coefficients
         return np.asarray(chebyshev.chebval(u, top) / chebyshev.chebval(u, bottom))
 
     def derivative(self, x: ArrayLike) -> Array:
-        u = np.asarray(x, dtype=float) / self.fit_range
+        u = numbers("x", x) / self.fit_range
         top, bottom = self.coefficients
         d_top, d_bottom = chebyshev.chebder(top), chebyshev.chebder(bottom)
         n, d = chebyshev.chebval(u, top), chebyshev.chebval(u, bottom)

@@ -12,6 +12,7 @@ from gapsweep.model.arithmetic import fma, is_any
 from gapsweep.model.contact import Formulas, penetrations
 from gapsweep.model.laws.sharpened import ARCTAN_LAYER, INVERSE_PI, Sharpened
 from gapsweep.model.oscillator import called_as
+from gapsweep.model.system import numbers
 
 Array = NDArray[np.float64]
 
@@ -88,7 +89,7 @@ class LogArctan(Sharpened):
         return np.asarray(above * np.arctan(b) - self.K_ratio * below * np.arctan(a) + logs)
 
     def force(self, x: ArrayLike) -> Array:
-        x = np.asarray(x, dtype=float)
+        x = numbers("x", x)
         anchored = self._integral(x) - self._integral(np.zeros(()))
         return np.asarray(self.K_c * (0.5 * (1.0 + self.K_ratio) * x + anchored / math.pi))
 
