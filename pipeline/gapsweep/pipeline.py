@@ -284,16 +284,16 @@ def plan(
     study = Study.of(study)
     _check_call(timeout=timeout)
     _prepare(study, timeout, on_progress)
+    warn_of(doubts_of(study))
     return make_plan(
         study, _opened(cache_path(cache)), selection=selection, retry_failed=retry_failed
     )
 
 
 def _prepare(study: Study, timeout: float, on_progress: OnProgress | None) -> None:
-    """Try out the user laws of a study, and warn of numbers that may be in another unit."""
+    """Try out the user laws of a study before its keys are made."""
     say = partial(tell, on_progress, Progress(0, 0))
     _try_out_own_laws(study, timeout, say)
-    warn_of(doubts_of(study))
     say("looking up cached points")
 
 
@@ -526,6 +526,7 @@ def query(
     selection, path = study.select(**wanted), cache_path(cache)
     with progress_bar() if on_progress is None else nullcontext(on_progress) as observer:
         _prepare(study, DEFAULT_TIMEOUT, observer)
+        warn_of(doubts_of(study))
         planned = make_plan(study, _opened(path), selection=selection)
         say = partial(tell, observer, planned.progress)
         connect = partial(_connected, client, say, scheduler, workers=workers)

@@ -10,21 +10,27 @@ import weakref
 import zlib
 from dataclasses import replace
 
+import numpy as np
 import pytest
 from click.testing import CliRunner
 from hypothesis import given
 from hypothesis import strategies as st
 from tests.builders.cache import KIND, keys, made
+from tests.builders.studies import small_study
 
 import gapsweep as gs
 from gapsweep import pipeline
 from gapsweep.cli.main import commands
-from gapsweep.response.result import Responses
+from gapsweep.execution.plan import plan
+from gapsweep.execution.task import Tile
+from gapsweep.response.result import Response, Responses
+from gapsweep.status import Status
 from gapsweep.store import maintenance
 from gapsweep.store.cache import Cache
 from gapsweep.store.index import MISSING
 from gapsweep.store.segments import packed, scan, write
 from gapsweep.store.slab import SLAB, stored
+from gapsweep.study.points import KEY
 from gapsweep.user_code.package_digest import numerics_fingerprint
 
 NOW = numerics_fingerprint()
@@ -246,6 +252,24 @@ def test_results_under_the_keys_of_others_are_damage(tmp_path):
     with Cache(tmp_path) as cache:
         cache.commit([replace(slab, keys=slab.keys[32:] + slab.keys[:32])])
         assert not maintenance.verify(cache).is_sound
+
+
+def test_points_of_a_sweep_after_one_without_an_end_are_sound(tmp_path):
+    """They start where an earlier point ended, while their keys name the one before."""
+    tables = small_study()
+    tables["sweep"][0] |= {"representation": "poly-13", "initial_condition": "sweep_up"}
+    study = gs.Study.from_dict(tables)
+    (block,) = plan(study).blocks()
+    ((rows, table),) = block.tables
+    about = table.kind.identity, block.keys, block.previous(rows), np.array([3])
+    tile = Tile(table, *about, np.zeros((1, 2)), np.zeros(1, KEY))
+    ended = result(x_end=1e-3, v_end=0.0)
+    lost = Response(status=Status.OUT_OF_FIT_RANGE, message="left the range of the fit")
+    (slab,) = tile.slabs(Responses.of([ended, lost, ended]), "machine")
+    with Cache(tmp_path) as cache:
+        cache.commit([slab])
+        assert maintenance.verify(cache) == maintenance.Verdict(3, ())
+        assert maintenance.clean(cache, NOW, apply=True) == (0, 0)
 
 
 @pytest.mark.parametrize("at", [44, 48, 52])

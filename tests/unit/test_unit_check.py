@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import gapsweep as gs
-from gapsweep.study.unit_check import doubts_of
+from gapsweep.study.unit_check import bounded, doubts_of
 
 USUAL = {"zeta": 0.02, "omega_n": 18.0, "mass": 12.0, "forcing": 50.0}
 SPRING = 12.0 * (36.0 * np.pi) ** 2
@@ -211,3 +211,20 @@ def test_a_script_warns_at_its_top_level_and_in_code_without_a_name():
     given = {"gs": gs, "usual": USUAL, "law": law}
     with pytest.warns(UserWarning, match="gap = 0.15 m:"):
         exec(code, given)
+
+
+def test_bounds_before_a_run_tell_cases_that_may_touch_a_wall_from_others():
+    """The motion is larger than a gap of 0.01 mm, and smaller than one of 0.4 m."""
+    study = study_of({}, gap=[[0.01e-3, 0.01e-3], [0.4, 0.4]])
+    assert " in 1 of 2 cases: " in bounded(study)
+
+
+@pytest.mark.parametrize("gap", [0.01e-3, 0.4])
+def test_bounds_before_a_large_run_are_few(gap, monkeypatch):
+    asked = []
+    advice = gs.Study.advice
+    monkeypatch.setattr(gs.Study, "advice", lambda *of: asked.append(len(of[1])) or advice(*of))
+    omega = {"start": 16.0, "stop": 18.0, "num": 50_000}
+    K_c = {"start": 1e5, "stop": 1e6, "num": 50}
+    assert bounded(study_of({}, omega=omega, K_c=K_c, gap=[[gap, gap]])) == ""
+    assert sum(asked) < 20_000

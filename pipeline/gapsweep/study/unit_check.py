@@ -19,7 +19,8 @@ from gapsweep.study.grid import START, starts_of
 from gapsweep.study.study import Study
 
 _IN_CASE = ("representation", "omega", START)  # dimensions within a parameter set
-_SAMPLED = 16  # every 16th point shows for most parameter sets that a wall may be reached
+_SAMPLED = (4096, 256, 16, 1)  # few points show for most parameter sets that walls may be reached
+_MOST = 100_000  # points with a bound: some seconds
 
 
 def never_reached(values: Callable[[str], Any], dims: Sequence[str], labels: Sequence[str]) -> str:
@@ -64,18 +65,29 @@ def _out_of_range(status: NDArray[Any], labels: Sequence[Representation]) -> Ite
 
 
 def bounded(study: Study) -> str:
-    """Sentence of `never_reached` before a run, from the bounds of `advise`; empty for systems."""
+    """Sentence of `never_reached` before a run, from the bounds of `advise`; empty for systems.
+
+    It is also empty if bounds of more than 100,000 points would be needed.
+    """
     grid = study.grid
     if not study.model.is_oscillator:
         return ""
     asked = grid.requested.any(axis=0)
-    within = tuple(i for i, dim in enumerate(grid.dims[1:]) if dim in _IN_CASE)
-    bound = np.full(asked.shape, np.nan)
-    for step in (_SAMPLED, 1):
-        may_reach = np.isinf(bound).any(within, keepdims=True)
-        cells = np.flatnonzero(asked & ~may_reach)[::step]
-        bound.flat[cells] = [one.bound for one in study.advice(cells)]
-    found = {"n_contacts": np.isinf(bound), "x_max": bound, "x_min": -bound}
+    is_within = [dim in _IN_CASE for dim in grid.dims[1:]]
+    shape = [1 if inside else n for inside, n in zip(is_within, asked.shape, strict=True)]
+    bound, n_left = np.full(shape, np.nan), _MOST  # largest of each parameter set
+    for step in _SAMPLED:
+        wanted = (asked & ~np.isinf(bound)).ravel()[::step]
+        n_left -= int(np.count_nonzero(wanted))
+        if n_left < 0:
+            return ""
+        cells = step * np.flatnonzero(wanted)
+        at = np.unravel_index(cells, asked.shape)
+        case = tuple(0 * i if inside else i for inside, i in zip(is_within, at, strict=True))
+        np.fmax.at(bound, case, [one.bound for one in study.advice(cells)])
+    may_reach = np.isinf(bound)
+    known = np.where(may_reach, 0.0, bound)
+    found = {"n_contacts": may_reach, "x_max": known, "x_min": -known}
     values = grid.coordinates() | {name: some[None] for name, some in found.items()}
     return never_reached(values.__getitem__, grid.dims, [EXACT])
 
