@@ -91,11 +91,11 @@ def test_plan_fits(capsys):
 def test_a_table_says_once_what_all_rows_share(responses, capsys):
     written(responses, Form("table", ("x_max", "status"), 4), None)
     first, *rest = shown(capsys).splitlines()
-    assert first == "K_c 14000 N m-1"
+    assert first == "K_c 14000 N/m"
     assert [line.split() for line in rest[-3:]] == [
-        ["piecewise", "10.12345", "0.001235", "ok"],  # a coordinate keeps its digits
-        ["piecewise", "11", "0.002", "ok"],
-        ["tanh-1e4", "10.12345", "0.003", "ok"],
+        ["piecewise", "10.12345", "1.235", "ok"],  # in mm; a coordinate keeps its digits
+        ["piecewise", "11", "2", "ok"],
+        ["tanh-1e4", "10.12345", "3", "ok"],
     ]
     assert "[Hz]" in "".join(rest)
 
@@ -108,7 +108,7 @@ def test_columns_and_digits_of_rows(responses, capsys):
     }  # fmt: skip
     assert len(rows) == 3
     written(responses, Form("csv"), None)
-    assert "0.00123456789," in capsys.readouterr().out
+    assert "1.23456789," in capsys.readouterr().out
 
 
 def test_a_variable_of_several_coordinates_has_a_column_for_each(responses, capsys):
@@ -116,7 +116,8 @@ def test_a_variable_of_several_coordinates_has_a_column_for_each(responses, caps
     machine = responses.drop_vars("amplitude").assign(amplitude=per_mass)
     written(machine, Form("csv", ("amplitude",), 3), None)
     assert capsys.readouterr().out.startswith(
-        "representation,K_c,omega,amplitude[x_1],amplitude[x_2]\npiecewise,14000.0,10.12345,0.00123"
+        "representation,K_c [N/m],omega [Hz],amplitude[x_1] [mm],amplitude[x_2] [mm]\n"
+        "piecewise,14000.0,10.12345,1.23,"
     )
     written(machine, Form("table", ("amplitude[x_2]", "status"), 3), None)
     assert "amplitude[x_1]" not in shown(capsys)
