@@ -656,11 +656,15 @@ def test_errors_follow_the_tolerance(case):
         assert case.error(state(run), truth) < within * rtol * case.growth
 
 
+def hardened(x):
+    return 1.4e3 * x * math.sqrt(1.0 + 1e6 * x * x)
+
+
 @pytest.mark.extended
 @pytest.mark.parametrize(
     ("law", "how", "order"),
     [
-        (gs.Arctan(1.4e3, GAP, 2e3), {}, 8),
+        (gs.law(hardened, K_c=0.0, gap=GAP), {}, 8),
         (gs.Tanh(1.4e3, GAP, 2e3), ODE45, 5),
         (PIECEWISE, ODE45, 5),
     ],
