@@ -49,4 +49,4 @@ def test_the_answer_was_made_by_these_numerics(page):
 
 def test_quick_study_is_valid():
     study = gs.Study.load(ROOT / "workflows" / "quick.toml")
-    assert study.grid.requested.sum() == 3012
+    assert study.grid.requested.sum() == 1212
