@@ -297,7 +297,7 @@ class Cache:
             ) from None
 
     def _places(self, keys: NDArray[np.void]) -> Iterator[_Contents]:
-        """As `_contents_of`, for keys."""
+        """Yield the contents of the slabs that hold these keys, as `_contents_of`."""
         yield from self._contents_of(self.recorded(keys))
 
     def _contents_of(self, places: NDArray[np.void]) -> Iterator[_Contents]:
