@@ -531,6 +531,21 @@ def test_a_port_that_is_taken_is_refused():
     gc.collect()
 
 
+def test_a_page_computes_nothing_before_its_session_exists(monkeypatch):
+    """Bokeh refuses the page if a thread adds a callback while it makes the session."""
+    questions = []
+    monkeypatch.setattr(Latest, "ask", lambda _, question: questions.append(question))
+    document = Document()
+    page = Page(document, of_model(LINEAR, FREE), {}, None)
+    try:
+        assert not questions
+        (begin,) = document.session_callbacks
+        begin.callback()
+        assert len(questions) == 1
+    finally:
+        page.stop()
+
+
 def test_another_site_cannot_talk_to_the_page():
     page = gs.explore(approximations=())
 

@@ -118,10 +118,15 @@ class Page:
         document.template = _TEMPLATE
         self._latest = Latest(answers, self._later(self._receive), self._later(self._refuse))
         document.on_session_destroyed(lambda _: self.stop())
-        if stored is None:
+        # Called once the session exists: Bokeh registers a callback twice, and refuses the page, if
+        # the computing thread adds it while the session is made.
+        document.add_next_tick_callback(self._begin)
+
+    def _begin(self) -> None:
+        if self._stored is None:
             self._ask()
         else:
-            self._open_scene(next(iter(stored.scenes)))
+            self._open_scene(next(iter(self._stored.scenes)))
 
     def stop(self) -> None:
         """End the computing thread."""
