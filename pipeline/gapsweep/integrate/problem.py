@@ -190,8 +190,8 @@ class Models:
             modulated, laws = self.systems[system].is_modulated, self.laws[law]
             if any(m and each.losses.never_pulls for m, each in zip(modulated, laws, strict=True)):
                 raise ModelError(
-                    f"damping = {losses[0].damping:g}: a contact with periodic stiffness must pull; "
-                    "write pulls=True"
+                    f"damping = {losses[0].damping:g}: a contact with periodic stiffness must "
+                    "pull; write pulls=True"
                 )
 
     def with_laws(self, value: Callable[[Laws], Laws]) -> "Models":

@@ -128,7 +128,7 @@ class ContactLaw:
 
     @property
     def losses(self) -> Losses:
-        """How the contact loses energy; an elastic contact does not."""
+        """Energy losses of the contact; none of an elastic contact."""
         return Losses()
 
     @property

@@ -38,7 +38,7 @@ MODES = (
 
 
 class Losses(NamedTuple):
-    """How both walls of a contact lose energy.
+    """Energy losses of both walls of a contact.
 
     Attributes
     ----------
