@@ -154,7 +154,12 @@ def touching(folder, gaps):
     def at(place):
         size, omega = EQUAL[LABELS[place["representation"]]] * 1e-3, OMEGA[place["omega"]]
         is_touched = gaps[place["gap"]] < 1e-3 and omega == OMEGA[-1]
-        return periodic([(size, 0.0)], omega, n_contacts=9 * is_touched)
+        return periodic(
+            [(size, 0.0)],
+            omega,
+            contact_share=0.5 * is_touched,
+            contacts_per_period=2.0 * is_touched,
+        )
 
     return datasets_by_place(folder, Study.from_dict(study), at)
 

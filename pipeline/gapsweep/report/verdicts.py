@@ -53,7 +53,7 @@ SHOWN = {
     "found": "recall_pooled",
 }
 _COST_RATIO = "cpu_time_per_period_ratio"
-_CONTACTS = "n_contacts_per_period"
+_CONTACTS = "contacts_per_period"
 COLUMNS = ("use", "with care", "no")
 # Estimate of each number, and the best and the worst end of its interval.
 Values = dict[str, NDArray[np.float64]]
@@ -297,7 +297,7 @@ def _unjudged(exact: Row) -> str:
     """Reason why no law can be judged in a case; empty if laws can be judged."""
     if np.isnan(exact[SHOWN["found"]]):  # no attractors
         return "the exact law has no steady response"
-    return "" if exact[_CONTACTS] else "the exact law touches no wall"
+    return "" if exact[_CONTACTS] else "no steady response of the exact law crosses a wall"
 
 
 def _is_judged(law: Representation, row: Row) -> bool:

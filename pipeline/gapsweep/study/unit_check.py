@@ -24,7 +24,7 @@ _MOST = 100_000  # points with a bound: some seconds
 
 
 def never_reached(values: Callable[[str], Any], dims: Sequence[str], labels: Sequence[str]) -> str:
-    """Sentence on the cases in which the exact law touches no wall; empty if there are none.
+    """Sentence on the cases in which no steady response of the exact law touches a wall, or empty.
 
     Parameters
     ----------
@@ -34,14 +34,14 @@ def never_reached(values: Callable[[str], Any], dims: Sequence[str], labels: Seq
         Dimensions of a sweep point, and representations: all count if the exact law is not swept.
     """
     rows = [labels.index(EXACT)] if EXACT in labels else list(range(len(labels)))
-    contacts, x_max, x_min = (np.asarray(values(n)) for n in ("n_contacts", "x_max", "x_min"))
-    if not contacts.size:  # the file cannot be read
+    share, x_max, x_min = (np.asarray(values(n)) for n in ("contact_share", "x_max", "x_min"))
+    if not share.size:  # the file cannot be read
         return ""
     within = tuple(i for i, dim in enumerate(dims) if dim in _IN_CASE)
     reach = np.maximum(x_max[rows], -x_min[rows])
     known = np.isfinite(reach)
     n_cases = np.count_nonzero(known.any(within))
-    never = known.any(within) & ~contacts[rows].any(within)
+    never = known.any(within) & ~(share[rows] > 0.0).any(within)
     if not never.any():
         return ""
     largest = 1e3 * reach.max(within, initial=0.0, where=known)[never].max()
@@ -87,7 +87,7 @@ def bounded(study: Study) -> str:
         np.fmax.at(bound, case, [one.bound for one in study.advice(cells)])
     may_reach = np.isinf(bound)
     known = np.where(may_reach, 0.0, bound)
-    found = {"n_contacts": may_reach, "x_max": known, "x_min": -known}
+    found = {"contact_share": may_reach, "x_max": known, "x_min": -known}
     values = grid.coordinates() | {name: some[None] for name, some in found.items()}
     return never_reached(values.__getitem__, grid.dims, [EXACT])
 
