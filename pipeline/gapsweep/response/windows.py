@@ -43,6 +43,8 @@ class RecordedWindows:
     contact_force : ndarray, shape (n_contacts, n)
         Largest forces [N] in that window of contacts that lose energy; NaN: they follow from the
         extrema.
+    contacts_per_period : ndarray, shape (n,)
+        Contacts in that window per forcing period, or per section point of an unforced system [-].
     """
 
     def __init__(self, ensemble: Ensemble, y: Array) -> None:
@@ -57,6 +59,7 @@ class RecordedWindows:
         self._elapsed, self.extrema = np.zeros(n), RaggedArrays(n * self.n_turning)
         self.contact_share = np.full(ensemble.walls.shape[1:], np.nan)
         self.contact_force = np.full(ensemble.walls.shape[1:], np.nan)
+        self.contacts_per_period = np.full(n, np.nan)
 
     @property
     def t(self) -> Array:
@@ -124,7 +127,7 @@ class RecordedWindows:
         if not section_only:
             extrema, counts = self.extrema_of(call)
             self.extrema.put(self.rows(points), extrema, counts.ravel())
-            self.keep_loads(points, self.y[:, points], call)
+            self.keep_loads(points, self.y[:, points], call, n_periods)
         if recorded.any():
             self._add(scenes[recorded], recorded.nonzero()[0], call)
         self._elapsed[points] += np.bincount(of, call.t_end)
@@ -138,14 +141,17 @@ class RecordedWindows:
         self._steps_per_period[points] = np.maximum(call.n_steps[last] / n_periods[last], 1.0)
         self.move_to(points, call.y[:, last], call.status[last], transient + window)
 
-    def keep_loads(self, points: Numbers, y: Array, call: Call, *, closed: bool = False) -> None:
-        """Keep contact shares and, of contacts that lose energy, forces of a recorded call.
+    def keep_loads(
+        self, points: Numbers, y: Array, call: Call, n_periods: Counts, *, closed: bool = False
+    ) -> None:
+        """Keep contact shares, contacts per period and, of contacts that lose energy, forces.
 
-        Parameters are those of `contact_shares`.
+        Parameters are those of `contact_shares`, and the number of periods of each motion.
         """
         self.contact_share[:, points] = contact_shares(
             self.ensemble, points, y, call, closed=closed
         )
+        self.contacts_per_period[points] = 0.5 * call.n_contacts / n_periods
         if call.contact_force is not None:
             self.contact_force[:, points] = call.contact_force.T
 
