@@ -10,6 +10,7 @@ import pytest
 from tests.oracles.lossy_contacts import Lossy, Wall
 
 import gapsweep as gs
+from gapsweep.errors import StudyError
 
 TURN = 2.0 * math.pi
 TIGHT = {"rtol": 1e-12, "atol": 1e-15}
@@ -233,3 +234,42 @@ def test_damping_that_cannot_be_is_refused_in_one_line(call, said):
     with pytest.raises(gs.ModelError, match=said) as raised:
         call()
     assert "\n" not in str(raised.value)
+
+
+def study(**block):
+    """A study of the damped orbit."""
+    tables = {
+        "study": {"name": "damped"},
+        "oscillator": {"zeta": 0.025, "omega_n": 1.0 / TURN, "mass": 1.0, "forcing": 0.03},
+        "sweep": [
+            {
+                "representation": ["piecewise"],
+                "K_c": [20.0],
+                "gap": [[0.0, 0.1745]],
+                "K_ratio": 0.0,
+                "omega": [0.95 / TURN],
+                "initial_condition": [[0.1, 0.1]],
+                **block,
+            }
+        ],
+    }
+    return gs.Study.from_dict(tables)
+
+
+def test_damping_is_an_axis_of_studies():
+    found = study(damping=[0.0, 1.2])
+    assert found.grid.dims[-2:] == ("damping", "initial_condition")
+    ((_, table),) = found.points(np.arange(2))
+    assert table.column("damping").tolist() == [0.0, 1.2]
+    (_, models), refused = table.models()
+    assert not refused
+    assert [law.damping for (law,) in models.laws] == [0.0, 1.2]
+    (label,) = {law.losses.never_pulls for (law,) in models.laws if law.damping}
+    assert label
+
+
+def test_studies_refuse_damping_of_smooth_laws():
+    with pytest.raises(StudyError, match="damping: tanh-1e3 has none"):
+        study(damping=[0.0, 1.2], representation=["piecewise", "tanh-1e3"])
+    with pytest.raises(gs.ModelError, match="damping = 2: tanh-1e3 has no damping"):
+        gs.contact_law("tanh-1e3", 1.0, gs.Gap(0.1, 0.1), damping=2.0)

@@ -263,6 +263,7 @@ def of_model(
         raise ModelError(f"oscillator = {oscillator!r:.80}: must be a gapsweep.Oscillator")
     if not isinstance(law, ContactLaw):
         raise ModelError(f"law = {law!r:.80}: must be a contact law, as gapsweep.Piecewise")
+    _refuse_damping(law.losses.damping)
     return Question(
         oscillator=oscillator,
         K_c=law.K_c,
@@ -298,6 +299,7 @@ def of_study(study: Study) -> tuple[Question, dict[str, tuple[float, float]]]:
         If a value of the study is out of the range of the page.
     """
     grid = study.grid
+    _refuse_damping(max(grid.axes.get("damping", (0.0,))))
     ranges = {
         name: (min(axis), max(axis))
         for name, axis in grid.axes.items()
@@ -323,6 +325,11 @@ def of_study(study: Study) -> tuple[Question, dict[str, tuple[float, float]]]:
     others = [law for law in ours if law != EXACT and not law.is_auto]
     question = asked(values, band, approximations=tuple(others[:1]), fit_range=study.spec.fit.range)
     return question, ranges
+
+
+def _refuse_damping(damping: float) -> None:
+    if damping:
+        raise ModelError(f"damping = {damping:g}: explore has elastic walls; use gapsweep.respond")
 
 
 def not_computed(study: Study) -> str:

@@ -27,6 +27,8 @@ from gapsweep.status import DIVERGED_AT
 
 Array = NDArray[np.float64]
 FIT_RANGE = 4e-3
+# Parameters of a contact that have default values, and apply to both walls.
+OF_WALLS: Mapping[str, float] = {"K_ratio": 1.0, "damping": 0.0}
 _NOEVENTS = "noevents"
 
 
