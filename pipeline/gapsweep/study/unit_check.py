@@ -42,8 +42,10 @@ def never_reached(
         Whether the model is an oscillator; the displacements of a system are those at its contacts.
     """
     rows = [labels.index(EXACT)] if EXACT in labels else list(range(len(labels)))
-    peak, trough = ("x_max", "x_min") if in_metres else ("contact_x_max", "contact_x_min")
-    contacts, x_max, x_min = (np.asarray(values(n)) for n in ("n_contacts", peak, trough))
+    names = ["n_contacts", "x_max", "x_min"]
+    if not in_metres and np.size(values("contact_x_max")):  # there with several parts only
+        names[1:] = "contact_x_max", "contact_x_min"
+    contacts, x_max, x_min = (np.asarray(values(name)) for name in names)
     if not contacts.size:  # the file cannot be read
         return ""
     within = tuple(i for i, dim in enumerate(dims) if dim in _IN_CASE)

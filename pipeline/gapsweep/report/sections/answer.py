@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from gapsweep.analysis.dimensions import in_metres
+from gapsweep.analysis.dimensions import by_coordinate
 from gapsweep.model.labels import EXACT
 from gapsweep.report.backdrop import caption_of_walls
 from gapsweep.report.drawing import caption_of_marks
@@ -35,14 +35,13 @@ from gapsweep.report.verdicts import (
 
 
 def sections(inputs: Inputs) -> Iterator[Part]:
-    """The study's own answer, and verdicts on the laws of an oscillator that has the exact law."""
+    """The study's own answer, and verdicts on the laws of a study that has the exact law."""
     own, found, responses = answer_of(inputs), inputs.cases, inputs.responses
     if not (found or own.sentences or own.tables or own.figures):
         return
     said = in_words(found)
     headline = [*own.sentences] or said[:1]
-    is_compared = inputs.agreement is not None and in_metres(responses)
-    if is_compared and (far := unreached_walls(responses)):
+    if inputs.agreement is not None and (far := unreached_walls(responses)):
         headline[:1] = [" ".join([far, *headline[:1]])]
     counts = inputs.claims["counts"] if inputs.claims else {}
     content = {
@@ -68,6 +67,7 @@ def _map(responses: xr.Dataset, found: Sequence[Contact]) -> dict[str, Any]:
         "has_tanh": any(one.least("tanh") for one in listed),
         "groups": GROUPS,
         "n_contacts": len(listed),
+        "units": "stiffness [N/m], gap [mm]" if found[0].in_metres else "K_c, gap",
         "is_many": len(listed) > MANY,
         "stiffnesses": heads(one.stiffness for one in listed),
         "gaps": [(gap.split("/"), n) for (_, gap), n in heads((c.K_c, c.gap) for c in listed)],
@@ -99,13 +99,13 @@ def _numbers(contact: Contact) -> tuple[str, list[list[str]]]:
         return f"{contact.place}: cannot be judged: {contact.unjudged}", rows
     least = contact.least("tanh")
     of_tanh = f"; tanh has one static equilibrium: {contact.threshold}, adequate: {least}"
-    return f"{contact.place}{of_tanh if least else ''}", rows
+    return f"{contact.place}{of_tanh if least and contact.in_metres else ''}", rows
 
 
 def _compared(inputs: Inputs) -> Iterator[Figured]:
     """Laws and the exact law in the case with the most verdicts, if it has a curve."""
     responses, found = inputs.responses, inputs.cases
-    if not found or responses.sizes["omega"] < 2:
+    if not found or responses.sizes.get("omega", 1) < 2:
         return
     contact = max(found, key=lambda one: (len(list(filter(None, one.columns.values()))), one.K_c))
     scene = Scenes(responses).at(contact.at)
@@ -114,11 +114,11 @@ def _compared(inputs: Inputs) -> Iterator[Figured]:
     }
     if scene is None or not laws:
         return
+    shown, name = next(by_coordinate(swept(scene.sel(representation=[EXACT, *laws]))))
     description = (
         f"Peak displacement at {contact.place}: contact laws (coloured) and the exact law (larger "
-        "dots behind), for the same initial conditions"
+        f"dots behind), for the same initial conditions{name}"
     )
-    shown = swept(scene.sel(representation=[EXACT, *laws]))
     figure = compared_with_exact(shown, EXACT, laws, inputs.branches)
     words = " Dashed lines: unstable orbits." if inputs.branches is not None else ""
     looks = f"{caption_of_walls(scene, of_peaks=True)}{words}{caption_of_marks(figure)}"
