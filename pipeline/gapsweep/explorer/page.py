@@ -168,7 +168,7 @@ class Page:
             _select(f"Basins, {way}", f"state {way}", name, machine.states)
             for way, name in zip(("across", "upwards"), question.plane, strict=True)
         ]
-        # Of one displacement there is nothing to choose.
+        # A single displacement leaves nothing to choose.
         several = [(self._shown, 1), *((each, 2) for each in self._plane)]
         self._choices = [choice for choice, least in several if len(choice.options) > least]
         for choice in self._choices:

@@ -207,7 +207,7 @@ class Question:
         return {name: given[one] if isinstance(one, str) else one for name, one in of}
 
     def laws(self, label: str) -> Laws:
-        """The laws of all contacts, of a label unless a contact has a law of its own."""
+        """The laws of all contacts, of a label unless the machine has another for a contact."""
         found = []
         for contact in self.machine.walls:
             walls, law = self._walls(contact), self.machine.laws.get(contact, label)
@@ -560,7 +560,7 @@ def of_study(study: Study) -> tuple[Question, dict[str, tuple[float, float]]]:
 
 
 def _machine_of(study: Study, gaps: Sequence[Gap]) -> Machine:
-    """The model of a study; contacts with numbers of their own in [contact] have no slider."""
+    """The model of a study; numbers of a contact in [contact] have no slider."""
     walls: dict[str, dict[str, str | float]] = {}
     laws, widths = {}, [gap.width for gap in gaps]
     for contact in study.model.contacts:
