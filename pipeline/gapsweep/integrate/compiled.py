@@ -42,10 +42,10 @@ def prepared(models: Models, solver: Solver) -> Integrate:
     method: Method = Taylor()
     is_located = is_taylor and (scenes.at.is_tanh or _is_located(models))
     mass = models.of_systems(attrgetter("mass")) if _is_oscillator(models) else None
-    if any(law.losses.damping for laws in models.laws for law in laws):
-        damping, never_pulls = np.moveaxis(models.of_laws(attrgetter("losses")), -1, 0)
+    if models.is_lossy:
+        damping, never_pulls, chi = np.moveaxis(models.of_laws(attrgetter("losses")), -1, 0)
         scale = 1.0 if mass is None else mass[:, None]
-        scenes = with_losses(scenes, damping / scale, never_pulls > 0.0)
+        scenes = with_losses(scenes, damping / scale, never_pulls > 0.0, chi)
     if not is_located:
         laws = [_kernel_law(models, contact) for contact in range(len(models.laws[0]))]
         mass = np.ones(len(models)) if mass is None else mass

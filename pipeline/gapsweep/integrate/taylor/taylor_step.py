@@ -461,7 +461,7 @@ def _emit_step(builder, lanes, coefficients, scalars):
     lanes["n_steps"] = lanes["n_steps"] + where(keeps, 0.0 * one, 1.0)
     lanes["n_contacts"] = lanes["n_contacts"] + n_walls
     if layout.is_damped:
-        lost = where(keeps, 0.0 * one, step * modes.decay(lanes))
+        lost = where(keeps, 0.0 * one, modes.loss(lanes, motion.gaps, step))
         lanes["contact_loss"] = lanes["contact_loss"] + lost
     lanes["n_short"] = where(keeps, lanes["n_short"], n_short)
     lanes["step"], lanes["tau_0"], lanes["cycle_0"] = step, tau, cycle
