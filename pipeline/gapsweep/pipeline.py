@@ -11,8 +11,9 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import AbstractContextManager, closing, contextmanager, nullcontext
+from contextlib import ExitStack, closing, contextmanager, nullcontext
 from dataclasses import dataclass, replace
+from functools import cache as cached
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -193,12 +194,17 @@ def carry_out(
     if planned.n_missing:
         check_modules(study)  # before the computation, although their files come last
     say = partial(tell, on_progress, planned.progress)
-    connect = partial(_connected, client, say, scheduler, workers=workers, dashboard=dashboard)
-    run = RunContext(folder, study, cache=path, connect=connect, timeout=timeout)
-    of_points = replace(run, plan=planned)
+    how: dict[str, Any] = {"workers": workers, "dashboard": dashboard}
     with (
         Recorder(folder, study, path, planned, on_progress) as recorder,
-        closing(meanwhile(of_points)) as steps,
+        _connection(client, say, scheduler, **how) as connect,
+        closing(
+            meanwhile(
+                of_points := RunContext(
+                    folder, study, planned, cache=path, connect=connect, timeout=timeout
+                )
+            )
+        ) as steps,
     ):
 
         def begin() -> None:
@@ -228,7 +234,8 @@ def carry_out(
             failures = _failures(planned)
             n_failed, why = sum(failures.values()), _reasons(planned)
             recorder.state = replace(recorder.state, failed=n_failed, message=why)
-            make([stage for stage in stages if POINTS not in stage.sources], replace(run, say=say))
+            run = replace(of_points, plan=None, say=say)
+            make([stage for stage in stages if POINTS not in stage.sources], run)
     doubts = tuple(doubts_of_run(study, partial(netcdf.values, folder / RESPONSES)))
     motions = {stage.file: stage.failed_motions(folder) for stage in stages}
     failed = {file: counts for file, counts in motions.items() if counts}
@@ -529,8 +536,8 @@ def query(
         warn_of(doubts_of(study))
         planned = make_plan(study, _opened(path), selection=selection)
         say = partial(tell, observer, planned.progress)
-        connect = partial(_connected, client, say, scheduler, workers=workers)
-        progress = _computed(planned, path, observer, connect)
+        with _connection(client, say, scheduler, workers=workers) as connect:
+            progress = _computed(planned, path, observer, connect)
     return _exported(planned, selection, progress)
 
 
@@ -571,7 +578,7 @@ def _computed(
     planned: Plan,
     path: Path,
     on_progress: OnProgress | None,
-    connect: Callable[[], AbstractContextManager[Client]],
+    connect: Callable[[], Client],
     begin: Callable[[], None] = lambda: None,
     **how: Any,
 ) -> Progress:
@@ -588,32 +595,37 @@ def _computed(
     check_writable(path if path.exists() else path.parent, "another cache with --cache")
     from gapsweep.execution.execute import execute
 
-    with connect() as connected:
-        begin()
-        planned.cache = planned.cache or Cache(path)
-        try:
-            done = execute(planned, connected, on_progress=on_progress, **how)
-        except KeyboardInterrupt as interrupt:
-            tell(on_progress, before, "stopping the computation")
-            interrupt.add_note(f"computed points are in {path}; run again to resume")
-            raise
-        tell(on_progress, done, "closing the cluster")
-    return done
+    connected = connect()
+    begin()
+    planned.cache = planned.cache or Cache(path)
+    try:
+        return execute(planned, connected, on_progress=on_progress, **how)
+    except KeyboardInterrupt as interrupt:
+        tell(on_progress, before, "stopping the computation")
+        interrupt.add_note(f"computed points are in {path}; run again to resume")
+        raise
 
 
 @contextmanager
-def _connected(
+def _connection(
     client: Client | None, say: Callable[[str], None], scheduler: str | None, **how: Any
-) -> Iterator[Client]:
-    """The client of the call, or else a client of a cluster that is started or joined."""
-    if client is not None:
-        yield client
-        return
-    from gapsweep.execution.cluster import cluster
+) -> Iterator[Callable[[], Client]]:
+    """A function that returns the client of the call, or else that of a cluster.
 
-    say(f"connecting to {scheduler}" if scheduler else "starting the workers")
-    with cluster(scheduler=scheduler, **how) as connected:
-        yield connected
+    Its first call starts or joins the cluster, which ends with the block.
+    """
+    with ExitStack() as stack:
+
+        @cached
+        def connect() -> Client:
+            if client is not None:
+                return client
+            from gapsweep.execution.cluster import cluster
+
+            say(f"connecting to {scheduler}" if scheduler else "starting the workers")
+            return stack.enter_context(cluster(scheduler=scheduler, **how))
+
+        yield connect
 
 
 def _failures(planned: Plan) -> dict[str, int]:

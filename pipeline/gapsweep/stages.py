@@ -9,7 +9,7 @@ import gc
 import hashlib
 import warnings
 from collections.abc import Callable, Generator, Iterable, Iterator
-from contextlib import AbstractContextManager, ExitStack, contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -60,6 +60,7 @@ from gapsweep.user_code.snapshot import Snapshot
 
 if TYPE_CHECKING:
     import xarray as xr
+    from distributed import Client
 
     Content = xr.Dataset | dict[str, Any] | None
 
@@ -86,7 +87,7 @@ class RunContext:
     cache : Path
         Folder of the cache.
     connect : callable, optional
-        Starts or joins a cluster, for branches that are not stored.
+        Returns the client of a cluster, for branches that are not stored.
     timeout : float
         Time [s] that a motion with a user's law may take.
     say : callable
@@ -104,7 +105,7 @@ class RunContext:
     plan: Plan | None = None
     meanwhile: Iterator[bool] | None = None
     cache: Path = Path()
-    connect: Callable[[], AbstractContextManager[Any]] | None = None
+    connect: Callable[[], "Client"] | None = None
     timeout: float = DEFAULT_TIMEOUT
     say: Callable[[str], None] = _ignore
     inputs: tuple[str, ...] = ()

@@ -7,11 +7,11 @@ that an interrupted run computes only the missing cases.
 """
 
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import AbstractContextManager, suppress
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import xarray as xr
@@ -42,6 +42,9 @@ from gapsweep.study.spec import WALLS, is_followed
 from gapsweep.study.study import Study
 from gapsweep.user_code.package_digest import numerics_fingerprint
 from gapsweep.variables import POINT, SECTION_POINT, STATUS_FLAGS, Variable
+
+if TYPE_CHECKING:
+    from distributed import Client
 
 FOLDER = "branches"
 _attractor = partial(Variable, dims=(ATTRACTOR,))
@@ -83,7 +86,7 @@ def branches(
     study: Study,
     attractors: xr.Dataset,
     cache: Path,
-    connect: Callable[[], AbstractContextManager[Any]],
+    connect: Callable[[], "Client"],
     timeout: float,
     say: Callable[[str], None],
     followed_branches: xr.Dataset | None = None,
@@ -99,7 +102,7 @@ def branches(
     cache : Path
         Folder of the cache.
     connect : callable
-        Starts or joins a cluster; called if cases are missing.
+        Returns the client of a cluster; called if cases are missing.
     timeout : float
         CPU time limit of a case with user code [s].
     say : callable
@@ -126,15 +129,14 @@ def branches(
             if part.found.branches is None:
                 missing.append((part, path))
         if missing:
-            with connect() as client:
-                tasks = [part.scene for part, _ in missing]
-                arriving = followed(tasks, client, timeout, lambda: say("waiting for workers"))
-                for n_done, (number, found) in enumerate(arriving, len(parts) - len(missing) + 1):
-                    part, path = missing[number]
-                    part.found = found
-                    if found.branches is not None:
-                        netcdf.write(found.branches, path, {})
-                    say(f"making {file}, {n_done} of {len(parts)} cases")
+            tasks = [part.scene for part, _ in missing]
+            arriving = followed(tasks, connect(), timeout, lambda: say("waiting for workers"))
+            for n_done, (number, found) in enumerate(arriving, len(parts) - len(missing) + 1):
+                part, path = missing[number]
+                part.found = found
+                if found.branches is not None:
+                    netcdf.write(found.branches, path, {})
+                say(f"making {file}, {n_done} of {len(parts)} cases")
     return _assembled(study, parts, is_curves=is_curves)
 
 
