@@ -106,7 +106,10 @@ def main():
     judged = np.abs(moved - exact) <= limit * scale
 
     began = time.perf_counter()
-    advice = [advise(*scene, error=limit) for scene in scenes]
+    advice = [
+        advise(oscillator, gs.Piecewise(K_c, gap), omega, start, error=limit)
+        for oscillator, K_c, gap, omega, start in scenes
+    ]
     print(f"advice: {1e6 * (time.perf_counter() - began) / len(scenes):.0f} us per scene")
     models = np.array([Model(one.model).name.lower() for one in advice])
     advised = [(str(m), one.rtol) for m, one in zip(models, advice, strict=True)]

@@ -12,7 +12,7 @@ pytestmark = pytest.mark.extended
 FOLDER = Path(__file__).parents[1] / "docs" / "notebooks"
 # What must be read in the outputs, and how many figures must be drawn.
 PROMISES = {
-    "first_steps": (["63: 63 from the cache, 0 computed", "omega"], 4),
+    "first_steps": (["303: 303 from the cache, 0 computed", "omega"], 4),
     "query_the_cache": (
         [
             "11: 0 from the cache, 11 computed",
@@ -23,7 +23,7 @@ PROMISES = {
         1,
     ),
     "own_representation": (["18: 0 from the cache, 18 computed"], 1),
-    "own_oscillator": (["wall crossings", "116: 0 from the cache", "242: 0 from", "PERIODIC"], 3),
+    "own_oscillator": (["wall crossings", "564: 0 from the cache", "242: 0 from", "PERIODIC"], 3),
     "on_a_cluster": (["10 of 10 points were stored"], 1),
 }
 

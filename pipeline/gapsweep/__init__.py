@@ -49,6 +49,7 @@ if TYPE_CHECKING:
     from gapsweep.response.respond import respond
     from gapsweep.response.result import Response, ResponseClass, Steady
     from gapsweep.store.netcdf import read as open
+    from gapsweep.study.least_model import advise
     from gapsweep.study.study import Study
 
 # numba, Dask, xarray and matplotlib take seconds to import; each is imported at first use.
@@ -66,6 +67,7 @@ _ON_DEMAND = {
     **dict.fromkeys(("PeriodicForce", "Record", "Switched"), "model.waves"),
     "UserLaw": "model.user_law",
     "Study": "study.study",
+    "advise": "study.least_model",
     "absolute_range": "response.absolute",
     "basins": "analysis.datasets.basins",
     "branches": "continuation.follow",
@@ -133,6 +135,7 @@ __all__ = [
     "Unbalance",
     "UserLaw",
     "absolute_range",
+    "advise",
     "basins",
     "branches",
     "canonical_label",

@@ -280,7 +280,7 @@ def advise(study: Path, error: float | None, share: float, as_json: bool) -> int
         return FINISHED
     print_text(f"allowed relative error of the steady amplitude, for the simplest model: {error:g}")
     for scene in scenes:
-        print_text(_case(scene))
+        print_text(_case(scene, loaded.model.is_oscillator))
         for one in scene["starts"]:
             echo(f"\nfrom {one['start']}:")
             print_table(
@@ -300,10 +300,11 @@ def advise(study: Path, error: float | None, share: float, as_json: bool) -> int
     return FINISHED
 
 
-def _case(scene: dict[str, Any]) -> str:
+def _case(scene: dict[str, Any], is_oscillator: bool) -> str:
     from gapsweep.quantities import UNITS, written
 
-    words = [f"K_c = {scene['K_c']:g} N/m", f"gap {scene['gap']} mm"]
+    words = [f"K_c = {scene['K_c']:g} N/m"] if "K_c" in scene else []
+    words += [f"gap {scene['gap']}{' mm' * is_oscillator}"] if "gap" in scene else []
     swept = scene.keys() - {"K_c", "gap", "starts", "approximations", "laws", "j_1", "j_2"}
     others = [
         f"{name} = {scene[name]:g} {written(UNITS.get(name, ''))}".strip() for name in sorted(swept)

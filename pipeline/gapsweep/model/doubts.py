@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from gapsweep.model.contact import ContactLaw
 from gapsweep.model.oscillator import Oscillator, called_as
+from gapsweep.model.structure import general_form
 from gapsweep.model.system import System, first_order
 from gapsweep.model.table import ForceTable
 from gapsweep.model.user_law import UserLaw
@@ -102,15 +103,9 @@ def _linear(model: Oscillator | System, starts: Array) -> tuple[Array, Array]:
     The displacement adds resonance, mean loads and initial states; it is infinite if the model is
     not forced or not damped, a coordinate is free or a spring softens.
     """
+    model = general_form(model) if isinstance(model, Oscillator) else model
     along = np.reshape(model.directions, (-1, model.n))
     none = np.zeros(len(along)), np.full(len(along), math.inf)
-    if isinstance(model, Oscillator):
-        spring = model.mass * model.omega_n_rad**2
-        forced = abs(model.at(model.omega_n).forcing)
-        if not (spring and model.damping_ratio and forced) or model.alpha < 0.0:
-            return none
-        load = forced * max(1.0, 0.5 / model.damping_ratio) + abs(model.mean_load)
-        return np.array([spring]), load / spring + _from(starts, along, model)
     if model.n_lags or not model.is_held or any(cubic.alpha < 0.0 for cubic in model.cubic):
         return none
     own = np.abs(np.linalg.eigvals(first_order(model)))
@@ -127,7 +122,7 @@ def _linear(model: Oscillator | System, starts: Array) -> tuple[Array, Array]:
     return springs, reach.max(axis=0) + mean + _from(starts, along, model)
 
 
-def _from(starts: Array, along: Array, model: Oscillator | System) -> Array:
+def _from(starts: Array, along: Array, model: System) -> Array:
     """Upper bound of the displacement at each contact due to the initial states [m]."""
     n, rate = model.n, 2.0 * math.pi * model.slowest
     x, v = np.abs(starts[:, :n] @ along.T), np.abs(starts[:, n : 2 * n] @ along.T) / rate
@@ -135,12 +130,18 @@ def _from(starts: Array, along: Array, model: Oscillator | System) -> Array:
     return found
 
 
+def _largest_load(model: Oscillator | System) -> float:
+    """Largest amplitude of a load on a coordinate at the lowest natural frequency [N]."""
+    if isinstance(model, Oscillator):
+        return abs(model.at(model.omega_n).forcing)
+    rate = 2.0 * math.pi * model.slowest
+    loads = [one.growth(rate) * np.abs(one.amplitude).max() for one in model.forcing if one.k]
+    return max(map(float, loads), default=0.0)
+
+
 def _of_layers(laws: Sequence[ContactLaw], models: Sequence[Oscillator | System]) -> Iterator[str]:
     """Warnings of smooth laws without clearance, and with too large a force between the walls."""
-    forcing = max(
-        (abs(one.at(one.omega_n).forcing) for one in models if isinstance(one, Oscillator)),
-        default=0.0,
-    )
+    forcing = max(map(_largest_load, models))
     loud: dict[str, float] = {}
     wide = {}
     for law in laws:

@@ -31,6 +31,8 @@ _FAILED = "failed"
 _NO_PICTURE = ("unresolved", _FAILED)
 _HATCH = "////"
 _FINENESS = 2000  # cells of equal width that represent an uneven axis
+_LETTERS_PER_INCH = 13.0  # of a legend
+_HANDLE = 7  # letters as wide as the handle of an entry and the space after it
 
 
 @dataclass
@@ -222,6 +224,9 @@ def _key(axes: "Axes", names: Sequence[str], colours: Sequence[str], title: str)
 
     if not names:
         return
+    # As many columns as fit below the axes; a wider legend would squeeze them.
+    wide = axes.figure.get_figwidth() * axes.get_position().width * _LETTERS_PER_INCH
+    n_columns = min(4, max(1, int(wide / (max(map(len, names)) + _HANDLE))))
     patches = [
         Patch(facecolor=shade, edgecolor=GREY, linewidth=0.4, label=name)
         for name, shade in zip(names, colours, strict=True)
@@ -232,7 +237,7 @@ def _key(axes: "Axes", names: Sequence[str], colours: Sequence[str], title: str)
         handles=patches,
         loc="upper left",
         bbox_to_anchor=(0.0, -0.16),
-        ncols=4,
+        ncols=n_columns,
         title=title,
         alignment="left",
         fontsize=8,

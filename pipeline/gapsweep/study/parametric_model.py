@@ -270,6 +270,8 @@ class ParametricModel:
             words = f"missing; write {EXAMPLES['omega']}"
             surplus = "the system is not forced; leave omega out, or add forcing to [system]"
             found.append(f"omega: {surplus if block.omega else words}")
+        if not self.default.is_forced and any(one.is_auto for one in block.representation):
+            found.append("representation: 'auto' needs a forcing; write 'piecewise'")
         starts = [] if block.initial_condition is None else forms(block.initial_condition)
         if not self.default.is_forced and any(form in SWEEPS for form in starts):
             found.append("initial_condition: sweeps need omega, and this system is not forced")
@@ -280,11 +282,7 @@ class ParametricModel:
                 found.append(f"{name}: unused, [contact] sets it for all contacts; keep one value")
         if self.is_oscillator:
             swept = block.parameter.items()
-            return found + [x for each in swept for x in _out_of_range(self.spec.model, *each)]
-        if any(one.is_auto for one in block.representation):
-            found.append(
-                "representation: 'auto' is for oscillators only; write one, as 'piecewise'"
-            )
+            found += [x for each in swept for x in _out_of_range(self.spec.model, *each)]
         return found
 
     def _own(self, contact: str, name: str) -> Any:

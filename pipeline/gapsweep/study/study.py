@@ -27,7 +27,13 @@ from gapsweep.study.axes import MAX_POINTS, MAX_VALUES, forms
 from gapsweep.study.axis_selection import listed, numbers_of_sweeps, positions
 from gapsweep.study.blocks import expanded, requested_of, union
 from gapsweep.study.grid import START, Axes, Grid, Selection, Starts
-from gapsweep.study.least_model import Advice, advised
+from gapsweep.study.least_model import (
+    Least,
+    check_error,
+    least_of,
+    unknown,
+    without_what_has_no_effect,
+)
 from gapsweep.study.parametric_model import ParametricModel
 from gapsweep.study.points import FIXED, SWEEPS, Kind, Points, canonical
 from gapsweep.study.spec import (
@@ -539,21 +545,24 @@ class Study:
 
     def _adequate(self, table: Points) -> list[tuple[NDArray[np.intp], Points]]:
         """Return the points that ``auto`` chooses, in tables of one tolerance each."""
-        numbers, rtol = table.numbers.copy(), np.empty(len(table))
-        for row, least in enumerate(advised(table, self.spec.auto.error)):
-            rtol[row] = least.rtol
-            numbers[row, table.kind.numbers.index("K_c")] = least.K_c
-            numbers[row, table.kind.numbers.index("alpha")] = least.oscillator.alpha
+        least = self._least(table, self.spec.auto.error)
+        numbers = without_what_has_no_effect(table, least)
         found = []
-        for one in np.unique(rtol).tolist():
-            rows = np.flatnonzero(rtol == one)
+        for one in np.unique(least.rtol).tolist():
+            rows = np.flatnonzero(least.rtol == one)
             solver = table.kind.solver.with_rtol(one)
-            kind = replace(table.kind, representation=EXACT, contacts=(EXACT,), solver=solver)
+            kind = replace(
+                table.kind, representation=EXACT, contacts=self.model.laws(EXACT), solver=solver
+            )
             found.append((rows, Points(kind, numbers[rows])))
         return found
 
-    def advice(self, cells: NDArray[np.int64], error: float | None = None) -> list[Advice]:
-        """Return the simplest adequate model of each cell, independent of its representation.
+    def _least(self, table: Points, error: float) -> Least:
+        is_exact = all(law.law_type is Piecewise for law in self.model.laws(EXACT))
+        return least_of(table, error, is_exact=is_exact)
+
+    def advice(self, cells: NDArray[np.int64], error: float | None = None) -> Least:
+        """Return the simplest adequate models of cells, independent of their representation.
 
         Parameters
         ----------
@@ -562,11 +571,11 @@ class Study:
         error : float, optional
             Allowed relative error of the steady amplitude; None: that of ``[auto]``.
         """
-        found = np.empty(len(cells), object)
-        error = self.spec.auto.error if error is None else error
+        error = self.spec.auto.error if error is None else check_error(error)
+        found = unknown(len(cells), len(self.model.contacts), error)
         for rows, table, _ in self._requested(cells):
-            found[rows] = list(advised(table, error))
-        return list(found)
+            found.put(rows, self._least(table, error))
+        return found
 
     def solver(self, label: str) -> Solver:
         """Return the solver settings of a representation, with its protocol if the label has one.

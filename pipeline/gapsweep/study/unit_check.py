@@ -23,7 +23,13 @@ _SAMPLED = (4096, 256, 16, 1)  # few points show for most parameter sets that wa
 _MOST = 100_000  # points with a bound: some seconds
 
 
-def never_reached(values: Callable[[str], Any], dims: Sequence[str], labels: Sequence[str]) -> str:
+def never_reached(
+    values: Callable[[str], Any],
+    dims: Sequence[str],
+    labels: Sequence[str],
+    *,
+    in_metres: bool = True,
+) -> str:
     """Sentence on the cases in which the exact law touches no wall; empty if there are none.
 
     Parameters
@@ -32,20 +38,31 @@ def never_reached(values: Callable[[str], Any], dims: Sequence[str], labels: Seq
         From the name of a variable of ``responses.nc`` to its values.
     dims, labels : sequence of str
         Dimensions of a sweep point, and representations: all count if the exact law is not swept.
+    in_metres : bool
+        Whether the model is an oscillator; the displacements of a system are those at its contacts.
     """
     rows = [labels.index(EXACT)] if EXACT in labels else list(range(len(labels)))
-    contacts, x_max, x_min = (np.asarray(values(n)) for n in ("n_contacts", "x_max", "x_min"))
+    peak, trough = ("x_max", "x_min") if in_metres else ("contact_x_max", "contact_x_min")
+    contacts, x_max, x_min = (np.asarray(values(n)) for n in ("n_contacts", peak, trough))
     if not contacts.size:  # the file cannot be read
         return ""
     within = tuple(i for i, dim in enumerate(dims) if dim in _IN_CASE)
     reach = np.maximum(x_max[rows], -x_min[rows])
+    reach = reach.reshape(*contacts[rows].shape, -1).max(axis=-1)  # over contacts
     known = np.isfinite(reach)
     n_cases = np.count_nonzero(known.any(within))
     never = known.any(within) & ~contacts[rows].any(within)
     if not never.any():
         return ""
-    largest = 1e3 * reach.max(within, initial=0.0, where=known)[never].max()
+    largest = reach.max(within, initial=0.0, where=known)[never].max()
     where, gap = f" in {never.sum()} of {n_cases} cases", ""
+    if not in_metres:
+        return (
+            f"the wall is never reached{where * (never.sum() < n_cases)}: displacements at "
+            f"contacts are at most {largest:.3g}; gaps are in the unit of the coordinates, "
+            "frequencies in hertz"
+        )
+    largest *= 1e3
     if never.sum() == n_cases:
         nearest = 1e3 * min(np.min(values(name)) for name in ("j_1", "j_2"))
         where, gap = "", f", gap {nearest:.3g} mm"
@@ -65,12 +82,12 @@ def _out_of_range(status: NDArray[Any], labels: Sequence[Representation]) -> Ite
 
 
 def bounded(study: Study) -> str:
-    """Sentence of `never_reached` before a run, from the bounds of `advise`; empty for systems.
+    """Sentence of `never_reached` before a run, from the bounds of `advise`.
 
-    It is also empty if bounds of more than 100,000 points would be needed.
+    It is empty for unforced systems, or if bounds of more than 100,000 points would be needed.
     """
     grid = study.grid
-    if not study.model.is_oscillator:
+    if not _may_be_reached(study):
         return ""
     asked = grid.requested.any(axis=0)
     is_within = [dim in _IN_CASE for dim in grid.dims[1:]]
@@ -84,24 +101,31 @@ def bounded(study: Study) -> str:
         cells = step * np.flatnonzero(wanted)
         at = np.unravel_index(cells, asked.shape)
         case = tuple(0 * i if inside else i for inside, i in zip(is_within, at, strict=True))
-        np.fmax.at(bound, case, [one.bound for one in study.advice(cells)])
+        np.fmax.at(bound, case, study.advice(cells).bound.max(axis=1))
     may_reach = np.isinf(bound)
     known = np.where(may_reach, 0.0, bound)
     found = {"n_contacts": may_reach, "x_max": known, "x_min": -known}
+    found |= {f"contact_{name}": found[name] for name in ("x_max", "x_min")}
     values = grid.coordinates() | {name: some[None] for name, some in found.items()}
-    return never_reached(values.__getitem__, grid.dims, [EXACT])
+    in_metres = study.model.is_oscillator
+    return never_reached(values.__getitem__, grid.dims, [EXACT], in_metres=in_metres)
+
+
+def _may_be_reached(study: Study) -> bool:
+    """Whether a wall that no motion reaches is a surprise: the model is forced, with contacts."""
+    return study.model.default.is_forced and bool(study.model.contacts)
 
 
 def doubts_of(study: Study, far: str = "", own: bool = True) -> Iterator[str]:
     """Warnings of numbers of a study that are probably in another unit, by the rules of calls.
 
     A sentence `far` on walls that are not reached comes last. User functions of contact laws, which
-    may never return, are not called; without `own` functions of systems are not called either, and
-    such systems have no warnings.
+    may never return, are not called; without `own` user functions of systems are not called either,
+    and such systems have no warnings.
     """
     grid, model = study.grid, study.model
     axes = {name: grid.axes[name] for name in study.spec.model if name in grid.axes}
-    if not (model.is_oscillator or own):
+    if not own and study.spec.system and study.spec.system.user_function:
         return
     ends = product(*({min(axis), max(axis)} for axis in axes.values()))
     points = [dict(zip(axes, end, strict=True)) for end in ends]  # bound the rules of oscillators
@@ -125,8 +149,9 @@ def doubts_of_run(study: Study, values: Callable[[str], Any]) -> Iterator[str]:
     """
     grid = study.grid
     far = ""
-    if study.model.is_oscillator:
-        far = never_reached(values, grid.dims, grid.representations)
+    if _may_be_reached(study):
+        in_metres = study.model.is_oscillator
+        far = never_reached(values, grid.dims, grid.representations, in_metres=in_metres)
     yield from doubts_of(study, far)
     yield from _out_of_range(values("status"), grid.representations)
 

@@ -20,15 +20,16 @@ from gapsweep.analysis.datasets.contact_errors import (
     needed,
     rms_error,
 )
+from gapsweep.analysis.dimensions import scene_dims
 from gapsweep.analysis.dimensions import scenes as in_turn
 from gapsweep.errors import ModelError, StudyError
 from gapsweep.model.contact import ContactLaw, Piecewise
 from gapsweep.model.labels import Representation, canonical_label, contact_law
 from gapsweep.model.laws import LAWS
 from gapsweep.model.oscillator import OSCILLATOR, Gap, Oscillator
-from gapsweep.study.grid import START
+from gapsweep.study.grid import CONTACT, START
 from gapsweep.study.least_model import Model
-from gapsweep.study.schema import coordinates
+from gapsweep.study.schema import coordinates, described
 from gapsweep.study.study import Study
 from gapsweep.variables import Variable
 
@@ -39,7 +40,7 @@ APPROXIMATION = "approximation"
 VARIABLES = {
     "model": Variable("i1", "1", "simplest adequate model", -1, MODEL_FLAGS),
     "rtol": Variable("f8", "1", "relative tolerance of the solver"),
-    "bound": Variable("f8", "m", "bound of the displacement, inf: unknown"),
+    "bound": Variable("f8", "m", "bound of the displacement, inf: unknown", dims=(CONTACT,)),
 }
 SCREENED = {
     "force_error": Variable("f8", "1", "RMS force error over the forcing amplitude"),
@@ -51,6 +52,10 @@ SCREENED = {
 _SEEDS = {law.family: law.examples[0] for law in LAWS if law.is_sharpened}
 _FITTED = {law.family: law.examples[0] for law in LAWS if law.symbol and not law.is_sharpened}
 _NOT_REACHED = "no wall is reached, so that no contact law has an effect"
+_OF_OSCILLATORS = (
+    "smooth laws are not judged: the rule needs the visited displacements, which a run of a system "
+    "shows"
+)
 _MOST_STARTS = 3  # initial conditions that are named one by one
 _PART = 65_536  # points whose numbers are in memory at a time
 
@@ -70,41 +75,51 @@ def advice(study: Study, error: float | None = None, share: float = 0.95) -> xr.
     -------
     Dataset
         `VARIABLES` over every dimension but the representation, -1 for cells without a point;
-        `SCREENED` over the dimensions of parameter sets and `approximation`: the study's smooth
-        laws and, per family, the one with the smallest adequate parameter, in the displacements
-        of `expected_range`. Attributes `error`, `share` and `allowed_force_error`.
+        `SCREENED`, of oscillators, over the dimensions of parameter sets and `approximation`: the
+        study's smooth laws and, per family, the one with the smallest adequate parameter, in the
+        displacements of `expected_range`. Attributes `error`, `share` and `allowed_force_error`.
     """
-    if not study.model.is_oscillator:
-        raise StudyError(
-            f"{study.source}: system: advice is for oscillators only; the report of a run "
-            "shows the adequate laws"
-        )
+    if not study.model.default.is_forced:
+        raise StudyError(f"{study.source}: system: advice needs a forcing; this system has none")
     grid = study.grid
     error = study.spec.auto.error if error is None else error
     asked = grid.requested.any(axis=0)
-    model = np.full(asked.shape, -1, "i1")
-    rtol, bound = np.full((2, *asked.shape), np.nan)
+    parts = {CONTACT: grid.parts[CONTACT]} if CONTACT in grid.parts else {}
+    shapes = {
+        name: [*asked.shape, *(len(parts[dim]) for dim in one.dims if dim in parts)]
+        for name, one in VARIABLES.items()
+    }
+    values = {
+        name: np.full(shapes[name], one.missing, one.dtype) for name, one in VARIABLES.items()
+    }
     cells = np.flatnonzero(asked)
     for first in range(0, len(cells), _PART):
         part = cells[first : first + _PART]
         found = study.advice(part, error)  # cells of the first representation; it has no effect
-        model.flat[part] = [one.model for one in found]
-        rtol.flat[part] = [one.rtol for one in found]
-        bound.flat[part] = [one.bound for one in found]
+        for name, array in values.items():
+            array.reshape(asked.size, -1)[part] = getattr(found, name).reshape(len(part), -1)
     variables = {
-        name: (grid.dims[1:], values, VARIABLES[name].attributes)
-        for name, values in (("model", model), ("rtol", rtol), ("bound", bound))
+        name: (
+            (*grid.dims[1:], *(dim for dim in VARIABLES[name].dims if dim in parts)),
+            array,
+            described(VARIABLES[name], grid.structure).attributes,
+        )
+        for name, array in values.items()
     }
-    labels, screened = _screened(study, share)
+    labels, screened = _screened(study, share) if study.model.is_oscillator else ([], {})
     for name, values in screened.items():
         variables[name] = ((*grid.scene_dims, APPROXIMATION), values, SCREENED[name].attributes)
-    values = grid.coordinates()
+    coords = grid.coordinates()
     return xr.Dataset(
         variables,
         {
-            APPROXIMATION: (APPROXIMATION, labels, {"long_name": "smooth law"}),
+            **(
+                {APPROXIMATION: (APPROXIMATION, labels, {"long_name": "smooth law"})}
+                if labels
+                else {}
+            ),
             **{
-                name: (along, values[name], variable.attributes)
+                name: (along, coords[name], variable.attributes)
                 for name, (along, variable) in coordinates(grid.dims[1:], grid.structure).items()
             },
         },
@@ -181,22 +196,27 @@ def sentences(found: xr.Dataset) -> list[dict[str, Any]]:
         laws with their force errors, none if no wall is reached.
     """
     scenes = []
-    dims = [str(dim) for dim in found["force_error"].dims[:-1]]
+    dims = scene_dims(found["model"].dims)
     for at in in_turn(found, dims):
         here = found.isel(at)
         if not (here["model"] >= 0).any():
             continue
-        j_1, j_2 = (float(here[name]) for name in ("j_1", "j_2"))
+        walls = [float(here[name]) for name in ("j_1", "j_2") if name in here.coords]
+        if _in_metres(here):
+            gap = {"gap": Gap(*walls).label}
+        else:  # in the unit of the system, unless every contact has its own gap
+            gap = {"gap": "/".join(f"{wall:.12g}" for wall in walls)} if walls else {}
         may_reach = bool((here["model"] == Model.EXACT).any())
-        rows = _assessed(here) if may_reach else {}
+        rows = _assessed(here) if may_reach and "force_error" in here else {}
+        text = _approximations(here, rows) if "force_error" in here else _OF_OSCILLATORS
         scenes.append(
             {
                 **{dim: float(here[dim]) for dim in dims if dim != "gap"},
-                "gap": Gap(j_1, j_2).label,
+                **gap,
                 "starts": [
                     {"start": _starts(some), "advice": _ranges(some)} for some in _alike(here)
                 ],
-                "approximations": _approximations(here, rows) if may_reach else _NOT_REACHED,
+                "approximations": text if may_reach else _NOT_REACHED,
                 "laws": [
                     {"law": label, "force_error": error, "is_adequate": is_adequate}
                     for label, (error, is_adequate) in rows.items()
@@ -232,6 +252,9 @@ def _starts(some: xr.Dataset) -> str:
 def _start(one: xr.Dataset) -> str:
     if str(one["start"].values) != "fixed":
         return str(one["start"].values).replace("_", " ")
+    if "units" not in one["x_0"].attrs:
+        state = [x for name in ("x_0", "v_0", "z_0") if name in one for x in one[name].values.flat]
+        return f"({', '.join(f'{x:.4g}' for x in state)})" if any(state) else "rest"
     x, v = float(one["x_0"]), float(one["v_0"])
     return "rest" if x == v == 0.0 else f"x = {1e3 * x:.4g} mm, v = {1e3 * v:.4g} mm/s"
 
@@ -241,7 +264,8 @@ def _ranges(some: xr.Dataset) -> list[dict[str, Any]]:
     one = some.isel({START: 0})
     asked = np.flatnonzero(one["model"].values >= 0)
     omega, model, rtol = (one[name].values[asked] for name in ("omega", "model", "rtol"))
-    bound = some["bound"].max(START).values[asked]
+    of_contacts = [dim for dim in some["bound"].dims if dim not in one["model"].dims]
+    bound = some["bound"].max(of_contacts).values[asked]
     starts = [0, *(np.flatnonzero(np.diff(model)) + 1).tolist()]
     ends = [*starts[1:], len(model)]
     return [
@@ -250,19 +274,27 @@ def _ranges(some: xr.Dataset) -> list[dict[str, Any]]:
             "to": float(omega[b - 1]),
             "model": Model(int(model[a])).name.lower(),
             "rtol": float(rtol[a]),
-            "reason": _reason(Model(int(model[a])), float(np.max(bound[a:b]))),
+            "reason": _reason(Model(int(model[a])), _length(some, float(np.max(bound[a:b])))),
         }
         for a, b in zip(starts, ends, strict=True)
     ]
 
 
-def _reason(model: Model, bound: float) -> str:
+def _in_metres(some: xr.Dataset) -> bool:
+    return "units" in some["bound"].attrs
+
+
+def _length(some: xr.Dataset, length: float) -> str:
+    return f"{1e3 * length:.3g} mm" if _in_metres(some) else f"{length:.3g}"
+
+
+def _reason(model: Model, bound: str) -> str:
     if model is Model.EXACT:
         return (
             "a wall may be reached; the exact law with located contacts has the lowest cost of the "
             "adequate models"
         )
-    stays = f"|x| is at most {1e3 * bound:.3g} mm, no wall is reached"
+    stays = f"|x| is at most {bound}, no wall is reached"
     return f"{stays}{'; the cubic stiffness is negligible' if model is Model.LINEAR else ''}"
 
 

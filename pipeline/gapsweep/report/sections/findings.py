@@ -27,6 +27,7 @@ from gapsweep.response.result import ResponseClass
 from gapsweep.status import Status
 from gapsweep.study.grid import CONTACT, COORDINATE, START
 from gapsweep.study.points import FIXED
+from gapsweep.study.spec import check
 from gapsweep.study.study import Study
 from gapsweep.study.unit_check import doubts_of, never_reached
 
@@ -53,14 +54,14 @@ def sections(inputs: Inputs) -> Iterator[Part]:
 
 
 def _doubtful(responses: xr.Dataset) -> list[str]:
-    """Warnings of numbers of an oscillator study that probably have a wrong unit or sign.
+    """Warnings of numbers of a study that probably have a wrong unit or sign.
 
-    User code is not called; a study of systems has no warnings.
+    User code is not called; a study with a user function of systems has no warnings.
     """
     tables = json.loads(responses.attrs.get("study_json", "{}"))
-    if "oscillator" not in tables:
+    if not tables:
         return []
-    study = Study.from_dict({k: v for k, v in tables.items() if k not in ("claims", "report")})
+    study = Study(check(tables))
     return [f"{each[0].upper()}{each[1:]}." for each in doubts_of(study, own=False)]
 
 
