@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -10,7 +10,7 @@ import numpy as np
 from gapsweep.errors import ModelError
 from gapsweep.model.contact import FIT_RANGE, ContactLaw, Piecewise
 from gapsweep.model.labels import EXACT, Representation, canonical_label, contact_law
-from gapsweep.model.oscillator import Gap, Oscillator, checked
+from gapsweep.model.oscillator import OSCILLATOR, Gap, Oscillator, checked
 from gapsweep.model.systems import paper_oscillator
 from gapsweep.study.study import Study
 
@@ -202,13 +202,10 @@ def dials(question: Question, ranges: Mapping[str, Sequence[float]] | None = Non
 def numbers(question: Question) -> dict[str, float]:
     """The values of a question that have a slider, by name, in SI units."""
     oscillator, gap = question.oscillator, question.gap
-    found = {name: getattr(oscillator, name) for name in _OSCILLATOR}
+    found = {name: getattr(oscillator, name) for name in OSCILLATOR}
     found |= {name: getattr(question, name) for name in ("K_c", "K_ratio", "omega")}
     found |= {"j_1": gap.j_1, "j_2": gap.j_2}
     return {name: found[name] for name in _DIALS}
-
-
-_OSCILLATOR = tuple(field.name for field in fields(Oscillator))
 
 
 def asked(values: Mapping[str, float], band: tuple[float, float], **others: Any) -> Question:
@@ -220,7 +217,7 @@ def asked(values: Mapping[str, float], band: tuple[float, float], **others: Any)
         If one is out of range.
     """
     return Question(
-        oscillator=Oscillator(**{name: values[name] for name in _OSCILLATOR}),
+        oscillator=Oscillator(**{name: values[name] for name in OSCILLATOR}),
         gap=Gap(values["j_1"], values["j_2"]),
         band=band,
         K_c=values["K_c"],
@@ -261,6 +258,7 @@ def of_model(
     law = Piecewise(K_c=1.4e4, gap=Gap(0.4e-3, 0.4e-3)) if law is None else law
     if not isinstance(oscillator, Oscillator):
         raise ModelError(f"oscillator = {oscillator!r:.80}: must be a gapsweep.Oscillator")
+    _check_cosine(oscillator)
     if not isinstance(law, ContactLaw):
         raise ModelError(f"law = {law!r:.80}: must be a contact law, as gapsweep.Piecewise")
     return Question(
@@ -272,6 +270,14 @@ def of_model(
         band=(0.4 * oscillator.omega_n, 3.0 * oscillator.omega_n),
         omega=_LOOKED_AT * oscillator.omega_n,
     )
+
+
+def _check_cosine(oscillator: Oscillator) -> None:
+    if oscillator.wave is not None:
+        raise ModelError(
+            "forcing: explore draws responses to a cosine only; for a force by pieces use "
+            "gapsweep.respond, gapsweep.frequency_response or a study"
+        )
 
 
 def refuse_systems(tables: Mapping[str, Any], source: object) -> None:
@@ -297,6 +303,7 @@ def of_study(study: Study) -> tuple[Question, dict[str, tuple[float, float]]]:
     ModelError
         If a value of the study is out of the range of the page.
     """
+    _check_cosine(study.oscillator)
     grid = study.grid
     ranges = {
         name: (min(axis), max(axis))
@@ -314,7 +321,7 @@ def of_study(study: Study) -> tuple[Question, dict[str, tuple[float, float]]]:
     first = np.argwhere(grid.requested)[0]
     point = {name: axis[k] for (name, axis), k in zip(grid.axes.items(), first, strict=True)}
     gap = point.get("gap") or Gap(point["j_1"], point["j_2"])
-    values = {name: getattr(study.oscillator, name) for name in _OSCILLATOR} | {"K_ratio": 1.0}
+    values = {name: getattr(study.oscillator, name) for name in OSCILLATOR} | {"K_ratio": 1.0}
     values |= {name: value for name, value in point.items() if name in _DIALS}
     values |= {"j_1": gap.j_1, "j_2": gap.j_2}
     if not is_one:

@@ -303,7 +303,7 @@ def cases(
             )
         if omega is not None and not first.is_forced:
             raise ModelError(
-                "omega: this Oscillator has a record, which has no frequency; leave it out"
+                "omega: a gapsweep.Record has no frequency; leave omega out of gs.simulate"
             )
         frequency, x_0, v_0 = broadcast(
             **({"omega": omega} if omega is not None else {"_": 0.0}), x_0=x_0, v_0=v_0

@@ -86,6 +86,11 @@ class Harmonic:
         """Return the load itself, as the other kinds of loads return their harmonics."""
         return (self,)
 
+    @property
+    def start(self) -> float:
+        """Factor of the amplitude at phase zero of the forcing."""
+        return math.cos(self.phase)
+
     def growth(self, omega_rad: Any) -> Any:
         """Return the factor of the amplitude at an angular frequency [rad/s], or several."""
         return (self.k * omega_rad) ** self.power + 0.0 * omega_rad

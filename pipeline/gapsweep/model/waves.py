@@ -105,6 +105,11 @@ class ForceByPieces:
         """Generalised forces at the peak [N], shape (n,)."""
         return np.asarray(self.peak * self.along)
 
+    @property
+    def start(self) -> float:
+        """Factor of the amplitude at phase zero of the forcing."""
+        return float(self.wave.at(0.0))
+
     def growth(self, omega_rad: Any) -> Any:
         """Return the factor of the amplitude at a frequency: 1."""
         return 1.0 + 0.0 * omega_rad
@@ -134,6 +139,17 @@ class ForceByPieces:
             )
         along = array("forcing: along", [1.0] if self.along is None else self.along, (n,))
         return (ForceByPieces(self.wave, self.peak, along),)
+
+
+def check_periodic(model: Any) -> None:
+    """Raise a `ModelError` if a load of an oscillator or a system is a record."""
+    loads = [model] if hasattr(model, "wave") else model.forcing
+    waves = [getattr(load, "wave", None) for load in loads]
+    if any(wave is not None and wave.in_seconds for wave in waves):
+        raise ModelError(
+            "forcing: a gapsweep.Record has no period, so that responses to it are not steady: use "
+            "gs.simulate, or a gs.PeriodicForce"
+        )
 
 
 @called_as("gs.PeriodicForce([0.0, 0.25, 0.75], [2.0, 0.0, -2.0]): fractions of a period, and N")
@@ -199,8 +215,14 @@ class PeriodicForce(ForceByPieces):
 
         The times are fractions of a period, or seconds of a period given as `period`.
         """
+        return cls(*cls.points_of(path, period), along)
+
+    @staticmethod
+    def points_of(path: str | PathLike[str], period: float = 1.0) -> tuple[Array, Array]:
+        """Return the points of a text file: fractions of a period, and forces [N]."""
+        period = checked("forcing: period", period, low=0.0, strict=True)
         t, force = _columns(path, "s" if period != 1.0 else "1")
-        return cls(t, force, along, period)
+        return _turns(t, period), force
 
 
 @called_as("gs.Switched([0.0, 0.25, 0.75], [5.0, -5.0, 5.0]): fractions of a period, and N")

@@ -53,7 +53,11 @@ def sections(inputs: Inputs) -> Iterator[Part]:
 def _oscillator(responses: xr.Dataset) -> list[tuple[str, str]]:
     """Equation, numbers and contact laws of an oscillator."""
     study = json.loads(responses.attrs["study_json"])
-    fixed = {"K_ratio": 1.0} | study["oscillator"]
+    fixed, wave = {"K_ratio": 1.0} | study["oscillator"], []
+    if isinstance(points := fixed["forcing"], dict):
+        forces = points.get("f") or points["levels"]
+        fixed["forcing"] = max(map(abs, forces))
+        wave = [("Wave", f"in place of the cosine of p: {len(forces)} points in a period")]
     held = {n: responses[n].values if n in responses else fixed[n] for n in _NUMBERS}
     is_moving = bool(np.any(held["unbalance"]) or np.any(held["base_amplitude"]))
     numbers = [
@@ -67,6 +71,7 @@ def _oscillator(responses: xr.Dataset) -> list[tuple[str, str]]:
     return [
         ("Equation", _EQUATION + _MOVING * is_moving + _RATES),
         ("Numbers", ", ".join(numbers)),
+        *wave,
         *_laws(responses),
     ]
 
@@ -86,6 +91,11 @@ def _system(responses: xr.Dataset) -> list[tuple[str, str]]:
     rows += [(f"b of {name}", _rows(along)) for name, along in held["contacts"].items()]
     rows += [("a, α", f"{_rows(each['along'])}, {plain(each['alpha'])}") for each in held["cubic"]]
     for load in held["forcing"]:
+        if wave := load.get("wave"):
+            amplitude = np.multiply(load["peak"], load["along"])
+            pieces = f"{len(wave['ends'])} pieces in a period"
+            rows.append(("Load", f"{_rows(amplitude.tolist())} times {pieces}"))
+            continue
         growth = f" ({_rate(load)}){'²' * (load['power'] == 2)}" if load["power"] else ""
         rows.append(("Load", f"{_rows(load['amplitude'])}{growth}{_turning(load)}"))
     for name, terms in held["modulation"].items():
