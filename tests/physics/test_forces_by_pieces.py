@@ -1,6 +1,7 @@
 """Forces by pieces (tables, switched levels, functions, records) against other integrations."""
 
 import math
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -27,7 +28,7 @@ def propagated(matrix, pull, knots, force, state, span):
     """State after x' = A x + b f(t) with straight lines between knots, by matrix exponentials."""
     times = np.unique([*span, *knots[(knots > span[0]) & (knots < span[1])]])
     n = len(state)
-    for begin, end in zip(times[:-1], times[1:], strict=True):
+    for begin, end in pairwise(times):
         values = np.interp([begin, end], knots, force)
         step = np.zeros((n + 2, n + 2))
         step[:n, :n] = matrix
@@ -126,17 +127,17 @@ def test_a_record_against_matrix_exponentials(span):
 
 def test_a_record_and_harmonics_on_two_masses():
     """The record has its own time, in seconds; the harmonic has the phase of the clock."""
-    mass, K = np.diag([1.0, 2.0]), np.array([[30.0, -10.0], [-10.0, 20.0]])
+    mass, stiffness = np.diag([1.0, 2.0]), np.array([[30.0, -10.0], [-10.0, 20.0]])
     t, f = np.array([0.5, 1.0, 1.7, 2.0]), np.array([0.0, 3.0, -1.0, 0.5])
     loads = [gs.Record(t, f, along=[1.0, -2.0]), gs.Harmonic(amplitude=[0.0, 4.0], phase=0.3)]
-    system = gs.System(mass=mass, stiffness=K, damping=0.01 * K, forcing=loads)
+    system = gs.System(mass=mass, stiffness=stiffness, damping=0.01 * stiffness, forcing=loads)
     run = gs.simulate(system, {}, 1.3, q_0=[0.1, 0.0], t_0=0.2, t_end=3.0, rtol=1e-12)
     inverse = np.linalg.inv(mass)
     matrix = np.zeros((6, 6))  # with cos and sin of the harmonic
     matrix[:2, 2:4], matrix[2:4, :2], matrix[2:4, 2:4] = (
         np.eye(2),
-        -inverse @ K,
-        -0.01 * inverse @ K,
+        -inverse @ stiffness,
+        -0.01 * inverse @ stiffness,
     )
     matrix[2:4, 4] = inverse @ [0.0, 4.0]
     matrix[4, 5], matrix[5, 4] = -1.3 * W, 1.3 * W

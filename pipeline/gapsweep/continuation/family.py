@@ -290,7 +290,7 @@ class Family:
 
 
 def _names(of: Any) -> list[str]:
-    """Numbers of an oscillator, numbers and gap of a law, parameters of a user law; none of a system."""
+    """Numbers of an oscillator or a law, its gap, parameters of a user law; none of a system."""
     if isinstance(of, System):
         return []
     if isinstance(of, UserLaw):
