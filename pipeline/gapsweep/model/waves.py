@@ -424,8 +424,4 @@ def _values(f: Callable[[float], Any], t: Array) -> Array:
         found = [f(each) for each in t.tolist()]
     except Exception as error:  # the user's code may raise anything
         raise ModelError(f"f: {described(error)}") from None
-    values = numbers("f", found, "a function that returns a number")
-    if values.shape != t.shape:
-        raise ModelError(f"f: returns arrays of shape {values.shape[1:]}, must return a number")
-    _check_finite("f", values)
-    return values
+    return np.array([checked("f(t)", each) for each in found])

@@ -46,7 +46,7 @@ class OscillatorTable(TomlTable):
     alpha: Number = 0.0
     forcing: Annotated[
         Annotated[Number, Tag("number")] | Annotated[WaveTable, Tag("wave")],
-        Discriminator(lambda value: "number" if isinstance(value, int | float | str) else "wave"),
+        Discriminator(lambda value: "wave" if isinstance(value, dict | WaveTable) else "number"),
     ]
     mean_load: Number = 0.0
     c: NonNegative = 0.0
@@ -97,8 +97,10 @@ def with_points(tables: Any, source: str) -> Any:
 
 def _read(force: Any, folder: Path, where: str) -> Any:
     """Return a force with the points of its file, if it names one."""
-    if not isinstance(force, dict) or not isinstance(force.get("table"), str):
+    if not isinstance(force, dict) or "table" not in force:
         return force
+    if not isinstance(force["table"], str):
+        raise StudyError(f"{where}.table = {force['table']!r:.80}: must be a file, as 'force.csv'")
     rest = {name: value for name, value in force.items() if name not in ("table", "period")}
     try:
         t, f = PeriodicForce.points_of(folder / force["table"], force.get("period", 1.0))
