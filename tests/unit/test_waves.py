@@ -170,7 +170,7 @@ def test_a_file_in_seconds_needs_a_period(tmp_path):
 
 
 def test_numbers_of_a_file_enter_a_study_and_its_keys(tmp_path):
-    """The same numbers in a file and in the study have the same structure; other numbers another key."""
+    """The same numbers in a file and in the study have one structure; other numbers another key."""
     text = ["[oscillator]", *(f"{name} = {value}" for name, value in MACHINE.items()), "{}"]
     sweep = "[[sweep]]\nrepresentation = 'piecewise'\nK_c = 1.4e4\ngap = [4e-4, 4e-4]\nomega = 9.0"
     path = tmp_path / "s.toml"
