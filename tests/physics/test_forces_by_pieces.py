@@ -148,6 +148,46 @@ def test_a_record_and_harmonics_on_two_masses():
     assert_allclose([*run.q_end, *run.v_end], truth[:4], rtol=0.0, atol=1e-12)
 
 
+def test_dense_output_sections_and_extrema():
+    """A linear oscillator under a table: states between the steps, on the section, at extrema."""
+    knots, force = np.array([0.0, 0.2, 0.55, 1.0]), np.array([1.0, -2.0, 3.0, 1.0])
+    model = oscillator(gs.PeriodicForce(knots, force))
+    run = gs.simulate(model, FREE, 0.5, 0.1, n_periods=3, dense_output=True, rtol=1e-12)
+    matrix, pull = np.array([[0.0, 1.0], [-1.0, -0.05]]), np.array([0.0, 1.0])
+    times = np.concatenate([2.0 * knots[:-1], 2.0 * (knots[:-1] + 1.0), 2.0 * (knots + 2.0)])
+    values = np.concatenate([force[:-1], force[:-1], force])
+
+    def truth(t):
+        return propagated(matrix, pull, times, values, [0.1, 0.0], (0.0, t))
+
+    places = np.linspace(0.1, 6.0, 13)
+    found = np.array(run.sample(places)).T
+    assert_allclose(found, [truth(t) for t in places], rtol=0.0, atol=1e-11)
+    assert_allclose(run.t_section, [2.0, 4.0, 6.0], rtol=1e-14)
+    assert_allclose(run.section, [truth(t) for t in run.t_section], rtol=0.0, atol=1e-11)
+    assert run.extrema.size
+    at_extrema = np.array([truth(t) for t in run.t_extrema])
+    assert_allclose(at_extrema, np.stack([run.extrema, 0.0 * run.extrema], axis=1), atol=1e-11)
+
+
+def test_forces_with_other_knots_add_up():
+    """The linear response of two masses from rest to two forces is the sum of both responses."""
+    forces = [
+        gs.PeriodicForce([0.0, 0.37, 0.8], [1.0, -2.0, 3.0], along=[1.0, 0.5]),
+        gs.PeriodicForce([0.0], lambda t: math.exp(math.cos(W * t)), along=[0.0, 1.0]),
+    ]
+    chain = np.array([[2.0, -1.0], [-1.0, 1.0]])
+
+    def end(loads):
+        system = gs.System(
+            mass=np.diag([5.0, 1.0]), stiffness=90.0 * chain, damping=2.0 * chain, forcing=loads
+        )
+        run = gs.simulate(system, {}, 1.3, n_periods=4, rtol=1e-12)
+        return np.concatenate([run.q_end, run.v_end])
+
+    assert_allclose(end(forces), end(forces[:1]) + end(forces[1:]), rtol=0.0, atol=1e-13)
+
+
 def test_a_triangle_is_its_fourier_sum():
     """The linear response to every harmonic, in closed form, 2,000 of them."""
     model = oscillator(gs.PeriodicForce([0.0, 0.5], [2.0, -2.0]), zeta=0.1)

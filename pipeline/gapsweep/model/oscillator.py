@@ -217,7 +217,7 @@ class Oscillator:
 
     @property
     def is_forced(self) -> bool:
-        """Whether there is a forcing frequency; a record alone has none."""
+        """Whether there is a forcing frequency, which a record lacks."""
         moves = self.unbalance or self.base_amplitude
         return bool(moves) or self.wave is None or not self.wave.in_seconds
 

@@ -25,8 +25,7 @@ Array = NDArray[np.float64]
 MAX_KNOTS = 100_000
 N_TERMS = 8  # most coefficients of a piece
 _SAME_TIME = 1e-9  # of a period: a last time so close to its end is the end
-# Of the peak, between the nodes of a piece of a function: an accurate piece meets it.
-_TOLERANCE = 1e-13
+_TOLERANCE = 1e-13  # of the largest value: largest error between the nodes of a function's piece
 _LEAST = 2.0**-20  # of an interval between kinks: a shorter piece contains another kink
 
 

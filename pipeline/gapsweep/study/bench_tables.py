@@ -61,7 +61,7 @@ class BenchSceneTable(TomlTable):
         """Problems that exclude the expected solution, for the oscillator of the study."""
         own, touching = self.merged(oscillator), self.gap == [0.0, 0.0]
         if isinstance(own.forcing, WaveTable):
-            return ["forcing: benchmarks need a cosine; write it in this scene, as 4.0 N"]
+            return ["forcing: must be the amplitude of a cosine, as 4.0"]
         needs = {
             "energy": ("zeta = 0 and forcing = 0", own.zeta == 0.0 and own.forcing == 0.0),
             "linear": (
