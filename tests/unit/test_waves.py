@@ -103,10 +103,6 @@ WRONG = {
         ),
         "force by pieces",
     ),
-    "the explorer": (
-        lambda: gs.explore(gs.Oscillator(**MACHINE, forcing=gs.Switched([0], [1])), LAW),
-        "gapsweep.respond",
-    ),
     "a file that is missing": (lambda: study({"table": "nowhere.csv"}), "nowhere.csv"),
     "a file that is a number": (lambda: study({"table": 3}), "force.csv"),
     "unsorted times in a study": (
