@@ -57,7 +57,8 @@ def frequency_response(
 
     A sweep starts from rest, and each of its points where the one before ended. Hollow symbols are
     responses that are not periodic. Lines are periodic orbits, dashed where unstable, with their
-    special points. The dashed horizontal line is the upper wall; the area above it, contact.
+    special points. The dashed horizontal line is the upper wall; the area above it, contact with
+    it: a response below may still touch a nearer lower wall.
 
     Parameters
     ----------
@@ -79,7 +80,7 @@ def frequency_response(
     Returns
     -------
     matplotlib.figure.Figure
-        ``.savefig("response.png", dpi=200)`` stores it; a notebook shows it.
+        ``.savefig("response.png")`` stores it; a notebook shows it.
 
     Raises
     ------

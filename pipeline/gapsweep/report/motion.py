@@ -35,11 +35,17 @@ _SECTIONS = {True: "Stroboscopic section", False: "Section at maxima of the firs
 
 
 class Picture(Figure):
-    """A figure that a notebook shows without pyplot, which would show it twice."""
+    """A figure that a notebook shows without pyplot, which would show it twice.
+
+    ``savefig`` stores a picture with 200 dots per inch, for a slide.
+    """
+
+    def __init__(self, figsize: tuple[float, float]) -> None:
+        super().__init__(figsize, dpi=200)
 
     def _repr_png_(self) -> bytes:
         file = BytesIO()
-        self.savefig(file, format="png")
+        self.savefig(file, format="png", dpi=100)
         return file.getvalue()
 
 
