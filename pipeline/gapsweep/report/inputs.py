@@ -7,7 +7,7 @@ from typing import Any
 
 import xarray as xr
 
-from gapsweep.analysis.dimensions import in_metres
+from gapsweep.analysis.dimensions import of_oscillator
 from gapsweep.report.verdicts import Contact, contacts
 
 
@@ -54,6 +54,6 @@ class Inputs:
 
         Empty for systems, too: the rules are for one displacement between two walls.
         """
-        if self.agreement is None or not in_metres(self.responses):
+        if self.agreement is None or not of_oscillator(self.responses):
             return []
         return contacts(self.agreement, self.static)

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from gapsweep.analysis.dimensions import REPRESENTATION, SWEPT, in_metres
+from gapsweep.analysis.dimensions import REPRESENTATION, SWEPT, of_oscillator
 from gapsweep.model.labels import EXACT
 from gapsweep.report.backdrop import caption_of_walls
 from gapsweep.report.drawing import caption_of_marks
@@ -47,7 +47,7 @@ def sections(inputs: Inputs) -> Iterator[Part]:
         return
     said = in_words(found)
     headline = [*own.sentences] or said[:1]
-    is_compared = inputs.agreement is not None and in_metres(responses)
+    is_compared = inputs.agreement is not None and of_oscillator(responses)
     is_mostly_free = 2 * sum(bool(one.unjudged) for one in found) >= len(found)
     if is_compared and is_mostly_free and (far := unreached_walls(responses)):
         headline[:1] = [" ".join([far, *headline[:1]])]

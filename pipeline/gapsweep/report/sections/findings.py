@@ -8,7 +8,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from gapsweep.analysis.dimensions import REPRESENTATION, in_metres
+from gapsweep.analysis.dimensions import REPRESENTATION, of_oscillator
 from gapsweep.model.labels import EXACT
 from gapsweep.report.drawing import labels_of
 from gapsweep.report.inputs import Inputs
@@ -43,7 +43,7 @@ def sections(inputs: Inputs) -> Iterator[Part]:
     sentences += _touching(responses)
     if inputs.attractors is not None:
         sentences += _coexisting(inputs.attractors)
-    if inputs.agreement is not None and not in_metres(responses):
+    if inputs.agreement is not None and not of_oscillator(responses):
         sentences += _agreeing(inputs.agreement)
     sentences += counted(inputs.cases)
     if inputs.advice is not None:
@@ -72,7 +72,7 @@ _LISTED = 3  # intervals of it that are listed
 
 def unreached_walls(responses: xr.Dataset) -> str:
     """Sentence on cases or contacts in which no motion reaches a wall; empty if all do."""
-    if in_metres(responses):
+    if of_oscillator(responses):
         dims = [str(dim) for dim in responses["status"].dims]
         sentence = never_reached(lambda name: responses[name].values, dims, labels_of(responses))
         return f"{sentence[0].upper()}{sentence[1:]}." if sentence else ""
