@@ -40,6 +40,9 @@ _WRITTEN = {
     "N s m-1": "N s/m",
     "s-1": "1/s",
     "m-1": "1/m",
+    "rad s-1": "rad/s",
+    "N m rad-1": "N m/rad",
+    "rad-1": "1/rad",
     "kg m-3": "kg/m³",
 }
 # A number, then a unit, in which no power is raised again: that could take forever.

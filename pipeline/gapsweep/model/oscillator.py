@@ -20,6 +20,7 @@ from typing import Any, ClassVar, TypeVar, cast
 
 from gapsweep.errors import ModelError
 from gapsweep.quantities import without_units
+from gapsweep.variables import METRES, Units
 
 # Within these bounds no product or quotient of model parameters overflows, not even squared
 # frequencies times ratios; they are far beyond any machine.
@@ -177,6 +178,7 @@ class Oscillator:
     coordinates: ClassVar[tuple[str, ...]] = ("x",)
     contacts: ClassVar[tuple[str, ...]] = ("x",)
     parts: ClassVar[dict[str, tuple[str, ...]]] = {}
+    part_units: ClassVar[Units] = METRES
     sizes: ClassVar[tuple[int, ...]] = ()
     directions: ClassVar[tuple[tuple[float, ...], ...]] = ((1.0,),)
     is_modulated: ClassVar[tuple[bool, ...]] = (False,)

@@ -23,10 +23,11 @@ from gapsweep.errors import ModelError
 from gapsweep.model.arrays import array, numbers
 from gapsweep.model.oscillator import SMALLEST, called_as, checked, share, whole
 from gapsweep.model.waves import ForceByPieces
-from gapsweep.variables import CONTACT, COORDINATE, LAG
+from gapsweep.variables import CONTACT, COORDINATE, LAG, Units
 
 Array = NDArray[np.float64]
 
+_UNITS = ("m", "rad", "1")  # of coordinates and contacts
 MAX_COORDINATES, MAX_LAGS, MAX_CONTACTS, MAX_HARMONIC = 16, 16, 8, 1000
 _STILL = 1e-12  # of the fastest rate: slower rates count as zero
 LATE = -0.5 * math.pi  # phase of a load a quarter period after another
@@ -295,6 +296,10 @@ class System:
     lags : Lags, optional
     coordinates : sequence of str, optional
         Names; ``q_1``, ``q_2``, ... by default.
+    units : mapping of str to str
+        Units of coordinates and of contacts, by name: ``"m"``, the default, ``"rad"``, or ``"1"``
+        of a nondimensional model. A contact has the unit of the coordinates in its direction, or
+        metres if these differ. They name axes and columns and change no number.
 
     Raises
     ------
@@ -324,6 +329,7 @@ class System:
     modulation: Mapping[str, Sequence[Modulation]] = field(default_factory=dict)
     lags: Lags | None = None
     coordinates: Sequence[str] = ()
+    units: Mapping[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         mass = numbers("mass", self.mass)
@@ -356,6 +362,17 @@ class System:
         if self.lags is not None:
             self._set("lags", _lags(self.lags, n))
         self._set("coordinates", _names(self.coordinates, n))
+        units = _named("units", self.units)
+        for name, unit in units.items():
+            if name not in (*self.coordinates, *directions):
+                known = ", ".join((*self.coordinates, *directions))
+                raise ModelError(f"units of {name!r}: must be one of {known}")
+            if unit not in _UNITS:
+                raise ModelError(
+                    f"units of {name!r}: {unit!r} must be one of {', '.join(map(repr, _UNITS))}; "
+                    "all numbers are in SI units"
+                )
+        self._set("units", units)
 
     def _loads(self, given: Sequence[Any]) -> tuple[Any, ...]:
         several = (load.harmonics(self.mass, self.damping) for load in given)
@@ -378,6 +395,16 @@ class System:
         lags = tuple(f"z_{i + 1}" for i in range(self.n_lags))
         found = {COORDINATE: tuple(self.coordinates), CONTACT: tuple(self.contacts), LAG: lags}
         return {name: labels for name, labels in found.items() if len(labels) > 1}
+
+    @property
+    def part_units(self) -> Units:
+        """Units of all coordinates, and of the displacements of all contacts."""
+        of_coordinates = [self.units.get(name, "m") for name in self.coordinates]
+        of_contacts = []
+        for name, direction in self.contacts.items():
+            own = {unit for unit, b in zip(of_coordinates, direction, strict=True) if b}
+            of_contacts.append(self.units.get(name, own.pop() if len(own) == 1 else "m"))
+        return {COORDINATE: of_coordinates, CONTACT: of_contacts}
 
     @property
     def n(self) -> int:

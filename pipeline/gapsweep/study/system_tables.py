@@ -114,6 +114,7 @@ class SystemTable(TomlTable):
     modulation: dict[str, list[ModulationTable]] = Field({})
     lags: LagsTable | None = None
     coordinates: list[str] = Field([])
+    units: dict[str, str] = Field({})
 
     @property
     def user_function(self) -> str:
@@ -277,4 +278,5 @@ def _of_matrices(table: SystemTable, parameters: Mapping[str, float]) -> System:
         },
         lags=None if table.lags is None else Lags(**table.lags.model_dump()),
         coordinates=table.coordinates,
+        units=table.units,
     )

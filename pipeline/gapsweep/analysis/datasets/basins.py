@@ -163,7 +163,7 @@ def _dataset(found: Attractors, model: Model, axes: Mapping[str, Array]) -> xr.D
         data[name] = ((_NUMBER, COORDINATE)[: values.ndim], values)
     dataset = xr.Dataset(data)
     for name, variable in _ATTRIBUTES.items():
-        described = variable.of_systems if is_system else variable
+        described = variable.in_units(model.part_units)
         dataset[name].attrs.update(described.attributes)
     for name, values in axes.items():
         known = {"long_name": f"initial {name}"} if is_system else INPUTS[name].attributes

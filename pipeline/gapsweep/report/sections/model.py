@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from gapsweep.analysis.dimensions import in_metres
 from gapsweep.report.drawing import labels_of
 from gapsweep.report.inputs import Inputs
 from gapsweep.report.parts import Part
@@ -179,9 +178,10 @@ def _listed(texts: Sequence[str]) -> str:
 def _laws(responses: xr.Dataset) -> list[tuple[str, str]]:
     """Name and formula of the force of each law; user laws are named by their label."""
     tables = json.loads(responses.attrs.get("tables_json", "{}"))
-    is_length = in_metres(responses)
-    # The length unit of a system is the user's choice.
-    unit = "[1/m]" if is_length else "[1/unit of x]"
+    # Contacts of a system may have no common unit.
+    force = responses["force_max"].attrs.get("units", "") if "force_max" in responses else ""
+    is_length = force == "N"
+    unit = {"N": "[1/m]", "N m": "[1/rad]", "1": "[-]"}.get(force, "[1/unit of x]")
     found = {}
     for label in labels_of(responses):
         if label.law_type is not None:
