@@ -90,7 +90,7 @@ class Machine:
         """Names of the states."""
         q = self.example.coordinates
         lags = (f"z_{i + 1}" for i in range(self.example.n_lags))
-        return (*q, *(f"v_{name}" for name in q), *lags)
+        return (*q, *("v" if self.is_oscillator else f"v_{name}" for name in q), *lags)
 
     @cached_property
     def displacements(self) -> dict[str, Array]:
