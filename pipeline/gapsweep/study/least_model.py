@@ -224,9 +224,12 @@ def least(
     error : float
         As in `advise`.
     """
-    system = general_form(model) if isinstance(model, Oscillator) else model
     n, n_contacts = walls.shape[:2]
     found = unknown(n, n_contacts, error)
+    try:
+        system = general_form(model) if isinstance(model, Oscillator) else model
+    except ModelError:  # its stiffness is beyond the numbers of a system
+        return found
     with np.errstate(all="ignore"):  # undamped resonance, defective modes: no number, no bound
         linear = _Linear.of(system)
         if starts is None or linear is None:
