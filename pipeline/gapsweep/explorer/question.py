@@ -117,8 +117,10 @@ class Machine:
 
     def state(self, name: str) -> Scale:
         """Scale of a state."""
-        is_rate = self.states.index(name) >= self.example.n
-        return self.speed(name.removeprefix("v_")) if is_rate else self.length(name)
+        number, q = self.states.index(name), self.example.coordinates
+        if number < 2 * len(q):
+            return (self.length, self.speed)[number // len(q)](q[number % len(q)])
+        return Scale(name)
 
 
 def _power(factor: float) -> str:
