@@ -89,7 +89,7 @@ class Machine:
         """Names of the states."""
         q = self.example.coordinates
         lags = (f"z_{i + 1}" for i in range(self.example.n_lags))
-        return (*q, *(f"v_{name}" for name in q), *lags)
+        return (*q, *("v" if self.is_oscillator else f"v_{name}" for name in q), *lags)
 
     @cached_property
     def displacements(self) -> dict[str, Array]:
@@ -116,8 +116,10 @@ class Machine:
 
     def state(self, name: str) -> Scale:
         """Scale of a state."""
-        is_rate = self.states.index(name) >= self.example.n
-        return self.speed(name.removeprefix("v_")) if is_rate else self.length(name)
+        number, q = self.states.index(name), self.example.coordinates
+        if number < 2 * len(q):
+            return (self.length, self.speed)[number // len(q)](q[number % len(q)])
+        return Scale(name)
 
 
 def _power(factor: float) -> str:
