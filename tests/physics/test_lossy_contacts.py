@@ -59,9 +59,7 @@ def test_one_impact_has_the_restitution_of_the_closed_form(pulls, engine):
     ("scaled", "restitution"),
     [(0.1, 0.937475579949905), (1.0, 0.593624260040040), (5.0, 0.196980245280519)],
 )
-def test_one_impact_of_hunt_crossley_has_the_restitution_of_its_equation(
-    scaled, restitution, engine
-):
+def test_an_impact_of_hunt_crossley_has_its_restitution(scaled, restitution, engine):
     """U - ln(1 + U) = -e U - ln(1 - e U) for U = chi u_0, whatever the stiffness and the mass."""
     expected = scaled - math.log1p(scaled)
     assert -restitution * scaled - math.log1p(-restitution * scaled) == pytest.approx(expected)

@@ -89,7 +89,7 @@ class Machine:
         """Names of the states."""
         q = self.example.coordinates
         lags = (f"z_{i + 1}" for i in range(self.example.n_lags))
-        return (*q, *(f"v_{name}" for name in q), *lags)
+        return (*q, *("v" if self.is_oscillator else f"v_{name}" for name in q), *lags)
 
     @cached_property
     def displacements(self) -> dict[str, Array]:
@@ -116,8 +116,10 @@ class Machine:
 
     def state(self, name: str) -> Scale:
         """Scale of a state."""
-        is_rate = self.states.index(name) >= self.example.n
-        return self.speed(name.removeprefix("v_")) if is_rate else self.length(name)
+        number, q = self.states.index(name), self.example.coordinates
+        if number < 2 * len(q):
+            return (self.length, self.speed)[number // len(q)](q[number % len(q)])
+        return Scale(name)
 
 
 def _power(factor: float) -> str:
@@ -406,10 +408,6 @@ def _dial(name: str, value: float, given: Sequence[float] | None, is_oscillator:
 _OSCILLATOR = tuple(name for name in _DIALS if name in {each.name for each in fields(Oscillator)})
 
 
-def _oscillator(values: Mapping[str, float]) -> Oscillator:
-    return Oscillator(**values)
-
-
 def _machine(
     model: Any,
     walls: Mapping[str, Mapping[str, str | float]],
@@ -422,7 +420,7 @@ def _machine(
     """
     if isinstance(model, Oscillator):
         numbers_of = {name: getattr(model, name) for name in _OSCILLATOR}
-        return Machine(_oscillator, numbers_of, walls, factor=1e-3)
+        return Machine(lambda values: replace(model, **values), numbers_of, walls, factor=1e-3)
     factor = 10.0 ** (3 * round(math.log10(widest) / 3)) if widest else 1.0
     if isinstance(model, System):
         return Machine(lambda _: model, {}, walls, laws or {}, factor)

@@ -107,14 +107,14 @@ class _Segment:
 class _Record:
     """Contacts, counts and pieces of motion, accumulated over the segments of a run."""
 
+    time: list[float]  # in which each contact acts, if located
+    force: list[float]  # the largest one of each
     contacts: list[tuple[float, int]] = field(default_factory=list)  # time, contact
     n_steps: int = 0
     n_rejected: int = 0
     nfev: int = 0
     pieces: list[PPoly] = field(default_factory=list)
     loss: float = 0.0
-    time: list[float] = field(default_factory=list)  # in which each contact acts, if located
-    force: list[float] = field(default_factory=list)  # the largest one of each
     status: Status = Status.OK
 
     def count(self, scene: ReferenceScene, nfev: int, n_steps: int) -> None:
@@ -232,14 +232,21 @@ def _run(
         omega,
         theta_0,
         *given,
+        t_0=t_0,
     )
-    run = _Record()
+    zeros = [0.0] * len(scene.laws)
+    run = _Record(time=zeros, force=zeros.copy())
     start: State = before.state if before else tuple(problems.start[i].tolist())
     if problems.tangent:
         start += tuple(np.eye(len(start)).ravel().tolist())
     # An overflow on the way to divergence is an outcome, not an error.
     with np.errstate(all="ignore"):
-        t, y = (_located if scene.located else _plain)(scene, run, start, t_end - t_0)
+        t, y = 0.0, start
+        for knot in scene.knots(t_end - t_0):
+            part = replace(scene, piece=0.5 * (t + knot))
+            t, y = (_located if scene.located else _plain)(part, run, t, y, knot)
+            if run.status is not Status.OK:
+                break
     motion, since = joined(run.pieces), float(problems.record_from[i]) - t_0
     n, turns = scene.n_states, [extrema_of(each) for each in turning(scene, motion)]
     t_extrema, extrema = (np.concatenate([turn[k] for turn in turns]) for k in (0, 1))
@@ -285,9 +292,11 @@ def _judged(status: Status, scene: ReferenceScene, motion: PPoly) -> Status:
     return status
 
 
-def _plain(scene: ReferenceScene, run: _Record, y_0: State, t_end: float) -> tuple[float, State]:
+def _plain(
+    scene: ReferenceScene, run: _Record, t: float, y_0: State, t_end: float
+) -> tuple[float, State]:
     """Integrate without stops; wall crossings are roots of the dense output, found afterwards."""
-    segment = _solve(scene, run, None, 0.0, y_0, t_end, None)
+    segment = _solve(scene, run, None, t, y_0, t_end, None)
     for contact, law in enumerate(scene.laws):
         gap = gap_of(scene, segment.motion, contact)
         for wall in law.walls:
@@ -297,11 +306,12 @@ def _plain(scene: ReferenceScene, run: _Record, y_0: State, t_end: float) -> tup
     return segment.t, segment.y
 
 
-def _located(scene: ReferenceScene, run: _Record, y_0: State, t_end: float) -> tuple[float, State]:
+def _located(
+    scene: ReferenceScene, run: _Record, t: float, y_0: State, t_end: float
+) -> tuple[float, State]:
     """Integrate in segments of constant contact modes, restarted at every located contact."""
-    t, y, modes, stalled = 0.0, y_0, scene.modes_at(y_0), 0
+    y, modes, stalled = y_0, scene.modes_at(t, y_0), 0
     passed: Watched | None = None
-    run.time, run.force = [0.0] * len(modes), [0.0] * len(modes)
     while t < t_end:
         found = _solve(scene, run, modes, t, y, t_end, passed)
         segment = _cut_at_missed_contact(scene, modes, found)

@@ -101,7 +101,7 @@ class ParametricModel:
 
     def _oscillator(self, values: Mapping[str, float]) -> Oscillator:
         try:
-            return Oscillator(**values)
+            return Oscillator(**values, wave=self.spec.oscillator and self.spec.oscillator.wave)
         except ModelError as error:
             raise StudyError(f"{self.source}: oscillator: {error}") from None
 
@@ -271,8 +271,9 @@ class ParametricModel:
             words = f"missing; write {EXAMPLES['omega']}"
             surplus = "the system is not forced; leave omega out, or add forcing to [system]"
             found.append(f"omega: {surplus if block.omega else words}")
-        if not self.default.is_forced and any(one.is_auto for one in block.representation):
-            found.append("representation: 'auto' needs a forcing; write 'piecewise'")
+        is_bounded = self.default.is_forced and bool(self.contacts)
+        if not is_bounded and any(one.is_auto for one in block.representation):
+            found.append("representation: 'auto' needs a forcing and a contact; write 'piecewise'")
         starts = [] if block.initial_condition is None else forms(block.initial_condition)
         if not self.default.is_forced and any(form in SWEEPS for form in starts):
             found.append("initial_condition: sweeps need omega, and this system is not forced")

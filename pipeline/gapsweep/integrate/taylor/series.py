@@ -19,6 +19,7 @@ import math
 from functools import reduce
 from itertools import chain
 
+from gapsweep.integrate.lanes.pieces import piece_series
 from gapsweep.integrate.lanes.rows import dot
 from gapsweep.integrate.vectors import (
     absolute,
@@ -349,7 +350,11 @@ class Equation:
         """Series of the forcing, by coordinate."""
         lanes, n = self._lanes, self._lanes.layout.n
         names = "harmonics", "multiple", "phase"
-        return _harmonics(lanes, lanes[self._clock], lambda i: lanes.item("push", i, n), n, names)
+        found = _harmonics(lanes, lanes[self._clock], lambda i: lanes.item("push", i, n), n, names)
+        if lanes.layout.pieces:
+            for total, piece in zip(found, piece_series(lanes), strict=True):
+                total[: len(piece)] = [a + b for a, b in zip(total, piece, strict=False)]
+        return found
 
     def each_spring(self, totals, body):
         """Emit `body`, a function of a `Spring` and of totals, for every spring of a system."""
