@@ -27,6 +27,7 @@ from gapsweep.integrate.vectors import (
     copysign,
     floor,
     fma,
+    maximum,
     nearest,
     rough_exp2,
     rough_log2,
@@ -138,6 +139,9 @@ def extend(equation, series, to):
     for each, size in zip(series, sizes, strict=True):
         n = len(each) - size
         each[size:], merged = merged[:n], merged[n:]
+
+
+_TO_WALL = 2.0  # step in mode slack, over the time to the wall at the present speed
 
 
 class Modes:
@@ -258,9 +262,19 @@ class Pressure:
         self._stiffness = where(is_watched, where(above, stiffness[1], stiffness[0]), 0.0)
         self._damping = where(is_watched, damping, 0.0)
         self._switched = lanes[layout.switched + contact] > 0.0
+        self._is_slack = is_watched & ~self.decides
         pushes_up = (self.decides & above) | (is_watched & ~self.decides & ~above)
         self.lo = where(pushes_up, 0.0, mode.constant(-math.inf))
         self.hi = where(is_watched & ~pushes_up, 0.0, mode.constant(math.inf))
+
+    def longest(self, gap, h):
+        """Longest step in mode slack: several times as long as the gap needs to reach the wall.
+
+        In a much longer step, the proof that the gap passes the wall once would fail, and the
+        crossing would be next to the beginning. At least a thousandth of the step `h`.
+        """
+        leaves = absolute((gap[0] - self._wall) / gap[1]) * _TO_WALL
+        return where(self._is_slack, maximum(leaves, h * 1e-3), h)
 
     def series(self, gap):
         """Series of the force, from the series of the gap."""

@@ -398,6 +398,8 @@ def _emit_step(builder, lanes, coefficients, scalars):
     end_cycle, end_tau = lanes["end_cycle"], lanes["end_tau"]
     left = maximum(((end_cycle - cycle) + (end_tau - tau) - tau_low) * period, 0.0 * period)
     h = minimum(free_step, period * MAX_PERIODS_PER_STEP)
+    for pressure, gap in zip(modes.pressures, motion.gaps, strict=False):
+        h = minimum(h, pressure.longest(gap, h))
     is_last = h >= left
     h = where(is_last, left, h)
 
