@@ -85,6 +85,9 @@ class Motions:
         Function of times that gives the states of all motions there, shape (n_states, n, n_times).
     monodromy : ndarray, shape (n, n_states, n_states), or None
         Derivative of the end state with respect to the initial state.
+    columns : ndarray, shape (n, n_states, n_columns), or None
+        Derivative of the end state with respect to parameters, at fixed time or, by the frequency,
+        at fixed phase; the speed by the frequency then is ``omega`` times that by the phase.
     """
 
     t: Array
@@ -99,6 +102,7 @@ class Motions:
     sampler: Callable[[Array], Array]
     monodromy: Array | None = None
     contact_time: Array | None = None
+    columns: Array | None = None
 
 
 def merged(parts: Sequence[Motions], rows: Sequence[NDArray[np.intp]]) -> Motions:
@@ -107,7 +111,7 @@ def merged(parts: Sequence[Motions], rows: Sequence[NDArray[np.intp]]) -> Motion
         return parts[0]
     order = np.argsort(np.concatenate(rows))
     columns: dict[str, Any] = {}
-    for name in (*SCALARS, "state", "reach", "monodromy", "contact_time"):
+    for name in (*SCALARS, "state", "reach", "monodromy", "contact_time", "columns"):
         values = [getattr(part, name) for part in parts]
         columns[name] = None if values[0] is None else np.concatenate(values)[order]
 

@@ -1,0 +1,460 @@
+"""Derivatives of quantities of periodic orbits by parameters.
+
+A periodic response is a state y that a whole period maps onto itself, ``φ(T; y, p) = y``. Its
+derivative by a parameter follows from the monodromy matrix M and the parameter column, both of
+which the engine integrates with the motion [1]_::
+
+    dy/dp = (I - M)⁻¹ ∂φ/∂p
+
+An extremum X of the displacement changes by ``dX/dp = x_p + x_y dy/dp``: the velocity is zero
+there, so that the change of its time does not count. A contact begins and ends where the gap passes
+a wall, at times that change by ``(dwall/dp - dx/dp) / v``.
+
+References
+----------
+.. [1] P. Müller, "Calculation of Lyapunov exponents for dynamic systems with discontinuities",
+   Chaos, Solitons & Fractals 5 (1995) 1671-1681.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gapsweep.errors import ModelError
+from gapsweep.integrate.compiled import prepared
+from gapsweep.integrate.motions import Events, Motions
+from gapsweep.integrate.problem import Laws, Models, Problems, Shifts, Solver
+from gapsweep.model.oscillator import Oscillator
+from gapsweep.model.parameters import Parameter
+from gapsweep.response.equilibrium import Rates
+from gapsweep.status import Status
+
+Array = NDArray[np.float64]
+Numbers = NDArray[np.intp]
+Mask = NDArray[np.bool_]
+
+# Relative shift of a parameter, and the multiples of it with their weights: central differences
+# of fourth order, or one-sided ones of third order at the end of a parameter's range. Only rows of
+# the equation are differenced, which are rational functions of the parameters; errors are 1e-12.
+_SHIFT = 5e-4
+_CENTRAL = (-2.0, -1.0, 1.0, 2.0), (1.0 / 12, -8.0 / 12, 8.0 / 12, -1.0 / 12)
+_ONE_SIDED = (0.0, 1.0, 2.0, 3.0), (-11.0 / 6, 3.0, -1.5, 1.0 / 3)
+_FROM_ZERO = 1e-3  # shift of a parameter that is zero
+_NEWTON_STEPS = 8
+# A Newton step below the first share of the orbit's size ends the search, and one below the second
+# share that is no longer shorter than a tenth of the one before.
+_CLOSED, _NEARLY = 1e-14, 1e-8
+
+
+@dataclass(frozen=True, slots=True)
+class Cases:
+    """Parameter sets, and the parameters by which quantities are differentiated.
+
+    Attributes
+    ----------
+    models : sequence of Oscillator or System
+    laws : sequence of tuple of ContactLaw
+    omega : ndarray, shape (n,)
+        Frequency [Hz] of each set; 0 for unforced systems.
+    parameters : tuple of Parameter
+    """
+
+    models: Sequence[Any]
+    laws: Sequence[Laws]
+    omega: Array
+    parameters: tuple[Parameter, ...]
+
+    def __len__(self) -> int:
+        return len(self.omega)
+
+    def take(self, rows: Numbers) -> Cases:
+        """Return some of the parameter sets."""
+        models, laws = ([each[i] for i in rows.tolist()] for each in (self.models, self.laws))
+        return Cases(models, laws, self.omega[rows], self.parameters)
+
+    def shifts(self) -> Shifts:
+        """Return the models with shifted parameters."""
+        n, n_shifts = len(self), len(_CENTRAL[0])
+        pairs: dict[tuple[int, int], int] = {}
+        ids = zip(map(id, self.models), map(id, self.laws), strict=True)
+        which = np.array([pairs.setdefault(pair, len(pairs)) for pair in ids])
+        firsts = [int(np.flatnonzero(which == k)[0]) for k in range(len(pairs))]
+        systems: list[Any] = []
+        laws: list[Laws] = []
+        system, omega, weights = [], [], []
+        for parameter in self.parameters:
+            numbers, own = np.empty((n_shifts, len(pairs)), np.intp), np.empty((n_shifts, n))
+            if parameter.name == "omega":
+                steps, factors = (np.array(each)[:, None] for each in _CENTRAL)
+                omega.append(self.omega * (1.0 + _SHIFT * steps))
+                own[:] = factors / (_SHIFT * self.omega)
+            else:
+                omega.append(np.broadcast_to(self.omega, (n_shifts, n)))
+            for k, first in enumerate(firsts):
+                model, law, rate = self.models[first], self.laws[first], float(self.omega[first])
+                size = max(map(abs, parameter.values(model, law, rate)))
+                if parameter.name == "omega":
+                    shifted: list[Any] = [(model, law)] * n_shifts
+                else:
+                    step = _SHIFT * size or _FROM_ZERO
+                    shifted, factor = _shifted(parameter, model, law, rate, step)
+                    own[:, which == k] = factor[:, None]
+                numbers[:, k] = len(systems) + np.arange(n_shifts)
+                systems += [each[0] for each in shifted]
+                laws += [each[1] for each in shifted]
+            system.append(numbers[:, which])
+            weights.append(own)
+        rows = np.array(system).ravel()
+        models = Models(
+            systems=systems, laws=laws, system=rows, law=rows, omega=np.array(omega).ravel()
+        )
+        names = tuple(parameter.name for parameter in self.parameters)
+        by_omega = np.array([name == "omega" for name in names])
+        return Shifts(names=names, models=models, weights=np.array(weights), by_omega=by_omega)
+
+
+def _shifted(
+    parameter: Parameter, model: Any, laws: Laws, omega: float, step: float
+) -> tuple[list[Any], Array]:
+    """Models and laws with shifted parameters, and their weights in the derivative."""
+    for (multiples, factors), by in ((_CENTRAL, step), (_ONE_SIDED, step), (_ONE_SIDED, -step)):
+        try:
+            found = [parameter.shifted(model, laws, omega, m * by)[:2] for m in multiples]
+        except ModelError:  # beyond the end of the parameter's range
+            continue
+        return found, np.array(factors) / by
+    raise ModelError(f"parameter {parameter.name!r}: has no range to differentiate it in")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class OrbitGradients:
+    """Quantities of n periodic orbits, and their derivatives by parameters.
+
+    Attributes
+    ----------
+    names : tuple of str
+        The quantities.
+    value : ndarray, shape (n, n_quantities)
+    gradient : ndarray, shape (n, n_quantities, n_parameters)
+        NaN where the quantity is, or has no derivative.
+    state : ndarray, shape (n, n_states)
+        Initial state of each orbit.
+    state_gradient : ndarray, shape (n, n_states, n_parameters)
+    monodromy : ndarray, shape (n, n_states, n_states)
+    graze : ndarray, shape (n,)
+        Distance [m] beyond the wall of the turning point nearest to a wall; negative before it.
+    is_ok : ndarray of bool, shape (n,)
+        Whether Newton's method has found the orbit.
+    """
+
+    names: tuple[str, ...]
+    value: Array
+    gradient: Array
+    state: Array
+    state_gradient: Array
+    monodromy: Array
+    graze: Array
+    is_ok: NDArray[np.bool_]
+
+
+def orbit_gradients(
+    cases: Cases, states: Array, multiples: NDArray[np.int64], period: Array, solver: Solver
+) -> OrbitGradients:
+    """Return quantities of periodic orbits near states, and their derivatives.
+
+    Parameters
+    ----------
+    cases : Cases
+        n parameter sets of one kind (`Models.by_kind`).
+    states : ndarray, shape (n, n_states)
+        States near the orbits: at forcing phase zero, or at a maximum of the first coordinate.
+    multiples : ndarray of int, shape (n,)
+        Forcing periods of each orbit.
+    period : ndarray, shape (n,)
+        Periods [s] of unforced orbits, near which they are; of others not read.
+    solver : Solver
+    """
+    return _Orbits(cases, states, multiples, period, solver).gradients()
+
+
+class _Orbits:
+    """Newton's method for orbits, and the motions from which their quantities follow."""
+
+    def __init__(
+        self,
+        cases: Cases,
+        states: Array,
+        multiples: NDArray[np.int64],
+        period: Array,
+        solver: Solver,
+    ) -> None:
+        self.models = Models.of(cases.models, cases.laws, cases.omega)
+        self.shifts = cases.shifts()
+        self._integrate = prepared(self.models, solver, self.shifts)
+        self.is_forced = bool(cases.omega[0] > 0.0)
+        self.y, self.n = states.copy(), self.models.systems[0].n
+        self.period = multiples / cases.omega if self.is_forced else period.copy()
+
+    def run(self, which: Numbers, t_end: Array, *, records: bool) -> Motions:
+        """Motions of some orbits from their initial states, with tangent and columns."""
+        return self._integrate(
+            Problems(
+                which=which,
+                start=self.y[which],
+                t_0=np.zeros(len(which)),
+                t_end=t_end,
+                record_from=np.full(len(which), 0.0 if records else np.inf),
+                tangent=True,
+                contacts=records,
+                contact_time=records,
+            )
+        )
+
+    def solved(self, found: Motions, right: Array) -> tuple[Array, Array]:
+        """Solutions of the orbits' linear equations for right sides, shape (n, n_states, k).
+
+        Returns
+        -------
+        change : ndarray, shape (n, n_states, k)
+            Of the initial state.
+        longer : ndarray, shape (n, k)
+            Change of the period [s]; that of the forcing is fixed.
+        """
+        assert found.monodromy is not None
+        n_states = self.y.shape[1]
+        matrix = np.eye(n_states) - found.monodromy
+        if not self.is_forced:
+            rate = Rates(self.models)(np.arange(len(self.y)), found.state.T).T
+            row = np.zeros((len(matrix), 1, n_states + 1))
+            row[:, 0, self.n] = 1.0  # the speed of the first coordinate stays zero
+            matrix = np.concatenate([matrix, -rate[:, :, None]], axis=2)
+            matrix = np.concatenate([matrix, row], axis=1)
+            right = np.concatenate([right, np.zeros_like(right[:, :1])], axis=1)
+        is_finite = np.isfinite(matrix).all(axis=(1, 2)) & np.isfinite(right).all(axis=(1, 2))
+        with np.errstate(all="ignore"):
+            matrix = np.where(is_finite[:, None, None], matrix, np.eye(matrix.shape[1]))
+            try:
+                found_all = np.linalg.solve(matrix, right)
+            except np.linalg.LinAlgError:  # an orbit on a fold
+                found_all = np.linalg.pinv(matrix) @ right
+        found_all[~is_finite] = np.nan
+        none = np.zeros_like(found_all[:, 0])
+        return found_all[:, :n_states], none if self.is_forced else found_all[:, n_states]
+
+    def closed(self) -> tuple[Motions, Mask]:
+        """Motions over a period after Newton's method, and whether each orbit closes."""
+        rows, last = np.arange(len(self.y)), np.full(len(self.y), np.inf)
+        for left in range(_NEWTON_STEPS, -1, -1):
+            found = self.run(rows, self.period, records=True)
+            step, longer = self.solved(found, (found.state - self.y)[:, :, None])
+            length = np.abs(step[:, :, 0]).max(axis=1) / np.abs(self.y).max(axis=1)
+            is_alive = (found.status == Status.OK) & np.isfinite(length)
+            is_ok = is_alive & (
+                (length <= _CLOSED) | ((length <= _NEARLY) & (length > 0.1 * last))
+            )
+            moves = is_alive & ~is_ok
+            if not (left and moves.any()):
+                break
+            self.y[moves] += step[moves, :, 0]
+            self.period[moves] += longer[moves, 0]
+            last = np.where(moves, length, last)
+        return found, is_ok
+
+    def gradients(self) -> OrbitGradients:
+        """Quantities of the orbits and their derivatives."""
+        found, is_ok = self.closed()
+        assert found.columns is not None and found.monodromy is not None  # noqa: PT018
+        change, longer = self.solved(found, found.columns)
+        reading = _Reading(self, found, change, longer)
+        quantities = reading.quantities()
+        values, slopes = zip(*quantities.values(), strict=True)
+        value, gradient = np.stack(values, axis=1), np.stack(slopes, axis=1)
+        value[~is_ok], gradient[~is_ok] = np.nan, np.nan
+        return OrbitGradients(
+            names=tuple(quantities),
+            value=value,
+            gradient=gradient,
+            state=self.y,
+            state_gradient=reading.state_gradient,
+            monodromy=found.monodromy,
+            graze=np.where(is_ok, reading.graze(), np.nan),
+            is_ok=is_ok,
+        )
+
+
+class _Reading:
+    """Quantities of orbits, from motions that end at their extrema and at walls."""
+
+    def __init__(self, orbits: _Orbits, found: Motions, change: Array, longer: Array) -> None:
+        self.orbits, self.found, self.longer = orbits, found, longer
+        self.events, self.model = found.events(), orbits.models.systems[0]
+        self.is_system = not isinstance(self.model, Oscillator)
+        n, contacts = self.model.n, len(self.model.contacts)
+        self.directions = np.array(self.model.directions, float).reshape(contacts, n)
+        self.first_gap = n if self.is_system else 0
+        self.walls = _Walls(orbits.models, orbits.shifts)
+        turned = _extremes(self.events, self.first_gap + contacts if self.is_system else n)
+        passed = np.repeat(np.arange(len(orbits.y)), self.events.n_contacts)
+        which = np.concatenate([turned[0], passed])
+        times = np.concatenate([turned[1], self.events.t_contacts])
+        ends = orbits.run(which, times, records=False)
+        assert ends.columns is not None and ends.monodromy is not None  # noqa: PT018
+        moved = ends.columns + ends.monodromy @ change[which]
+        of_turns, of_walls = slice(len(turned[0])), slice(len(turned[0]), None)
+        self._passed = passed, ends.state[of_walls], moved[of_walls]
+        self._turned = *turned, ends.state[of_turns], moved[of_turns]
+        # A column by the frequency is that of the speed over the phase.
+        self.state_gradient = change.copy()
+        by_omega = np.flatnonzero(orbits.shifts.by_omega)
+        speed = orbits.y[:, n : 2 * n] / orbits.models.omega[:, None] if by_omega.size else None
+        for column in by_omega.tolist():
+            self.state_gradient[:, n : 2 * n, column] += speed
+
+    def quantities(self) -> dict[str, tuple[Array, Array]]:
+        """Values, shape (n,), and derivatives, shape (n, n_parameters), by quantity."""
+        low, high = self._extreme_values()
+        found: dict[str, tuple[Array, Array]] = {}
+        names = [f"[{x}]" if self.is_system else "" for x in self.model.coordinates]
+        for i, label in enumerate(names):
+            found[f"x_max{label}"], found[f"x_min{label}"] = high(i), low(i)
+            pairs = zip(high(i), low(i), strict=True)
+            found[f"amplitude{label}"] = tuple(0.5 * (a - b) for a, b in pairs)  # type: ignore
+        for k, contact in enumerate(self.model.contacts):
+            label = f"[{contact}]" if self.is_system else ""
+            ends = low(self.first_gap + k), high(self.first_gap + k)
+            if self.is_system:
+                found[f"contact_x_max{label}"], found[f"contact_x_min{label}"] = ends[::-1]
+            found[f"force_max{label}"] = self.walls.largest_force(k, *ends)
+            found[f"contact_share{label}"] = self._share(k)
+        y, dy, n = self.orbits.y, self.state_gradient, self.model.n
+        for i, label in enumerate(names):
+            found[f"x_end{label}"] = y[:, i], dy[:, i]
+            found[f"v_end{label}"] = y[:, n + i], dy[:, n + i]
+        if not self.orbits.is_forced:
+            found["period"] = self.orbits.period, self.longer
+        return found
+
+    def _extreme_values(self) -> Any:
+        """Functions of a quantity's number that return its least and its largest values."""
+        which, _, of, side, states, moved = self._turned
+        n, n_rows, n_parameters = self.model.n, len(self.orbits.y), moved.shape[2]
+        along = np.concatenate([np.eye(n), self.directions])[of]
+        shape = n_rows, self.first_gap + len(self.directions) + n, 2
+        value, slope = np.full(shape, np.nan), np.full((*shape, n_parameters), np.nan)
+        value[which, of, side] = (along * states[:, :n]).sum(axis=1)
+        slope[which, of, side] = np.einsum("ki,kip->kp", along, moved[:, :n])
+        return (
+            lambda i: (value[:, i, 0], slope[:, i, 0]),
+            lambda i: (value[:, i, 1], slope[:, i, 1]),
+        )
+
+    def _share(self, contact: int) -> tuple[Array, Array]:
+        """Share of a period beyond the walls of a contact, and its derivatives."""
+        assert self.found.contact_time is not None
+        period, n = self.orbits.period, self.model.n
+        share = self.found.contact_time[:, contact] / period
+        which, states, moved = (
+            each[self.events.contacts_of == contact] for each in self._passed
+        )
+        b = self.directions[contact]
+        gap, speed = states[:, :n] @ b, states[:, n : 2 * n] @ b
+        side, wall = self.walls.nearest(contact, which, gap)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            later = (wall - np.einsum("i,kip->kp", b, moved[:, :n])) / speed[:, None]
+        begins = np.where(speed * side > 0.0, -1.0, 1.0)  # the contact begins there
+        time = np.zeros((len(period), later.shape[1]))
+        np.add.at(time, which, begins[:, None] * later)
+        time[self.walls.meet(contact)] = np.nan
+        return share, (time - share[:, None] * self.longer) / period[:, None]
+
+    def graze(self) -> Array:
+        """Distances of the turning points nearest to walls beyond them [m]."""
+        events, found = self.events, np.full(len(self.orbits.y), np.nan)
+        which = np.repeat(np.arange(len(found)), events.n_extrema)
+        for contact in range(len(self.directions)):
+            its = np.flatnonzero(events.extrema_of == self.first_gap + contact)
+            beyond = self.walls.beyond(contact, which[its], events.extrema[its])
+            order = np.argsort(-np.abs(beyond), kind="stable")  # the nearest is written last
+            nearest = np.full(len(found), np.nan)
+            nearest[which[its][order]] = beyond[order]
+            found = np.where(np.abs(nearest) < np.nan_to_num(np.abs(found), nan=np.inf), nearest, found)
+        return found
+
+
+def _extremes(events: Events, n: int) -> tuple[Numbers, Array, Numbers, Numbers]:
+    """Smallest and largest extremum of n quantities of every motion.
+
+    Returns
+    -------
+    which, t, of, side : ndarray
+        Motions, times [s], quantities, and 0 for the smallest or 1 for the largest.
+    """
+    motion = np.repeat(np.arange(len(events.n_extrema)), events.n_extrema)
+    key = motion * n + events.extrema_of
+    order = np.lexsort((events.extrema, key))
+    is_first = np.diff(key[order], prepend=-1) != 0
+    is_last = np.diff(key[order], append=-1) != 0
+    places = np.concatenate([order[is_first], order[is_last]])
+    side = np.repeat([0, 1], [is_first.sum(), is_last.sum()])
+    return motion[places], events.t_extrema[places], events.extrema_of[places], side
+
+
+class _Walls:
+    """Stiffnesses [N/m] and places [m] of the lower and the upper walls, and their derivatives."""
+
+    def __init__(self, models: Models, shifts: Shifts) -> None:
+        n, contacts = len(models), len(models.laws[0])
+        self.stiffness, self.place = _numbers_of(models).reshape(n, contacts, 2, 2).transpose(
+            2, 0, 1, 3
+        )
+        moved = _numbers_of(shifts.models).reshape(*shifts.weights.shape, contacts, 2, 2)
+        with np.errstate(invalid="ignore"):  # no wall is at infinity
+            found = np.einsum("psn,psnkab->ankbp", shifts.weights, moved)
+        self.stiffening, self.moving = np.where(np.isfinite(found), found, 0.0)
+
+    def meet(self, contact: int) -> Mask:
+        """Whether both walls are at one place."""
+        return np.asarray(self.place[:, contact, 0] == self.place[:, contact, 1])
+
+    def nearest(self, contact: int, which: Numbers, gap: Array) -> tuple[Array, Array]:
+        """Sides (-1, +1) of the walls nearest to gaps, and derivatives of their places."""
+        off = np.abs(self.place[which, contact] - gap[:, None])
+        side = (off[:, 1] <= off[:, 0]).astype(int)
+        return 2.0 * side - 1.0, self.moving[which, contact, side]
+
+    def beyond(self, contact: int, which: Numbers, gap: Array) -> Array:
+        """Distances of gaps beyond the nearest wall that has stiffness [m]."""
+        beyond = (gap[:, None] - self.place[which, contact]) * (-1.0, 1.0)
+        felt = np.where(self.stiffness[which, contact] > 0.0, beyond, -np.inf)
+        side = np.abs(felt).argmin(axis=1)
+        return np.asarray(felt[np.arange(len(gap)), side])
+
+    def largest_force(
+        self, contact: int, low: tuple[Array, Array], high: tuple[Array, Array]
+    ) -> tuple[Array, Array]:
+        """Largest force between two gaps [N], and its derivatives."""
+        forces, slopes = [np.zeros(len(low[0]))], [np.zeros_like(low[1])]
+        for side, (gap, moved) in enumerate((low, high)):
+            sign = 2.0 * side - 1.0
+            stiffness, depth = (
+                self.stiffness[:, contact, side],
+                sign * (gap - self.place[:, contact, side]),
+            )
+            deeper = sign * (moved - self.moving[:, contact, side])
+            slope = stiffness[:, None] * deeper
+            slope += self.stiffening[:, contact, side] * depth[:, None]
+            forces.append(np.where(depth > 0.0, stiffness * depth, 0.0))
+            slopes.append(np.where((depth > 0.0)[:, None], slope, 0.0))
+        largest = np.argmax(forces, axis=0)
+        rows = np.arange(len(largest))
+        return np.array(forces)[largest, rows], np.array(slopes)[largest, rows]
+
+
+def _numbers_of(models: Models) -> Array:
+    """Stiffnesses of lower and upper walls, and their places; shape (n, n_contacts, 4)."""
+    return models.of_laws(lambda law: (law.K_c * law.K_ratio, law.K_c, *law.walls))
