@@ -27,8 +27,10 @@ if TYPE_CHECKING:
 QUANTITY, PARAMETER = "quantity", "parameter"
 _RTOL = 1e-12  # of the orbits that are differentiated, unless that of the call is smaller
 _STEADY = Steady()
-_GRADIENT = Variable("f8", "", "derivative of a quantity with respect to a parameter")
 _VARIABLES = {
+    "gradient": Variable(
+        "f8", "", "derivative of a quantity with respect to a parameter", dims=(QUANTITY, PARAMETER)
+    ),
     "value": Variable("f8", "", "value of a quantity", dims=(QUANTITY,)),
     "graze": Variable("f8", "m", "distance of the turning point nearest to a wall beyond it"),
 }
@@ -121,14 +123,7 @@ def gradient(
     inputs = inputs_of(oscillator, law, models, start, shape) | {
         "engine": solver.engine, "rtol": solver.rtol, "atol": solver.atol
     }  # fmt: skip
-    changes = dict(enumerate(np.moveaxis(arrays.pop("gradient"), -1, 0)))
-    table = _VARIABLES | {str(number): _VARIABLES["value"] for number in changes}
-    made = dataset(inputs, shape, table, arrays | {str(k): each for k, each in changes.items()})
-    columns = [made[str(number)].variable for number in changes]
-    whole = type(columns[0]).concat(columns, PARAMETER).transpose(..., PARAMETER)
-    whole.attrs = _GRADIENT.attributes
-    made = made.drop_vars(map(str, changes)).assign({"gradient": whole})
-    return made.assign_coords({QUANTITY: list(labels), PARAMETER: names})
+    return dataset(inputs, shape, _VARIABLES, arrays, {QUANTITY: labels, PARAMETER: names})
 
 
 def _gradients(
@@ -158,7 +153,7 @@ def _gradients(
             tight,
         )
         labels = part.names
-        for name in ("gradient", *_VARIABLES):
+        for name in _VARIABLES:
             values = getattr(part, name)
             whole = arrays.setdefault(name, np.full((len(every), *values.shape[1:]), np.nan))
             whole[here] = values

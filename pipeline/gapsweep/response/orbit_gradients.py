@@ -47,7 +47,7 @@ _ONE_SIDED = (0.0, 1.0, 2.0, 3.0), (-11.0 / 6, 3.0, -1.5, 1.0 / 3)
 _FROM_ZERO = 1e-3  # shift of a parameter that is zero
 _NEWTON_STEPS = 8
 # A Newton step below the first share of the orbit's size ends the search, and one below the second
-# share that is no longer shorter than a tenth of the one before.
+# share that is no longer shorter than half of the one before.
 _CLOSED, _NEARLY = 1e-14, 1e-8
 
 
@@ -255,7 +255,7 @@ class _Orbits:
             length = np.abs(step[:, :, 0]).max(axis=1) / np.abs(self.y).max(axis=1)
             is_alive = (found.status == Status.OK) & np.isfinite(length)
             is_ok = is_alive & (
-                (length <= _CLOSED) | ((length <= _NEARLY) & (length > 0.1 * last))
+                (length <= _CLOSED) | ((length <= _NEARLY) & (length > 0.5 * last))
             )
             moves = is_alive & ~is_ok
             if not (left and moves.any()):
