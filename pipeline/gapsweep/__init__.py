@@ -45,7 +45,7 @@ if TYPE_CHECKING:
     from gapsweep.report.model_figures import parameter_map as map
     from gapsweep.report.motion import plot
     from gapsweep.response.absolute import absolute_range
-    from gapsweep.response.gradient import gradient
+    from gapsweep.continuation.gradient import gradient
     from gapsweep.response.respond import respond
     from gapsweep.response.result import Response, ResponseClass, Steady
     from gapsweep.store.netcdf import read as open
@@ -72,7 +72,7 @@ _ON_DEMAND = {
     "branches": "continuation.follow",
     "explore": "explorer.widget",
     "frequency_response": "report.model_figures",
-    "gradient": "response.gradient",
+    "gradient": "continuation.gradient",
     "map": "report.model_figures",
     "open": "store.netcdf",
     "plot": "report.motion",

@@ -99,9 +99,7 @@ def prepared(models: Models, solver: Solver, shifts: Shifts | None = None) -> In
     return integrate
 
 
-def _with_columns(
-    scenes: SceneTable, models: Models, solver: Solver, shifts: Shifts
-) -> SceneTable:
+def _with_columns(scenes: SceneTable, models: Models, solver: Solver, shifts: Shifts) -> SceneTable:
     """Return a table with a column for every parameter; refuse what has none."""
     if not _is_located(models) or scenes.at.is_tanh:
         raise ModelError(

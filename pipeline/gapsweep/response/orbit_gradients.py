@@ -46,9 +46,10 @@ _CENTRAL = (-2.0, -1.0, 1.0, 2.0), (1.0 / 12, -8.0 / 12, 8.0 / 12, -1.0 / 12)
 _ONE_SIDED = (0.0, 1.0, 2.0, 3.0), (-11.0 / 6, 3.0, -1.5, 1.0 / 3)
 _FROM_ZERO = 1e-3  # shift of a parameter that is zero
 _NEWTON_STEPS = 8
-# A Newton step below the first share of the orbit's size ends the search, and one below the second
-# share that is no longer shorter than half of the one before.
-_CLOSED, _NEARLY = 1e-14, 1e-8
+# Newton steps below these shares of the orbit's size, and of the rounding errors of a period as the
+# step amplifies them, end the search; so does a step that is no shorter than half of the one before
+# it, if it is below the third share.
+_CLOSED, _ROUNDING, _NEARLY = 1e-14, 16 * np.finfo(float).eps, 1e-8
 
 
 @dataclass(frozen=True, slots=True)
@@ -146,8 +147,6 @@ class OrbitGradients:
         Initial state of each orbit.
     state_gradient : ndarray, shape (n, n_states, n_parameters)
     monodromy : ndarray, shape (n, n_states, n_states)
-    graze : ndarray, shape (n,)
-        Distance [m] beyond the wall of the turning point nearest to a wall; negative before it.
     is_ok : ndarray of bool, shape (n,)
         Whether Newton's method has found the orbit.
     """
@@ -158,7 +157,6 @@ class OrbitGradients:
     state: Array
     state_gradient: Array
     monodromy: Array
-    graze: Array
     is_ok: NDArray[np.bool_]
 
 
@@ -235,7 +233,8 @@ class _Orbits:
             matrix = np.concatenate([matrix, -rate[:, :, None]], axis=2)
             matrix = np.concatenate([matrix, row], axis=1)
             right = np.concatenate([right, np.zeros_like(right[:, :1])], axis=1)
-        is_finite = np.isfinite(matrix).all(axis=(1, 2)) & np.isfinite(right).all(axis=(1, 2))
+        parts = np.concatenate([matrix, right], axis=2)
+        is_finite = np.asarray(np.isfinite(parts).all(axis=(1, 2)))
         with np.errstate(all="ignore"):
             matrix = np.where(is_finite[:, None, None], matrix, np.eye(matrix.shape[1]))
             try:
@@ -243,20 +242,23 @@ class _Orbits:
             except np.linalg.LinAlgError:  # an orbit on a fold
                 found_all = np.linalg.pinv(matrix) @ right
         found_all[~is_finite] = np.nan
-        none = np.zeros_like(found_all[:, 0])
-        return found_all[:, :n_states], none if self.is_forced else found_all[:, n_states]
+        longer = np.zeros_like(found_all[:, 0]) if self.is_forced else found_all[:, n_states]
+        return np.asarray(found_all[:, :n_states]), np.asarray(longer)
 
     def closed(self) -> tuple[Motions, Mask]:
         """Motions over a period after Newton's method, and whether each orbit closes."""
         rows, last = np.arange(len(self.y)), np.full(len(self.y), np.inf)
         for left in range(_NEWTON_STEPS, -1, -1):
             found = self.run(rows, self.period, records=True)
-            step, longer = self.solved(found, (found.state - self.y)[:, :, None])
-            length = np.abs(step[:, :, 0]).max(axis=1) / np.abs(self.y).max(axis=1)
+            missed = (found.state - self.y)[:, :, None]
+            errors = np.eye(self.y.shape[1]) * np.abs(self.y)[:, None, :]
+            step, longer = self.solved(found, np.concatenate([missed, errors], axis=2))
+            size = np.abs(self.y).max(axis=1)
+            length = np.abs(step[:, :, 0]).max(axis=1) / size
+            rounding = _ROUNDING * np.abs(step[:, :, 1:]).sum(axis=2).max(axis=1) / size
+            is_best = (length <= rounding) | (length > 0.5 * last)
             is_alive = (found.status == Status.OK) & np.isfinite(length)
-            is_ok = is_alive & (
-                (length <= _CLOSED) | ((length <= _NEARLY) & (length > 0.5 * last))
-            )
+            is_ok = is_alive & ((length <= _CLOSED) | (is_best & (length <= _NEARLY)))
             moves = is_alive & ~is_ok
             if not (left and moves.any()):
                 break
@@ -282,7 +284,6 @@ class _Orbits:
             state=self.y,
             state_gradient=reading.state_gradient,
             monodromy=found.monodromy,
-            graze=np.where(is_ok, reading.graze(), np.nan),
             is_ok=is_ok,
         )
 
@@ -299,20 +300,22 @@ class _Reading:
         self.first_gap = n if self.is_system else 0
         self.walls = _Walls(orbits.models, orbits.shifts)
         turned = _extremes(self.events, self.first_gap + contacts if self.is_system else n)
+        grazed = self._nearest()
         passed = np.repeat(np.arange(len(orbits.y)), self.events.n_contacts)
-        which = np.concatenate([turned[0], passed])
-        times = np.concatenate([turned[1], self.events.t_contacts])
+        which = np.concatenate([turned[0], grazed[0], passed])
+        times = np.concatenate([turned[1], grazed[1], self.events.t_contacts])
         ends = orbits.run(which, times, records=False)
         assert ends.columns is not None and ends.monodromy is not None  # noqa: PT018
         moved = ends.columns + ends.monodromy @ change[which]
-        of_turns, of_walls = slice(len(turned[0])), slice(len(turned[0]), None)
-        self._passed = passed, ends.state[of_walls], moved[of_walls]
-        self._turned = *turned, ends.state[of_turns], moved[of_turns]
+        first, last = len(turned[0]), len(which) - len(passed)
+        self._turned = *turned, ends.state[:first], moved[:first]
+        self._grazed = grazed[0], grazed[2], ends.state[first:last], moved[first:last]
+        self._passed = passed, ends.state[last:], moved[last:]
         # A column by the frequency is that of the speed over the phase.
         self.state_gradient = change.copy()
         by_omega = np.flatnonzero(orbits.shifts.by_omega)
-        speed = orbits.y[:, n : 2 * n] / orbits.models.omega[:, None] if by_omega.size else None
         for column in by_omega.tolist():
+            speed = orbits.y[:, n : 2 * n] / orbits.models.omega[:, None]
             self.state_gradient[:, n : 2 * n, column] += speed
 
     def quantities(self) -> dict[str, tuple[Array, Array]]:
@@ -322,8 +325,8 @@ class _Reading:
         names = [f"[{x}]" if self.is_system else "" for x in self.model.coordinates]
         for i, label in enumerate(names):
             found[f"x_max{label}"], found[f"x_min{label}"] = high(i), low(i)
-            pairs = zip(high(i), low(i), strict=True)
-            found[f"amplitude{label}"] = tuple(0.5 * (a - b) for a, b in pairs)  # type: ignore
+            (top, d_top), (bottom, d_bottom) = high(i), low(i)
+            found[f"amplitude{label}"] = 0.5 * (top - bottom), 0.5 * (d_top - d_bottom)
         for k, contact in enumerate(self.model.contacts):
             label = f"[{contact}]" if self.is_system else ""
             ends = low(self.first_gap + k), high(self.first_gap + k)
@@ -331,6 +334,8 @@ class _Reading:
                 found[f"contact_x_max{label}"], found[f"contact_x_min{label}"] = ends[::-1]
             found[f"force_max{label}"] = self.walls.largest_force(k, *ends)
             found[f"contact_share{label}"] = self._share(k)
+        if self.model.contacts:
+            found["graze"] = self._graze()
         y, dy, n = self.orbits.y, self.state_gradient, self.model.n
         for i, label in enumerate(names):
             found[f"x_end{label}"] = y[:, i], dy[:, i]
@@ -358,9 +363,7 @@ class _Reading:
         assert self.found.contact_time is not None
         period, n = self.orbits.period, self.model.n
         share = self.found.contact_time[:, contact] / period
-        which, states, moved = (
-            each[self.events.contacts_of == contact] for each in self._passed
-        )
+        which, states, moved = (each[self.events.contacts_of == contact] for each in self._passed)
         b = self.directions[contact]
         gap, speed = states[:, :n] @ b, states[:, n : 2 * n] @ b
         side, wall = self.walls.nearest(contact, which, gap)
@@ -372,18 +375,29 @@ class _Reading:
         time[self.walls.meet(contact)] = np.nan
         return share, (time - share[:, None] * self.longer) / period[:, None]
 
-    def graze(self) -> Array:
-        """Distances of the turning points nearest to walls beyond them [m]."""
-        events, found = self.events, np.full(len(self.orbits.y), np.nan)
-        which = np.repeat(np.arange(len(found)), events.n_extrema)
-        for contact in range(len(self.directions)):
-            its = np.flatnonzero(events.extrema_of == self.first_gap + contact)
-            beyond = self.walls.beyond(contact, which[its], events.extrema[its])
-            order = np.argsort(-np.abs(beyond), kind="stable")  # the nearest is written last
-            nearest = np.full(len(found), np.nan)
-            nearest[which[its][order]] = beyond[order]
-            found = np.where(np.abs(nearest) < np.nan_to_num(np.abs(found), nan=np.inf), nearest, found)
-        return found
+    def _nearest(self) -> tuple[Numbers, Array, Numbers]:
+        """Orbits, times [s] and contacts of the turning points nearest to walls."""
+        events = self.events
+        contact = events.extrema_of - self.first_gap
+        its = np.flatnonzero((contact >= 0) & (len(self.directions) > 0))
+        which = np.repeat(np.arange(len(self.orbits.y)), events.n_extrema)[its]
+        off = np.abs(self.walls.beyond(contact[its], which, events.extrema[its])[0])
+        order = np.lexsort((off, which))
+        places = order[np.diff(which[order], prepend=-1) != 0]
+        return which[places], events.t_extrema[its][places], contact[its][places]
+
+    def _graze(self) -> tuple[Array, Array]:
+        """Distances of these turning points beyond the walls [m], and their derivatives."""
+        which, contact, states, moved = self._grazed
+        n, n_rows = self.model.n, len(self.orbits.y)
+        along = self.directions[contact]
+        gap = (along * states[:, :n]).sum(axis=1)
+        d_gap = np.einsum("ki,kip->kp", along, moved[:, :n])
+        value, slope = np.full(n_rows, np.nan), np.full((n_rows, moved.shape[2]), np.nan)
+        value[which], side = self.walls.beyond(contact, which, gap)
+        sign = 2.0 * side - 1.0
+        slope[which] = sign[:, None] * (d_gap - self.walls.moving[which, contact, side])
+        return value, slope
 
 
 def _extremes(events: Events, n: int) -> tuple[Numbers, Array, Numbers, Numbers]:
@@ -409,8 +423,8 @@ class _Walls:
 
     def __init__(self, models: Models, shifts: Shifts) -> None:
         n, contacts = len(models), len(models.laws[0])
-        self.stiffness, self.place = _numbers_of(models).reshape(n, contacts, 2, 2).transpose(
-            2, 0, 1, 3
+        self.stiffness, self.place = (
+            _numbers_of(models).reshape(n, contacts, 2, 2).transpose(2, 0, 1, 3)
         )
         moved = _numbers_of(shifts.models).reshape(*shifts.weights.shape, contacts, 2, 2)
         with np.errstate(invalid="ignore"):  # no wall is at infinity
@@ -427,12 +441,12 @@ class _Walls:
         side = (off[:, 1] <= off[:, 0]).astype(int)
         return 2.0 * side - 1.0, self.moving[which, contact, side]
 
-    def beyond(self, contact: int, which: Numbers, gap: Array) -> Array:
-        """Distances of gaps beyond the nearest wall that has stiffness [m]."""
+    def beyond(self, contact: Numbers, which: Numbers, gap: Array) -> tuple[Array, Numbers]:
+        """Distances of gaps beyond the nearest wall that has stiffness [m], and its side, 0 or 1."""
         beyond = (gap[:, None] - self.place[which, contact]) * (-1.0, 1.0)
         felt = np.where(self.stiffness[which, contact] > 0.0, beyond, -np.inf)
         side = np.abs(felt).argmin(axis=1)
-        return np.asarray(felt[np.arange(len(gap)), side])
+        return np.asarray(felt[np.arange(len(gap)), side]), side
 
     def largest_force(
         self, contact: int, low: tuple[Array, Array], high: tuple[Array, Array]

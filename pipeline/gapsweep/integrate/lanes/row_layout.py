@@ -149,11 +149,9 @@ class RowLayout:
     def of_code(self) -> "RowLayout":
         """The layout that stands for all those with the same code."""
         tangent = self.tangent if self.is_tanh else 0
-        found = replace(
-            self,
-            **{"order": self.degrees[-1], "tangent": tangent, "is_free": False, "harmonics": 1},
-            columns=min(self.columns, 1),
-        )
+        columns = min(self.columns, 1)
+        found = replace(self, order=self.degrees[-1], tangent=tangent, columns=columns)
+        found = replace(found, is_free=False, harmonics=1)
         if self.is_plain:
             return known(found)
         # a Taylor step without springs or modulations has no loops; to other methods they cost

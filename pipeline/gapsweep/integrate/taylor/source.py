@@ -148,4 +148,3 @@ class Source:
         speeds, places, lags = self._state(n)
         state = [*speeds, *places, *lags]
         return [dot(row, state, self._one.zero) for row in self._lags]
-

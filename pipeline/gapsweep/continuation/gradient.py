@@ -32,7 +32,6 @@ _VARIABLES = {
         "f8", "", "derivative of a quantity with respect to a parameter", dims=(QUANTITY, PARAMETER)
     ),
     "value": Variable("f8", "", "value of a quantity", dims=(QUANTITY,)),
-    "graze": Variable("f8", "m", "distance of the turning point nearest to a wall beyond it"),
 }
 
 
@@ -78,10 +77,10 @@ def gradient(
         SI unit of the parameter (Hz of frequencies), with the dimensions of
         ``respond(...).to_dataset()`` first. Quantities are ``x_max``, ``x_min``, ``amplitude``,
         ``force_max``, ``contact_share``, the last section point (``x_end``, ``v_end``) and, if
-        unforced, ``period``; those of a system have names as ``x_max[q_1]``. A derivative near a
-        graze holds on its side of the graze: ``graze`` is the distance [m] beyond the wall of the
-        turning point nearest to a wall, negative before it. NaN for responses that are not
-        periodic.
+        unforced, ``period``; those of a system have names as ``x_max[q_1]``. ``graze`` is the
+        distance [m] beyond the wall of the turning point nearest to a wall, negative before it:
+        derivatives hold up to the graze, and on its other side they differ. NaN for responses that
+        are not periodic.
 
     Raises
     ------
