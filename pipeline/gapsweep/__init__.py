@@ -19,6 +19,8 @@ if TYPE_CHECKING:
     from gapsweep.analysis.datasets.contact_errors import static_error
     from gapsweep.continuation.curves import special_curve
     from gapsweep.continuation.follow import branches
+    from gapsweep.continuation.gradient import gradient
+    from gapsweep.continuation.special_gradient import special_gradient
     from gapsweep.explorer.widget import explore
     from gapsweep.integrate.simulate import simulate
     from gapsweep.integrate.trajectory import SystemTrajectory, Trajectory
@@ -45,7 +47,6 @@ if TYPE_CHECKING:
     from gapsweep.report.model_figures import parameter_map as map
     from gapsweep.report.motion import plot
     from gapsweep.response.absolute import absolute_range
-    from gapsweep.continuation.gradient import gradient
     from gapsweep.response.respond import respond
     from gapsweep.response.result import Response, ResponseClass, Steady
     from gapsweep.store.netcdf import read as open
@@ -79,6 +80,7 @@ _ON_DEMAND = {
     "respond": "response.respond",
     "simulate": "integrate.simulate",
     "special_curve": "continuation.curves",
+    "special_gradient": "continuation.special_gradient",
     "static_error": "analysis.datasets.contact_errors",
     "systems": "model.systems",
 }
@@ -150,6 +152,7 @@ __all__ = [
     "run",
     "simulate",
     "special_curve",
+    "special_gradient",
     "static_error",
     "systems",
 ]

@@ -96,33 +96,54 @@ def gradient(
     >>> found["gradient"].sel(quantity="x_max", parameter="gap").item() > 0.0
     True
     """
-    names = [parameters] if isinstance(parameters, str) else list(parameters)
-    if not names or not all(isinstance(name, str) for name in names):
-        raise ModelError(f'parameters = {parameters!r}: must be names, as ["gap", "K_c"]')
+    known = parameters_of(parameters, oscillator, values or {})
     if engine != DEFAULT_ENGINE:
         raise ModelError(f"engine = {engine!r}: gradients need engine = {DEFAULT_ENGINE!r}")
-    known = tuple(map(Parameter, names))
-    if callable(oscillator) and not isinstance(oscillator, Oscillator | System):
-        signature = inspect.signature(oscillator).parameters.values()
-        given = {each.name: each.default for each in signature if each.default is not each.empty}
-        given |= values or {}
-        known = tuple(Parameter(name, oscillator, given) for name in names)
-        oscillator = oscillator(**given)
+    model: Any = oscillator
+    if known[0].function is not None:
+        model = known[0].function(**known[0].arguments)
     elif values is not None:
         raise ModelError(f"values = {values!r}: are arguments of a function as oscillator")
     solver, steady = Solver.of(engine, rtol, atol), _STEADY if steady is None else steady
     check_steady(steady)
-    models, start, shape = cases(oscillator, law, omega, x_0, v_0, q_0, z_0)
-    several = np.broadcast_to(objects(oscillator), shape).ravel().tolist()
+    models, start, shape = cases(model, law, omega, x_0, v_0, q_0, z_0)
+    several = np.broadcast_to(objects(model), shape).ravel().tolist()
     every = Cases(several, [models.laws[k] for k in models.law.tolist()], models.omega, known)
-    warn_of(doubts(objects(oscillator).ravel().tolist(), models.laws, models.omega, start))
+    warn_of(doubts(objects(model).ravel().tolist(), models.laws, models.omega, start))
     with within(time_limit):
         found = respond_models(models, solver, start, steady)
         arrays, labels = _gradients(every, models, found, solver)
-    inputs = inputs_of(oscillator, law, models, start, shape) | {
+    inputs = inputs_of(model, law, models, start, shape) | {
         "engine": solver.engine, "rtol": solver.rtol, "atol": solver.atol
     }  # fmt: skip
-    return dataset(inputs, shape, _VARIABLES, arrays, {QUANTITY: labels, PARAMETER: names})
+    return dataset(
+        inputs,
+        shape,
+        _VARIABLES,
+        arrays,
+        {QUANTITY: labels, PARAMETER: [each.name for each in known]},
+    )
+
+
+def parameters_of(
+    names: str | Sequence[str], model: Any, values: Mapping[str, float]
+) -> tuple[Parameter, ...]:
+    """Return the parameters of these names, of a model or a function with argument values.
+
+    Raises
+    ------
+    ModelError
+        If `names` are no names.
+    """
+    names = [names] if isinstance(names, str) else list(names)
+    if not names or not all(isinstance(name, str) for name in names):
+        raise ModelError(f'parameters = {names!r}: must be names, as ["gap", "K_c"]')
+    if isinstance(model, Oscillator | System) or not callable(model):
+        return tuple(map(Parameter, names))
+    signature = inspect.signature(model).parameters.values()
+    given = {each.name: each.default for each in signature if each.default is not each.empty}
+    given |= {name: values[name] for name in values if name in inspect.signature(model).parameters}
+    return tuple(Parameter(name, model, given) for name in names)
 
 
 def _gradients(
@@ -148,8 +169,8 @@ def _gradients(
             every.take(here),
             found.ends[here],
             columns["period_multiple"][here].astype(np.int64),
-            period[here],
             tight,
+            period[here],
         )
         labels = part.names
         for name in _VARIABLES:

@@ -161,7 +161,11 @@ class OrbitGradients:
 
 
 def orbit_gradients(
-    cases: Cases, states: Array, multiples: NDArray[np.int64], period: Array, solver: Solver
+    cases: Cases,
+    states: Array,
+    multiples: NDArray[np.int64],
+    solver: Solver,
+    period: Array | None = None,
 ) -> OrbitGradients:
     """Return quantities of periodic orbits near states, and their derivatives.
 
@@ -173,14 +177,14 @@ def orbit_gradients(
         States near the orbits: at forcing phase zero, or at a maximum of the first coordinate.
     multiples : ndarray of int, shape (n,)
         Forcing periods of each orbit.
-    period : ndarray, shape (n,)
-        Periods [s] of unforced orbits, near which they are; of others not read.
     solver : Solver
+    period : ndarray, shape (n,), optional
+        Periods [s] of unforced orbits, near which they are.
     """
-    return _Orbits(cases, states, multiples, period, solver).gradients()
+    return Orbits(cases, states, multiples, solver, period).gradients()
 
 
-class _Orbits:
+class Orbits:
     """Newton's method for orbits, and the motions from which their quantities follow."""
 
     def __init__(
@@ -188,15 +192,17 @@ class _Orbits:
         cases: Cases,
         states: Array,
         multiples: NDArray[np.int64],
-        period: Array,
         solver: Solver,
+        period: Array | None = None,
     ) -> None:
         self.models = Models.of(cases.models, cases.laws, cases.omega)
         self.shifts = cases.shifts()
         self._integrate = prepared(self.models, solver, self.shifts)
         self.is_forced = bool(cases.omega[0] > 0.0)
         self.y, self.n = states.copy(), self.models.systems[0].n
-        self.period = multiples / cases.omega if self.is_forced else period.copy()
+        self.period = np.array(period) if period is not None else multiples / cases.omega
+        if self.is_forced:
+            self.period = multiples / cases.omega
 
     def run(self, which: Numbers, t_end: Array, *, records: bool) -> Motions:
         """Motions of some orbits from their initial states, with tangent and columns."""
@@ -291,7 +297,7 @@ class _Orbits:
 class _Reading:
     """Quantities of orbits, from motions that end at their extrema and at walls."""
 
-    def __init__(self, orbits: _Orbits, found: Motions, change: Array, longer: Array) -> None:
+    def __init__(self, orbits: Orbits, found: Motions, change: Array, longer: Array) -> None:
         self.orbits, self.found, self.longer = orbits, found, longer
         self.events, self.model = found.events(), orbits.models.systems[0]
         self.is_system = not isinstance(self.model, Oscillator)
