@@ -5,7 +5,9 @@ the branch hence follows a parameter p by first derivatives::
 
     da/dp = -(w · ∂φ/∂p) / (w · ∂φ/∂a)
 
-At a graze the turning point X of a gap stays on its wall: ``da/dp = -(dX/dp - dwall/dp) / (dX/da)``.
+At a graze the turning point X of a gap stays on its wall::
+
+    da/dp = -(dX/dp - dwall/dp) / (dX/da)
 """
 
 from __future__ import annotations
@@ -84,7 +86,8 @@ def special_gradient(
     points, kind, family, along = special_point_of(branches, point, oscillator, law)
     if kind not in (Special.FOLD, Special.GRAZING) or not family.is_forced:
         raise ModelError(
-            f"point = {point}: is a {kind.name.lower()}; must be a fold or a graze of a forced model"
+            f"point = {point}: is a {kind.name.lower()}; must be a fold or a graze of a forced "
+            "model"
         )
     place = float(points[along].item())
     values = {**family.values, along: place}

@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 
 from gapsweep.errors import ModelError
 from gapsweep.integrate.compiled import prepared
-from gapsweep.integrate.motions import Events, Motions
+from gapsweep.integrate.motions import Motions
 from gapsweep.integrate.problem import Laws, Models, Problems, Shifts, Solver
 from gapsweep.model.oscillator import Oscillator
 from gapsweep.model.parameters import Parameter
@@ -50,6 +50,8 @@ _NEWTON_STEPS = 8
 # step amplifies them, end the search; so does a step that is no shorter than half of the one before
 # it, if it is below the third share.
 _CLOSED, _ROUNDING, _NEARLY = 1e-14, 16 * np.finfo(float).eps, 1e-8
+
+_STILL = 1e-9  # speed at a turning point, as a share of the largest speed
 
 
 @dataclass(frozen=True, slots=True)
@@ -305,7 +307,8 @@ class _Reading:
         self.directions = np.array(self.model.directions, float).reshape(contacts, n)
         self.first_gap = n if self.is_system else 0
         self.walls = _Walls(orbits.models, orbits.shifts)
-        turned = _extremes(self.events, self.first_gap + contacts if self.is_system else n)
+        self._turns = self._turning_points()
+        turned = _extremes(*self._turns, self.first_gap + contacts if self.is_system else n)
         grazed = self._nearest()
         passed = np.repeat(np.arange(len(orbits.y)), self.events.n_contacts)
         which = np.concatenate([turned[0], grazed[0], passed])
@@ -378,19 +381,37 @@ class _Reading:
         begins = np.where(speed * side > 0.0, -1.0, 1.0)  # the contact begins there
         time = np.zeros((len(period), later.shape[1]))
         np.add.at(time, which, begins[:, None] * later)
-        time[self.walls.meet(contact)] = np.nan
+        low, high = self.walls.place[:, contact].T
+        start = self.orbits.y[:, :n] @ b
+        time += np.where((start < low) | (start > high), 1.0, 0.0)[:, None] * self.longer
+        time[low == high] = np.nan
         return share, (time - share[:, None] * self.longer) / period[:, None]
+
+    def _turning_points(self) -> tuple[Numbers, Array, Array, Numbers]:
+        """Orbits, times [s], values [m] and numbers of the quantities of all turning points."""
+        events, y, n = self.events, self.orbits.y, self.model.n
+        which = np.repeat(np.arange(len(y)), events.n_extrema)
+        found = which, events.t_extrema, events.extrema, events.extrema_of
+        if self.orbits.is_forced:
+            return found
+        # An unforced orbit starts at a maximum, which is no event.
+        along = np.concatenate([np.eye(n), self.directions])
+        speed = np.abs(y[:, n : 2 * n] @ along.T)
+        rows, of = np.nonzero(speed <= _STILL * np.abs(y[:, n : 2 * n]).max(axis=1)[:, None])
+        begins = rows, np.zeros(len(rows)), (y[:, :n] @ along.T)[rows, of], of
+        which, t, value, of = (np.concatenate(pair) for pair in zip(found, begins, strict=True))
+        return which, t, value, of
 
     def _nearest(self) -> tuple[Numbers, Array, Numbers]:
         """Orbits, times [s] and contacts of the turning points nearest to walls."""
-        events = self.events
-        contact = events.extrema_of - self.first_gap
+        which, t, value, of = self._turns
+        contact = of - self.first_gap
         its = np.flatnonzero((contact >= 0) & (len(self.directions) > 0))
-        which = np.repeat(np.arange(len(self.orbits.y)), events.n_extrema)[its]
-        off = np.abs(self.walls.beyond(contact[its], which, events.extrema[its])[0])
+        which, t, contact = which[its], t[its], contact[its]
+        off = np.abs(self.walls.beyond(contact, which, value[its])[0])
         order = np.lexsort((off, which))
         places = order[np.diff(which[order], prepend=-1) != 0]
-        return which[places], events.t_extrema[its][places], contact[its][places]
+        return which[places], t[places], contact[places]
 
     def _graze(self) -> tuple[Array, Array]:
         """Distances of these turning points beyond the walls [m], and their derivatives."""
@@ -406,7 +427,9 @@ class _Reading:
         return value, slope
 
 
-def _extremes(events: Events, n: int) -> tuple[Numbers, Array, Numbers, Numbers]:
+def _extremes(
+    motion: Numbers, t: Array, value: Array, of: Numbers, n: int
+) -> tuple[Numbers, Array, Numbers, Numbers]:
     """Smallest and largest extremum of n quantities of every motion.
 
     Returns
@@ -414,14 +437,13 @@ def _extremes(events: Events, n: int) -> tuple[Numbers, Array, Numbers, Numbers]
     which, t, of, side : ndarray
         Motions, times [s], quantities, and 0 for the smallest or 1 for the largest.
     """
-    motion = np.repeat(np.arange(len(events.n_extrema)), events.n_extrema)
-    key = motion * n + events.extrema_of
-    order = np.lexsort((events.extrema, key))
+    key = motion * n + of
+    order = np.lexsort((value, key))
     is_first = np.diff(key[order], prepend=-1) != 0
     is_last = np.diff(key[order], append=-1) != 0
     places = np.concatenate([order[is_first], order[is_last]])
     side = np.repeat([0, 1], [is_first.sum(), is_last.sum()])
-    return motion[places], events.t_extrema[places], events.extrema_of[places], side
+    return motion[places], t[places], of[places], side
 
 
 class _Walls:
@@ -437,10 +459,6 @@ class _Walls:
             found = np.einsum("psn,psnkab->ankbp", shifts.weights, moved)
         self.stiffening, self.moving = np.where(np.isfinite(found), found, 0.0)
 
-    def meet(self, contact: int) -> Mask:
-        """Whether both walls are at one place."""
-        return np.asarray(self.place[:, contact, 0] == self.place[:, contact, 1])
-
     def nearest(self, contact: int, which: Numbers, gap: Array) -> tuple[Array, Array]:
         """Sides (-1, +1) of the walls nearest to gaps, and derivatives of their places."""
         off = np.abs(self.place[which, contact] - gap[:, None])
@@ -448,7 +466,7 @@ class _Walls:
         return 2.0 * side - 1.0, self.moving[which, contact, side]
 
     def beyond(self, contact: Numbers, which: Numbers, gap: Array) -> tuple[Array, Numbers]:
-        """Distances of gaps beyond the nearest wall that has stiffness [m], and its side, 0 or 1."""
+        """Distances of gaps beyond the nearest wall with a spring [m], and its side, 0 or 1."""
         beyond = (gap[:, None] - self.place[which, contact]) * (-1.0, 1.0)
         felt = np.where(self.stiffness[which, contact] > 0.0, beyond, -np.inf)
         side = np.abs(felt).argmin(axis=1)
