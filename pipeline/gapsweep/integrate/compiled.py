@@ -118,8 +118,9 @@ def _with_columns(scenes: SceneTable, models: Models, solver: Solver, shifts: Sh
     for name, is_fine in zip(shifts.names, is_covered.tolist(), strict=True):
         if not is_fine:
             raise ModelError(
-                f"parameter {name!r}: changes the direction of a contact or of a cubic spring, or "
-                "a phase; gradients cover masses, dampers, springs, walls and amplitudes of loads"
+                f"parameter {name!r}: changes the direction of a contact or of a cubic spring, a "
+                "phase, or a load by pieces; gradients cover masses, dampers, springs, walls and "
+                "amplitudes of harmonics"
             )
     return found
 

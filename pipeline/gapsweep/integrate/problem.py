@@ -448,8 +448,8 @@ class Solver:
         ):
             raise ModelError(
                 f"{self.runge_kutta_setting}: needs an Oscillator with omega_n > 0, "
-                "mean_load = 0 and base_damping = 1; otherwise use engine='scipy', or "
-                "located=False (piecewise-noevents)"
+                "mean_load = 0, base_damping = 1 and no force by pieces; otherwise use "
+                "engine='scipy', or located=False (piecewise-noevents)"
             )
         if 0 < n_located < n_contacts:
             raise ModelError(

@@ -218,6 +218,7 @@ def _run(
         omega,
         theta_0,
         *given,
+        t_0=t_0,
     )
     run = _Record()
     start: State = before.state if before else tuple(problems.start[i].tolist())
@@ -225,7 +226,12 @@ def _run(
         start += tuple(np.eye(len(start)).ravel().tolist())
     # An overflow on the way to divergence is an outcome, not an error.
     with np.errstate(all="ignore"):
-        t, y = (_located if scene.located else _plain)(scene, run, start, t_end - t_0)
+        t, y = 0.0, start
+        for knot in scene.knots(t_end - t_0):
+            part = replace(scene, piece=0.5 * (t + knot))
+            t, y = (_located if scene.located else _plain)(part, run, t, y, knot)
+            if run.status is not Status.OK:
+                break
     motion, since = joined(run.pieces), float(problems.record_from[i]) - t_0
     n, turns = scene.n_states, [extrema_of(each) for each in turning(scene, motion)]
     t_extrema, extrema = (np.concatenate([turn[k] for turn in turns]) for k in (0, 1))
@@ -268,9 +274,11 @@ def _judged(status: Status, scene: ReferenceScene, motion: PPoly) -> Status:
     return status
 
 
-def _plain(scene: ReferenceScene, run: _Record, y_0: State, t_end: float) -> tuple[float, State]:
+def _plain(
+    scene: ReferenceScene, run: _Record, t: float, y_0: State, t_end: float
+) -> tuple[float, State]:
     """Integrate without stops; wall crossings are roots of the dense output, found afterwards."""
-    segment = _solve(scene, run, None, 0.0, y_0, t_end, None)
+    segment = _solve(scene, run, None, t, y_0, t_end, None)
     for contact, law in enumerate(scene.laws):
         gap = gap_of(scene, segment.motion, contact)
         for wall in law.walls:
@@ -280,9 +288,11 @@ def _plain(scene: ReferenceScene, run: _Record, y_0: State, t_end: float) -> tup
     return segment.t, segment.y
 
 
-def _located(scene: ReferenceScene, run: _Record, y_0: State, t_end: float) -> tuple[float, State]:
+def _located(
+    scene: ReferenceScene, run: _Record, t: float, y_0: State, t_end: float
+) -> tuple[float, State]:
     """Integrate in segments of constant contact modes, restarted at every located contact."""
-    t, y, modes, stalled = 0.0, y_0, scene.modes_at(y_0), 0
+    y, modes, stalled = y_0, scene.modes_at(t, y_0), 0
     on_wall = None
     while t < t_end:
         found = _solve(scene, run, modes, t, y, t_end, on_wall)

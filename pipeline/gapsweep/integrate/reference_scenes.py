@@ -3,6 +3,7 @@
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import reduce
 from typing import Any
 
 import numpy as np
@@ -10,7 +11,8 @@ from numpy.typing import NDArray
 
 from gapsweep.model.contact import ContactLaw, Piecewise
 from gapsweep.model.oscillator import Oscillator
-from gapsweep.model.system import first_order
+from gapsweep.model.system import Harmonic, first_order
+from gapsweep.model.waves import ForceByPieces, Wave
 
 Array = NDArray[np.float64]
 State = tuple[float, ...]
@@ -27,7 +29,8 @@ Force = Callable[[float], float]
 class ReferenceScene:
     """Model, laws, forcing and tolerances of one motion, with its right-hand side.
 
-    A state is (q, v, z), then, with the tangent, the solutions that start from unit states.
+    A state is (q, v, z), then, with the tangent, the solutions that start from unit states. Times
+    count from `t_0`; loads by pieces have the polynomials that hold at the time `piece`.
     """
 
     system: Any
@@ -38,6 +41,8 @@ class ReferenceScene:
     atol: float
     tangent: bool
     contact_force: str = "by_mode"
+    t_0: float = 0.0
+    piece: float = 0.0
 
     @property
     def method(self) -> str:
@@ -60,6 +65,10 @@ class ReferenceScene:
     def rhs(self, modes: Modes) -> Callable[[float, Array], State]:
         """Return the right-hand side of the equation of motion in some contact modes."""
         raise NotImplementedError
+
+    def knots(self, t_end: float) -> list[float]:
+        """Times between zero and `t_end`, and this, at which a piece of a load ends."""
+        return [t_end]
 
     @property
     def n(self) -> int:
@@ -91,12 +100,12 @@ class ReferenceScene:
         stiffness = (0.0, law.K_c, law.K_ratio * law.K_c)[modes[contact]]
         return lambda x: stiffness
 
-    def modes_at(self, y: State) -> tuple[int, ...]:
+    def modes_at(self, t: float, y: State) -> tuple[int, ...]:
         """Initial contact modes; on a wall the velocity decides, then the acceleration."""
         modes = tuple(self._beyond(k, y) for k in range(len(self.laws)))
         for contact in range(len(self.laws)):
             if self.gap(contact, y) in (self.wall(contact, -1), self.wall(contact, 1)):
-                modes = self.passed(0.0, y, modes, contact, self.gap(contact, y))
+                modes = self.passed(t, y, modes, contact, self.gap(contact, y))
         return modes
 
     def _beyond(self, contact: int, y: State) -> int:
@@ -116,6 +125,10 @@ class ReferenceScene:
             if wall == self.wall(contact, mode) and mode * heading > 0.0:
                 return tuple(mode if k == contact else other for k, other in enumerate(modes))
         return free
+
+
+def _waves(system: Any) -> list[ForceByPieces]:
+    return [load for load in system.forcing if isinstance(load, ForceByPieces)]
 
 
 def scene_of(system: Any) -> type[ReferenceScene]:
@@ -178,6 +191,38 @@ class SystemScene(ReferenceScene):
     def n_states(self) -> int:
         return int(self.system.n_states)
 
+    def knots(self, t_end: float) -> list[float]:
+        found = {t_end}
+        for load in _waves(self.system):
+            ends = np.array(load.wave.ends)
+            if load.k:
+                turns = np.arange(math.ceil(t_end * self.omega) + 1)
+                times = (np.add.outer(turns, ends).ravel() - self.turn) / self.omega
+            else:
+                times = ends - self.t_0
+            found.update(times[(times > 0.0) & (times < t_end)].tolist())
+        return sorted(found)
+
+    def _value(self, wave: Wave) -> Force:
+        """Return the present polynomial of a wave as a function of time."""
+        rate, start = (1.0, self.t_0) if wave.in_seconds else (self.omega, self.turn)
+        now = start + self.piece * rate
+        whole = 0.0 if wave.in_seconds else math.floor(now)
+        ends, coefficients = wave.table
+        piece = min(int(np.searchsorted(ends, now - whole, side="right")), len(ends) - 1)
+        knot = ends[piece] + whole - start if math.isfinite(ends[piece]) else 0.0
+        terms = coefficients[piece, ::-1].tolist()
+
+        def value(t: float) -> float:
+            return reduce(lambda total, term: total * (rate * t - knot) + term, terms, 0.0)
+
+        return value
+
+    @property
+    def turn(self) -> float:
+        """Phase at time zero, in periods."""
+        return self.theta_0 / (2.0 * math.pi)
+
     def rhs(self, modes: Modes) -> Callable[[float, Array], State]:
         system, n, n_states = self.system, self.system.n, self.n_states
         linear, directions = first_order(system), self.directions
@@ -190,8 +235,11 @@ class SystemScene(ReferenceScene):
         terms = [system.modulation.get(name, ()) for name in system.contacts]
         omega_rad = 2.0 * math.pi * self.omega
         loads = [
-            (h.growth(omega_rad) * (inverse @ h.amplitude), h.k, h.phase) for h in system.forcing
+            (h.growth(omega_rad) * (inverse @ h.amplitude), h.k, h.phase)
+            for h in system.forcing
+            if isinstance(h, Harmonic)
         ]
+        waves = [(inverse @ w.amplitude, self._value(w.wave)) for w in _waves(system)]
 
         def rates(theta: float) -> list[float]:
             return [
@@ -202,6 +250,8 @@ class SystemScene(ReferenceScene):
             state, theta = y[:n_states], omega_rad * t + self.theta_0
             found = linear @ state
             push = sum((p * math.cos(k * theta + phase) for p, k, phase in loads), np.zeros(n))
+            for along, value in waves:
+                push += along * value(t)
             for along, cubic in cubics:
                 push -= cubic * (along @ state[:n]) ** 3
             for k, rate in zip(contacts, rates(theta), strict=True):

@@ -18,9 +18,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from gapsweep.errors import ModelError
 from gapsweep.model.arithmetic import select
+from gapsweep.model.arrays import numbers
 from gapsweep.model.fit import unit_force
 from gapsweep.model.oscillator import Gap, called_as, checked
-from gapsweep.model.system import numbers
 from gapsweep.status import DIVERGED_AT
 
 Array = NDArray[np.float64]

@@ -7,9 +7,9 @@ from typing import Any
 
 from gapsweep.errors import ModelError
 from gapsweep.model.contact import ContactLaw
-from gapsweep.model.oscillator import is_number
 from gapsweep.model.system import System
 from gapsweep.model.user_law import UserLaw
+from gapsweep.model.waves import ForceByPieces
 
 _WALLS = {"gap": ("j_1", "j_2"), "j_1": ("j_1",), "j_2": ("j_2",)}
 _OF_CONTACT = re.compile(r"(\w+)\[(.+)\]")
@@ -86,8 +86,8 @@ class Parameter:
             return model, tuple(laws), omega + by
         if self._is_of_model(model):
             if isinstance(model, System):
-                loads = [replace(x, amplitude=x.amplitude * (1.0 + by)) for x in model.forcing]
-                return replace(model, forcing=tuple(loads)), tuple(laws), omega
+                loads = tuple(_scaled(load, 1.0 + by) for load in model.forcing)
+                return replace(model, forcing=loads), tuple(laws), omega
             changed = replace(model, **{self.name: getattr(model, self.name) + by})
             return changed, tuple(laws), omega
         name, contact = self._of_law
@@ -100,8 +100,13 @@ def _numbers(of: Any) -> list[str]:
     """Names of the numbers of an oscillator or a law; none of a system or of a user law."""
     if isinstance(of, System | UserLaw):
         return []
-    names = [each.name for each in fields(of) if each.name != "gap"]
-    return [name for name in names if is_number(getattr(of, name))]
+    return [each.name for each in fields(of) if type(getattr(of, each.name)) is float]
+
+
+def _scaled(load: Any, factor: float) -> Any:
+    if isinstance(load, ForceByPieces):
+        return replace(load, peak=load.peak * factor)
+    return replace(load, amplitude=load.amplitude * factor)
 
 
 def _shifted(law: ContactLaw, name: str, by: float) -> ContactLaw:

@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gapsweep.errors import ModelError, described
+from gapsweep.model.arrays import numbers
 from gapsweep.model.contact import ContactLaw
 from gapsweep.model.oscillator import NO_LOSS, called_as, checked
-from gapsweep.model.system import numbers
 from gapsweep.quantities import without_units
 from gapsweep.user_code.load import blame, plain
 

@@ -28,9 +28,10 @@ or there are too few frequencies for intervals.
 """
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
+from itertools import chain, zip_longest
 from typing import Any
 
 import numpy as np
@@ -43,6 +44,7 @@ from gapsweep.model.labels import NOT_LOCATED, Representation
 from gapsweep.report.scales import NamedValue, plain
 from gapsweep.report.selection import anchor_of, gap_label, other_parameters
 from gapsweep.report.tables import number, percent
+from gapsweep.study.grid import COORDINATE
 
 # The largest error at the 95th percentile and the smallest share found, by verdict.
 LIMITS = {"use": (0.05, 0.95), "with care": (0.2, 0.8)}
@@ -53,7 +55,7 @@ SHOWN = {
     "found": "recall_pooled",
 }
 _COST_RATIO = "cpu_time_per_period_ratio"
-_CONTACTS = "n_contacts_per_period"
+_CONTACTS = "contacts_per_period"
 COLUMNS = ("use", "with care", "no")
 # Estimate of each number, and the best and the worst end of its interval.
 Values = dict[str, NDArray[np.float64]]
@@ -83,6 +85,11 @@ class Judged:
     def is_approximation(self) -> bool:
         """Whether the law is an approximation: False for ``piecewise-noevents`` and ``auto``."""
         return not (self.law == NOT_LOCATED or self.law.is_auto)
+
+    @property
+    def error(self) -> float:
+        """The 95th percentile of the error; infinity if no attractors are paired."""
+        return float(np.nan_to_num(self.values["p95"][0], nan=np.inf))
 
     @property
     def is_firm(self) -> bool:
@@ -120,9 +127,11 @@ class Judged:
 class Contact:
     """A case: stiffness [N/m] and gap [mm], and the verdict on every law.
 
-    `floors` are the errors of the exact law with other settings, `floor_cost_ratio` its cost ratio,
-    `swept` the values of other swept parameters, `at` the position in the files, and `unjudged` the
-    reason if no law can be judged.
+    Those of a contact that is no length are in its unit (`in_metres` is False); they are NaN and
+    empty if each contact of a system has its own. `floors` are the errors of the exact law with
+    other settings, `floor_cost_ratio` its cost ratio, `n_chaotic` its chaotic sweep points, `swept`
+    the values of other swept parameters, `at` the position in the files, and `unjudged` the reason
+    if no law can be judged.
     """
 
     K_c: float
@@ -134,6 +143,8 @@ class Contact:
     floor_cost_ratio: float = np.nan
     at: At = field(default_factory=dict)
     unjudged: str = ""
+    n_chaotic: int = 0
+    in_metres: bool = True
 
     @property
     def others(self) -> str:
@@ -143,18 +154,36 @@ class Contact:
     @property
     def stiffness(self) -> str:
         """The stiffness [N/m] as text."""
-        return plain(self.K_c)
+        return "" if np.isnan(self.K_c) else plain(self.K_c)
 
     @property
     def place(self) -> str:
         """The parameters of the case, in words."""
-        others = f", {self.others}" if self.others else ""
-        return f"{self.stiffness} N/m, {self.gap} mm{others}"
+        return ", ".join([*self.walls([self.gap]), *([self.others] if self.others else [])])
+
+    def walls(self, gaps: Sequence[str]) -> list[str]:
+        """The stiffness, and the gaps of cases that differ in them only, in words."""
+        numbers = self.stiffness, ", ".join(gaps)
+        if self.in_metres:
+            return [f"{numbers[0]} N/m", f"{numbers[1]} mm"]
+        named = zip(("K_c", "gap"), numbers, strict=True)
+        return [f"{name} {text}" for name, text in named if text]
 
     @property
     def anchor(self) -> str:
         """The id of the case's section in the page."""
         return anchor_of(self.at)
+
+    @property
+    def error(self) -> float:
+        """The largest error of an approximation (95th percentile), 0 if there is none."""
+        return max((one.error for one in self.laws if one.is_approximation), default=0.0)
+
+    @property
+    def lost(self) -> float:
+        """The largest share of the attractors that an approximation does not find."""
+        found = [one.values["found"][0] for one in self.laws if one.is_approximation]
+        return 1.0 - float(min(found, default=1.0))
 
     @property
     def columns(self) -> dict[str, list[Judged]]:
@@ -215,19 +244,24 @@ def contacts(agreement: xr.Dataset, static: xr.Dataset | None = None) -> list[Co
         As stored in the run's folder; without `static`, thresholds of tanh are not known.
     """
     names = [*SHOWN.values(), _COST_RATIO, _CONTACTS]
-    pooled = agreement[[*names, *(f"{n}_ci" for n in names), "n_points"]].sel(regime="all").load()
-    pooled["n_exact"] = agreement["n_attractors_exact"].sum("omega")
+    names += [*(f"{name}_ci" for name in names), "n_points", "n_attractors_exact"]
+    of_all = of_worst(agreement[names].load())
+    pooled = of_all.drop_vars("n_attractors_exact").sel(regime="all")
+    n_exact = of_all["n_attractors_exact"]
+    pooled["n_exact"] = n_exact.sum([dim for dim in n_exact.dims if dim == "omega"])
     exact = str(agreement.attrs["floor_representations"]).split()
     labels = [Representation(label) for label in pooled["representation"].values]
     laws = [n for n in labels if n != agreement.attrs["reference"] and not n.protocol]
     if not laws:
         return []
-    dims = scene_dims(agreement["n_attractors_exact"].dims)
+    dims = scene_dims(n_exact.dims)
     pooled = pooled.transpose("representation", *dims, ...)
     # As arrays: a study may have a thousand cases.
     tables = {str(name): pooled[name].values for name in pooled}
-    periodic = agreement[_COST_RATIO].sel(regime="periodic")
+    periodic = of_all[_COST_RATIO].sel(regime="periodic")
     tables["periodic"] = periodic.transpose("representation", *dims).values
+    chaotic = of_all["n_points"].sel(regime="chaotic")
+    tables["n_chaotic"] = chaotic.transpose("representation", *dims).values
     noise = repeatability(tables[_COST_RATIO][[label in exact for label in labels]])
     found = []
     for at in scenes(pooled, dims):
@@ -235,7 +269,8 @@ def contacts(agreement: xr.Dataset, static: xr.Dataset | None = None) -> list[Co
             label: {name: table[r, *at.values()] for name, table in tables.items()}
             for r, label in enumerate(labels)
         }
-        unjudged = _unjudged(where[str(agreement.attrs["reference"])])
+        reference = where[str(agreement.attrs["reference"])]
+        unjudged = _unjudged(reference)
         here_too = [law for law in laws if where[law]["n_points"] > 0]
         can_be = [] if unjudged else [law for law in here_too if _is_judged(law, where[law])]
         if not (here_too if unjudged else can_be):
@@ -245,10 +280,41 @@ def contacts(agreement: xr.Dataset, static: xr.Dataset | None = None) -> list[Co
         here = pooled.coords.to_dataset().isel(at)
         gap, swept = gap_label(here), [NamedValue.of(here[name]) for name in other_parameters(here)]
         known = _threshold(static, here), swept, _floor_cost_ratio(where, exact), at, unjudged
-        contact = Contact(float(here["K_c"]), gap, floors, judged, *known)
-        order = float(np.round(here["j_1"] + here["j_2"], 12)), float(here["j_1"])
-        found.append((contact.K_c, *order, contact))
+        n_chaotic = int(reference["n_chaotic"])
+        K_c, *walls = (float(here[n]) if n in here else np.nan for n in ("K_c", "j_1", "j_2"))
+        in_metres = "j_1" in here and here["j_1"].attrs.get("units") == "m"
+        contact = Contact(K_c, gap, floors, judged, *known, n_chaotic, in_metres)
+        found.append((K_c, float(np.round(sum(walls), 12)), walls[0], contact))
     return [contact for *_, contact in sorted(found, key=lambda one: one[:-1])]
+
+
+def of_worst(agreement: xr.Dataset) -> xr.Dataset:
+    """The numbers of the worst coordinate of a system: the largest errors and the smallest shares.
+
+    Other numbers are the same for all coordinates.
+    """
+    if COORDINATE not in agreement.dims:
+        return agreement
+    shares = [name for name in agreement if str(name).startswith(SHOWN["found"])]
+    return agreement.max(COORDINATE).assign(agreement[shares].min(COORDINATE))
+
+
+def telling(found: Sequence[Contact], most: int = MOST_CONTACTS) -> list[Contact]:
+    """At most `most` cases, in their order, that differ most from the exact law or are chaotic.
+
+    In turn the case with the largest error, with the largest share of attractors not found, and
+    with the most chaotic points.
+    """
+    measures: list[Callable[[Contact], float]] = [
+        lambda case: case.error, lambda case: case.lost, lambda case: case.n_chaotic,
+    ]  # fmt: skip
+    ranks = [
+        sorted((case for case in found if measure(case) > 0), key=measure, reverse=True)
+        for measure in measures
+    ]
+    ranked = dict.fromkeys(chain(*zip_longest(*ranks), found))
+    chosen = set([case for case in ranked if case][:most])
+    return [case for case in found if case in chosen]
 
 
 def verdict(values: Values, floors: Values) -> list[str]:
@@ -297,7 +363,7 @@ def _unjudged(exact: Row) -> str:
     """Reason why no law can be judged in a case; empty if laws can be judged."""
     if np.isnan(exact[SHOWN["found"]]):  # no attractors
         return "the exact law has no steady response"
-    return "" if exact[_CONTACTS] else "the exact law touches no wall"
+    return "" if exact[_CONTACTS] else "no steady response of the exact law crosses a wall"
 
 
 def _is_judged(law: Representation, row: Row) -> bool:
@@ -370,21 +436,26 @@ def _adequate(found: Sequence[Contact]) -> str:
 def _picked(found: Sequence[Contact]) -> str:
     """The cheapest adequate approximations in words, with the cases they are for."""
     groups: dict[tuple[str, ...], list[Contact]] = {}
+    is_counted = len(found) > MOST_CONTACTS
     for contact in found:
-        groups.setdefault(tuple(sorted(one.name for one in contact.picks)), []).append(contact)
-    return "; ".join(_pick(laws, some) for laws, some in groups.items())
+        laws = (str(one.law) if is_counted else one.name for one in contact.picks)
+        groups.setdefault(tuple(sorted(laws)), []).append(contact)
+    if is_counted:
+        groups = dict(sorted(groups.items(), key=lambda group: -len(group[1])))
+    return "; ".join(_pick(laws, some, is_counted) for laws, some in groups.items())
 
 
-def _pick(laws: tuple[str, ...], some: Sequence[Contact]) -> str:
-    gaps: dict[tuple[str, str], list[str]] = {}
+def _pick(laws: tuple[str, ...], some: Sequence[Contact], is_counted: bool) -> str:
+    alike: dict[tuple[str, str], list[Contact]] = {}
     for contact in some:
-        gaps.setdefault((contact.stiffness, contact.others), []).append(contact.gap)
+        alike.setdefault((contact.stiffness, contact.others), []).append(contact)
     places = " and ".join(
-        f"{K_c} N/m with {', '.join(mm)} mm{f' at {others}' if others else ''}"
-        for (K_c, others), mm in gaps.items()
+        " with ".join(several[0].walls([one.gap for one in several]))
+        + (f" at {others}" if others else "")
+        for (_, others), several in alike.items()
     )
-    if len(some) > MOST_CONTACTS:
-        places = f"{len(some)} cases"
+    if is_counted:
+        places = f"{len(some)} case{'s' * (len(some) > 1)}"
     none = "undecided" if any(one.is_open for one in some) else "none of those computed"
     names = " or ".join([", ".join(laws[:-1]), laws[-1]] if laws[1:] else laws)
     return f"{names or none} for {places}"

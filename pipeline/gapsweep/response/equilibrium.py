@@ -159,7 +159,7 @@ def _terms(system: Any) -> tuple[Array, ...]:
     n, inverse = system.n, np.linalg.inv(system.mass)
     load = np.zeros(n)
     for h in system.forcing:
-        load += h.growth(0.0) * (inverse @ h.amplitude) * math.cos(h.phase)
+        load += h.growth(0.0) * (inverse @ h.amplitude) * h.start
     cubics = [np.concatenate([c.along, inverse @ c.along * c.alpha]) for c in system.cubic]
     contacts = []
     for name, direction in system.contacts.items():

@@ -100,7 +100,7 @@ class ParametricModel:
 
     def _oscillator(self, values: Mapping[str, float]) -> Oscillator:
         try:
-            return Oscillator(**values)
+            return Oscillator(**values, wave=self.spec.oscillator and self.spec.oscillator.wave)
         except ModelError as error:
             raise StudyError(f"{self.source}: oscillator: {error}") from None
 

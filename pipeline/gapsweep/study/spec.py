@@ -33,7 +33,6 @@ from gapsweep.study.axes import (
     NonNegative,
     NonNegativeAxis,
     Number,
-    OscillatorTable,
     Pair,
     Pairs,
     Positive,
@@ -48,6 +47,7 @@ from gapsweep.study.axes import (
 from gapsweep.study.bench_tables import BenchTable
 from gapsweep.study.grid import START, Axes
 from gapsweep.study.least_model import DEFAULT_ERROR, LARGEST_ERROR, SMALLEST_ERROR
+from gapsweep.study.oscillator_table import OscillatorTable, with_points
 from gapsweep.study.problems import EXAMPLES, problems
 from gapsweep.study.schema import TAKEN
 from gapsweep.study.system_tables import ContactTable, SystemTable, wrong_matrices
@@ -353,7 +353,7 @@ class StudySpec(TomlTable):
     @property
     def model(self) -> dict[str, float]:
         """Default values of all parameters of the model."""
-        return self.oscillator.model_dump() if self.oscillator else self.parameters
+        return self.oscillator.numbers if self.oscillator else self.parameters
 
     @property
     def tables(self) -> dict[str, Any]:
@@ -505,7 +505,7 @@ def _line(text: str, error: ValueError) -> str:
 
 def check(tables: dict[str, Any], source: str = "study") -> StudySpec:
     """Check the tables of a study; see `parse`."""
-    tables = with_numbers(tables)
+    tables = with_numbers(with_points(tables, source))
     try:
         return StudySpec.model_validate(tables)
     except ValidationError as error:

@@ -393,7 +393,8 @@ class Study:
     def grid(self) -> Grid:
         """The grid of sweep points: the union of all blocks."""
         requested = requested_of(self._blocks, self._axes)
-        return Grid(self._axes, requested, self.structure, self.model.parts)
+        units = self.model.default.part_units
+        return Grid(self._axes, requested, self.structure, self.model.parts, units)
 
     def select(self, /, **wanted: Any) -> Selection:
         """Return the points with the selected values.

@@ -42,7 +42,7 @@ def with_columns(
     -------
     table : SceneTable
     is_covered : ndarray of bool, shape (n_columns,)
-        False for a parameter that changes a block in `FIXED`.
+        False for a parameter that changes a block in `FIXED`, or loads by pieces.
     """
     at, (n_columns, _, n) = table.at, weights.shape
     rows = shifted.table[:-1].reshape(*weights.shape, -1)
@@ -57,6 +57,8 @@ def with_columns(
     changes[:, by_omega] -= scaled[:, None, :]
     fixed = np.concatenate([_rows(at, name) for name in FIXED])
     is_covered = (rows[..., fixed] == models[None, None, :, fixed]).all(axis=(1, 2, 3))
+    if at.pieces:
+        is_covered &= ~by_omega & [_has_pieces_of(table, shifted, each) for each in rows]
     wider = known(replace(at, columns=n_columns))
     found = np.zeros((len(table.table), wider.n_rows))
     found[:, : at.n_rows] = table.table
@@ -68,3 +70,13 @@ def with_columns(
 def _rows(at: RowLayout, name: str) -> NDArray[np.intp]:
     """Numbers of the rows of a block."""
     return np.arange(at.first[name], at.first[name] + at.blocks[name])
+
+
+def _has_pieces_of(table: SceneTable, shifted: SceneTable, rows: Array) -> bool:
+    """Whether shifted models, shape (n_shifts, n, n_rows), have the loads by pieces of a table."""
+    span = [table.at.first_piece, table.at.no_piece]
+    for number, model in enumerate(table.table[:-1, span].astype(int)):
+        for first, last in np.unique(rows[:, number, span].astype(int), axis=0):
+            if not np.array_equal(table.pieces[slice(*model)], shifted.pieces[first:last]):
+                return False
+    return True

@@ -81,6 +81,8 @@ class RowLayout:
     contacts, cubics, harmonics, modulations : int
         Contacts, cubic springs, harmonics of the forcing (a constant load is one), and of the
         contacts' stiffness.
+    pieces : int
+        Coefficients of a piece if a load is given by pieces, else 0.
     is_plain : bool
         Whether the system is an oscillator: one coordinate with one contact, one cubic spring and
         one harmonic with the frequency and the phase of the clock.
@@ -109,6 +111,7 @@ class RowLayout:
     cubics: int = 1
     harmonics: int = 1
     modulations: int = 0
+    pieces: int = 0
     is_plain: bool = True
     is_tanh: bool = False
     is_free: bool = False
@@ -296,6 +299,7 @@ class RowLayout:
             # [1/s], sizes of lags relative to a metre
             **{"mass_root": n * n * several, "spring_root": n * n * several},
             **{"fastest": 1 * several, "decay": 1 * several, "slow": 1 * several, "lag_floor": m},
+            **self._piece_blocks(),
             # parameters of the contacts' laws, whether the motion has left the range of a fit,
             # coefficients of fits
             "law": k * N_PARAMETERS * self.has_laws,
@@ -303,6 +307,21 @@ class RowLayout:
             "fit": sum(top + bottom for _, top, bottom in self.laws),
             **self._runge_kutta_blocks(),
             **self._item_blocks(),
+        }
+
+    def _piece_blocks(self) -> dict[str, int]:
+        """Number of rows of every block of loads by pieces, see `pieces`."""
+        has_pieces = int(self.pieces > 0)
+        return {
+            # the present piece: accelerations, by coordinate and by powers of the time [s] since
+            # the knot at its end; the clock there
+            "piece": self.n * self.pieces,
+            **dict.fromkeys(("knot_cycle", "knot_tau"), has_pieces),
+            # the end of the motion, of which `end_cycle` and `end_tau` are that of the piece
+            **dict.fromkeys(("last_cycle", "last_tau"), has_pieces),
+            # rows of the table of pieces: the first, behind the last, the present one; whether
+            # they are in seconds
+            **dict.fromkeys(("first_piece", "no_piece", "this_piece", "is_record"), has_pieces),
         }
 
     def _item_blocks(self) -> dict[str, int]:

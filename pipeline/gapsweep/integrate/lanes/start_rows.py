@@ -11,6 +11,7 @@ import numpy as np
 from gapsweep.integrate.jit import entry, internal
 
 from .outcome import CLOCK_SLACK
+from .pieces import set_first_piece
 
 # The absolute part of a step's tolerance never exceeds rtol times this part of the motion's
 # natural size: a step at high order costs so little more that a generous atol buys nothing, and
@@ -25,7 +26,7 @@ PRODUCT_ROUNDING = 1.5 * np.finfo(float).eps  # of the rounded product of two ro
 
 @entry
 def set_starts(
-    numbers, points, table, which, start, follows, t_0, t_end, record_from, section_only,
+    numbers, points, table, pieces, which, start, follows, t_0, t_end, record_from, section_only,
     sections, rtol,
 ):  # fmt: skip
     """Copy rows of a table of models and write initial states and times into the copies.
@@ -38,6 +39,8 @@ def set_starts(
         Receives the points, and the table's last row, the idle point, as its last one.
     table : array, shape (n_scenes + 1, n_rows)
         Rows of `scenes.SceneTable`.
+    pieces : array, shape (n_pieces, n_columns)
+        Loads by pieces, see `SceneTable`.
     which : int array, shape (n,)
         Row of the model of each point.
     start : array, shape (n, n_states)
@@ -85,6 +88,8 @@ def set_starts(
             is_placed = not at.is_free and n_sections + max(n_due, 0.0) <= MOST_PLACED
             n_sections = n_sections + int(max(n_due, 0.0)) if is_placed else -1
             sections[i, 1] = n_sections
+        if at.pieces:
+            set_first_piece(at, point, pieces)
         if follows[i]:
             continue
         for j in range(at.n_states):

@@ -303,7 +303,7 @@ def run(
         is_next[:-1] = follows
     given = start, is_next, t_0, t_end, record_from, section_only and not dense_output
     outcome, n_sections, is_recording = set_starts(
-        at.numbers, points, prepared.table, which, *given, sections, prepared.rtol
+        at.numbers, points, prepared.table, prepared.pieces, which, *given, sections, prepared.rtol
     )
     if outcome == NOT_FINITE:
         check(start=start, t_0=t_0, t_end=t_end, record_from=record_from)
@@ -331,6 +331,7 @@ def run(
         lanes=space.lanes,
         lane_point=space.lane_point,
         points=points,
+        pieces=prepared.pieces,
         queue=queue,
         follows=is_next,
         statuses=np.full(n, RUNNING),

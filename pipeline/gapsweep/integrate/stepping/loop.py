@@ -16,6 +16,7 @@ from gapsweep.integrate.jit import counted, entry, internal
 from gapsweep.integrate.lanes import outcome
 from gapsweep.integrate.lanes.method import method_step
 from gapsweep.integrate.lanes.outcome import MAX_HALVINGS, SHORT_STEP
+from gapsweep.integrate.lanes.pieces import enter_next_piece
 from gapsweep.integrate.lanes.start_rows import follow
 from gapsweep.integrate.vectors import lowest_bit
 from gapsweep.status import Status
@@ -261,6 +262,10 @@ def _attend(layout, named, run, limits):
         k = lowest_bit(ending)
         ending &= ending - 1
         status = _failure(at, lanes, k, x_bound, max_short)
+        is_at_end = status == RUNNING and (done >> k) & 1 != 0
+        if at.pieces and is_at_end and enter_next_piece(at, lanes[:, k], run.pieces):
+            lanes[at.is_fresh, k] = outcome.AT_NEW_STATE
+            continue
         if status == RUNNING:
             status = OK if (done >> k) & 1 != 0 else STEP_UNDERFLOW
         _finish(at, run, k, status, limits)
@@ -317,6 +322,8 @@ class LoopState(NamedTuple):
         Row in `points` of each lane; -2 before the first call, `IDLE` when none is left.
     points : array, shape (n_points + 1, n_rows)
         One row per point: start on entry, end on return. The last row is the idle point.
+    pieces : array, shape (n_pieces, n_columns)
+        Loads by pieces, as in `SceneTable`.
     queue : int array
         Points that follow no other, in the order in which they are loaded.
     follows : bool array, shape (n_points + 1,)
@@ -345,6 +352,7 @@ class LoopState(NamedTuple):
     lanes: np.ndarray
     lane_point: np.ndarray
     points: np.ndarray
+    pieces: np.ndarray
     queue: np.ndarray
     follows: np.ndarray
     statuses: np.ndarray

@@ -19,6 +19,7 @@ import math
 from functools import reduce
 from itertools import chain
 
+from gapsweep.integrate.lanes.pieces import piece_series
 from gapsweep.integrate.lanes.rows import dot
 from gapsweep.integrate.vectors import (
     branch,
@@ -236,7 +237,11 @@ class Equation:
     def forcing(self):
         """Series of the forcing, by coordinate."""
         lanes, n = self._lanes, self._lanes.layout.n
-        return self.harmonics(lambda i: lanes.item("push", i, n))
+        found = self.harmonics(lambda i: lanes.item("push", i, n))
+        if lanes.layout.pieces:
+            for total, piece in zip(found, piece_series(lanes), strict=True):
+                total[: len(piece)] = [a + b for a, b in zip(total, piece, strict=False)]
+        return found
 
     def harmonics(self, amplitudes):
         """Series of loads with the amplitudes of a function of their number, by coordinate."""

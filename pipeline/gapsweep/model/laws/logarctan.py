@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gapsweep.model.arithmetic import fma, is_any
+from gapsweep.model.arrays import numbers
 from gapsweep.model.contact import Formulas, penetrations
 from gapsweep.model.laws.sharpened import ARCTAN_LAYER, INVERSE_PI, Sharpened
 from gapsweep.model.oscillator import called_as
-from gapsweep.model.system import numbers
 
 Array = NDArray[np.float64]
 

@@ -8,24 +8,20 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from gapsweep.analysis.dimensions import REPRESENTATION, in_metres
+from gapsweep.analysis.dimensions import REPRESENTATION, of_oscillator
 from gapsweep.model.labels import EXACT
 from gapsweep.report.drawing import labels_of
 from gapsweep.report.inputs import Inputs
 from gapsweep.report.parts import Part
 from gapsweep.report.scales import drawn, shown_unit
-from gapsweep.report.tables import condensed, percent, tally
+from gapsweep.report.tables import tally
 from gapsweep.report.verdicts import (
     COLUMNS,
-    SHOWN,
     Contact,
-    consequence,
-    verdict,
-    worst,
 )
 from gapsweep.response.result import ResponseClass
 from gapsweep.status import Status
-from gapsweep.study.grid import CONTACT, COORDINATE, START
+from gapsweep.study.grid import CONTACT, START
 from gapsweep.study.points import FIXED
 from gapsweep.study.spec import check
 from gapsweep.study.study import Study
@@ -40,10 +36,9 @@ def sections(inputs: Inputs) -> Iterator[Part]:
     sentences = [*_doubtful(responses), *filter(None, [far])]
     sentences += [outcomes(responses), _tried(responses)]
     sentences += _along(responses)
+    sentences += _touching(responses)
     if inputs.attractors is not None:
         sentences += _coexisting(inputs.attractors)
-    if inputs.agreement is not None and not in_metres(responses):
-        sentences += _agreeing(inputs.agreement)
     sentences += counted(inputs.cases)
     if inputs.advice is not None:
         sentences.append(_choices(inputs.advice))
@@ -71,7 +66,7 @@ _LISTED = 3  # intervals of it that are listed
 
 def unreached_walls(responses: xr.Dataset) -> str:
     """Sentence on cases or contacts in which no motion reaches a wall; empty if all do."""
-    if in_metres(responses):
+    if of_oscillator(responses):
         dims = [str(dim) for dim in responses["status"].dims]
         sentence = never_reached(lambda name: responses[name].values, dims, labels_of(responses))
         return f"{sentence[0].upper()}{sentence[1:]}." if sentence else ""
@@ -161,6 +156,25 @@ def _along(responses: xr.Dataset) -> Iterator[str]:
             yield f"{label} is {words}{some} at {where} {ranges}."
 
 
+def _touching(responses: xr.Dataset) -> Iterator[str]:
+    """Sentence on the responses that touch a wall, of the exact law if computed, and where."""
+    if "contact_share" not in responses:
+        return
+    label = _exact_if_swept(responses)
+    here = responses[["contact_share", "status"]].sel(representation=label)
+    is_touching = here["contact_share"] > 0.0
+    if CONTACT in is_touching.dims:
+        is_touching = is_touching.any(CONTACT)
+    n, n_all = int(is_touching.sum()), int((here["status"] != Status.NOT_REQUESTED).sum())
+    if not n:
+        return
+    where = ""
+    if is_touching.sizes.get("omega", 1) > 1:
+        at = is_touching.any([dim for dim in is_touching.dims if dim != "omega"])
+        where = f", at omega [Hz] {_ranges(at.values, responses['omega'].values)}"
+    yield f"{label} touches a wall in {n} of {n_all} steady responses{where}."
+
+
 def _ranges(is_so: NDArray[np.bool_], x: NDArray[np.float64]) -> str:
     """Return intervals of a grid on which a condition holds: the 3 widest, ascending, as text."""
     edges = np.flatnonzero(np.diff(is_so, prepend=False, append=False)).reshape(-1, 2) - (0, 1)
@@ -187,34 +201,6 @@ def _coexisting(attractors: xr.Dataset) -> Iterator[str]:
         yield f"{label} has coexisting attractors at {places} with a result (up to {n.max()})."
 
 
-def _agreeing(agreement: xr.Dataset) -> Iterator[str]:
-    """Whether every approximation is accurate enough, for the worst coordinate."""
-    exact = str(agreement.attrs["floor_representations"]).split()
-    recall, n = SHOWN["found"], "n_compared"
-    of_scenes = agreement[[*SHOWN.values(), n]].sel(regime="all").load()
-    if COORDINATE in of_scenes.dims:
-        by_coordinate = of_scenes
-        of_scenes = by_coordinate.max(COORDINATE)
-        of_scenes[recall] = by_coordinate[recall].min(COORDINATE)
-    pooled = condensed(of_scenes)
-    numbers: dict[str, dict[str, NDArray[np.float64]]] = {
-        label: {
-            name: np.array([pooled[long].sel(representation=label)]) for name, long in SHOWN.items()
-        }
-        for label in labels_of(pooled)
-    }
-    floors = worst([numbers[label] for label in exact])
-    for label, values in numbers.items():
-        if label in (EXACT, *exact) or np.isnan(values["found"]):
-            continue
-        rows = of_scenes.sel(representation=label)
-        lowest, n_scenes = float(rows[recall].where(rows[n] > 0).min()), int((rows[n] > 0).sum())
-        over = f" Medians over {n_scenes} parameter sets." if n_scenes > 1 else ""
-        over += f" Smallest share found: {percent(lowest)}." if lowest < values["found"] else ""
-        p95, found = (float(values[name][0]) for name in ("p95", "found"))
-        yield consequence(label, verdict(values, floors)[0], p95, found) + over
-
-
 def counted(found: Sequence[Contact]) -> Iterator[str]:
     """Counts of approximations by verdict; no cost, since costs differ from run to run."""
     laws = [one for contact in found for one in contact.laws if one.is_approximation]
@@ -225,9 +211,9 @@ def counted(found: Sequence[Contact]) -> Iterator[str]:
     costs = [one for one in laws if np.isfinite(one.cost_ratio)]
     if costs and all(np.isnan(one.low) for one in costs):
         yield (
-            "Cost relative to the exact law: undecided. Add piecewise@half and [protocol] half = "
-            "{ rtol = 5e-10, atol = 5e-13 } to the study, with enough frequencies, to measure the "
-            "repeatability of timings."
+            "Costs relative to the exact law are marked with ?: their repeatability is unknown. To "
+            "measure it, add piecewise@half and [protocol] half = { rtol = 5e-10, atol = 5e-13 } "
+            "to the study, with enough frequencies."
         )
 
 

@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from gapsweep.analysis.dimensions import in_metres
 from gapsweep.report.drawing import labels_of
 from gapsweep.report.inputs import Inputs
 from gapsweep.report.parts import Part
@@ -53,7 +52,11 @@ def sections(inputs: Inputs) -> Iterator[Part]:
 def _oscillator(responses: xr.Dataset) -> list[tuple[str, str]]:
     """Equation, numbers and contact laws of an oscillator."""
     study = json.loads(responses.attrs["study_json"])
-    fixed = {"K_ratio": 1.0} | study["oscillator"]
+    fixed, wave = {"K_ratio": 1.0} | study["oscillator"], []
+    if isinstance(points := fixed["forcing"], dict):
+        forces = points.get("f") or points["levels"]
+        fixed["forcing"] = max(map(abs, forces))
+        wave = [("Wave", f"in place of the cosine of p: {len(forces)} points in a period")]
     held = {n: responses[n].values if n in responses else fixed[n] for n in _NUMBERS}
     is_moving = bool(np.any(held["unbalance"]) or np.any(held["base_amplitude"]))
     numbers = [
@@ -67,6 +70,7 @@ def _oscillator(responses: xr.Dataset) -> list[tuple[str, str]]:
     return [
         ("Equation", _EQUATION + _MOVING * is_moving + _RATES),
         ("Numbers", ", ".join(numbers)),
+        *wave,
         *_laws(responses),
     ]
 
@@ -86,6 +90,11 @@ def _system(responses: xr.Dataset) -> list[tuple[str, str]]:
     rows += [(f"b of {name}", _rows(along)) for name, along in held["contacts"].items()]
     rows += [("a, α", f"{_rows(each['along'])}, {plain(each['alpha'])}") for each in held["cubic"]]
     for load in held["forcing"]:
+        if wave := load.get("wave"):
+            amplitude = np.multiply(load["peak"], load["along"])
+            pieces = f"{len(wave['ends'])} pieces in a period"
+            rows.append(("Load", f"{_rows(amplitude.tolist())} times {pieces}"))
+            continue
         growth = f" ({_rate(load)}){'²' * (load['power'] == 2)}" if load["power"] else ""
         rows.append(("Load", f"{_rows(load['amplitude'])}{growth}{_turning(load)}"))
     for name, terms in held["modulation"].items():
@@ -169,9 +178,10 @@ def _listed(texts: Sequence[str]) -> str:
 def _laws(responses: xr.Dataset) -> list[tuple[str, str]]:
     """Name and formula of the force of each law; user laws are named by their label."""
     tables = json.loads(responses.attrs.get("tables_json", "{}"))
-    is_length = in_metres(responses)
-    # The length unit of a system is the user's choice.
-    unit = "[1/m]" if is_length else "[1/unit of x]"
+    # Contacts of a system may have no common unit.
+    force = responses["force_max"].attrs.get("units", "") if "force_max" in responses else ""
+    is_length = force == "N"
+    unit = {"N": "[1/m]", "N m": "[1/rad]", "1": "[-]"}.get(force, "[1/unit of x]")
     found = {}
     for label in labels_of(responses):
         if label.law_type is not None:
