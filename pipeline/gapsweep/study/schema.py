@@ -56,6 +56,7 @@ COORDINATES: dict[str, tuple[str, Variable]] = {
         "K_ratio",
         Variable("f8", UNITS["K_ratio"], "stiffness ratio, lower wall over upper wall"),
     ),
+    "damping": ("damping", Variable("f8", UNITS["damping"], "damping of both walls")),
     "initial_condition": (START, INPUTS[START]),
     "x_0": (START, INPUTS["x_0"]),
     "v_0": (START, INPUTS["v_0"]),
