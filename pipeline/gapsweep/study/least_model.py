@@ -25,9 +25,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from gapsweep.errors import ModelError
 from gapsweep.integrate.simulate import AnyLaw, cases
+from gapsweep.model.arrays import array
 from gapsweep.model.oscillator import Oscillator, called_as, checked
 from gapsweep.model.structure import general_form
-from gapsweep.model.system import System, array, first_order
+from gapsweep.model.system import System, first_order
 from gapsweep.model.table import ForceTable
 from gapsweep.model.user_law import UserLaw
 from gapsweep.study.points import OF_CONTACT, Points

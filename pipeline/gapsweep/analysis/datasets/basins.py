@@ -15,9 +15,10 @@ from gapsweep.errors import ModelError
 from gapsweep.execution.cluster import check_workers
 from gapsweep.integrate.problem import DEFAULT_ENGINE, Model, Models, Solver
 from gapsweep.integrate.simulate import AnyLaw, cases
+from gapsweep.model.arrays import numbers
 from gapsweep.model.doubts import doubts, warn_of
 from gapsweep.model.oscillator import Oscillator, called_as
-from gapsweep.model.system import System, numbers
+from gapsweep.model.system import System
 from gapsweep.model.user_law import UserLaw
 from gapsweep.response.attractors import Attractors, Grouping
 from gapsweep.response.respond import check_steady, respond_models
@@ -162,7 +163,7 @@ def _dataset(found: Attractors, model: Model, axes: Mapping[str, Array]) -> xr.D
         data[name] = ((_NUMBER, COORDINATE)[: values.ndim], values)
     dataset = xr.Dataset(data)
     for name, variable in _ATTRIBUTES.items():
-        described = variable.of_systems if is_system else variable
+        described = variable.in_units(model.part_units)
         dataset[name].attrs.update(described.attributes)
     for name, values in axes.items():
         known = {"long_name": f"initial {name}"} if is_system else INPUTS[name].attributes
