@@ -9,6 +9,7 @@ from gapsweep.model.structure import AnyStructure
 from gapsweep.quantities import UNITS
 from gapsweep.response.result import RESPONSE, exists, part_sizes
 from gapsweep.study.grid import START
+from gapsweep.study.samples import DRAWN, SAMPLE
 from gapsweep.variables import EXTREMUM, INPUTS, MULTIPLIER, PARTS, SECTION_POINT, Variable
 
 # Dimensions of a study without further swept numbers, which have dimensions after omega.
@@ -48,6 +49,9 @@ COORDINATES: dict[str, tuple[str, Variable]] = {
     "x_0": (START, INPUTS["x_0"]),
     "v_0": (START, INPUTS["v_0"]),
     "z_0": (START, INPUTS["z_0"]),
+    SAMPLE: (SAMPLE, Variable("i4", "1", "number of the sample of uncertain numbers")),
+    "matrix": (SAMPLE, Variable("i4", "1", "matrix of the sample: 0 A, 1 B, from 2 on mixed")),
+    "repeat": (SAMPLE, Variable("i4", "1", "independent repeat of the sample")),
     "start": ("initial_condition", Variable("str", "1", "fixed, sweep_up or sweep_down")),
 }
 
@@ -60,7 +64,9 @@ PARAMETER = "parameter"  # beginning of the long name of a system parameter's co
 Found = dict[str, tuple[tuple[str, ...], Variable]]
 
 
-def coordinates(dims: Collection[str], structure: AnyStructure) -> Found:
+def coordinates(
+    dims: Collection[str], structure: AnyStructure, drawn: Collection[str] = ()
+) -> Found:
     """Return dimensions and description of every coordinate of a dataset with these dimensions.
 
     Parameters
@@ -68,6 +74,8 @@ def coordinates(dims: Collection[str], structure: AnyStructure) -> Found:
     dims : collection of str
     structure : Structure or OscillatorStructure
         Structure of the models; it adds the dimensions within a point.
+    drawn : collection of str
+        Uncertain numbers, over the dimension `sample`.
     """
     parts = part_sizes(structure)
     own = () if structure.in_metres else SHARED  # parameters of a user's system, of any meaning
@@ -81,6 +89,9 @@ def coordinates(dims: Collection[str], structure: AnyStructure) -> Found:
         for name in dims
         if name not in known
     }
+    for name in drawn:
+        unit = UNITS.get(name.replace("gap", "j_1"), "") if structure.in_metres else ""
+        parameters[f"{DRAWN}{name}"] = (SAMPLE, Variable("f8", unit, f"drawn {name}"))
     found: Found = {
         name: ((dim, *parts_of(name, parts)), described(variable, structure))
         for name, (dim, variable) in (known | parameters).items()
@@ -145,6 +156,9 @@ TAKEN = {
     # of branches.nc and curves.nc
     *("branch", "step", "state", "match", "stable", "special", "n_orbits", "n_lost"),
     *("begins", "ends", "parent", "start_state", "curve_kind"),
+    # of risk.nc and the table [uncertain]
+    *("event", "quantity", "level", "number", "samples", "repeats", "seed", "indices"),
+    *("correlation", "quantities", "safe", "probability", "low", "high", "first_order", "total"),
     # of agreement.nc and timing.nc
     *("regime", "bound", "f1", "precision", "recall"),
     *("n_points", "n_compared", "n_failed", "n_unresolved"),
