@@ -2,17 +2,18 @@
 
 import csv
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import AfterValidator, Field, model_validator
+from pydantic import AfterValidator, Field, ValidationError, model_validator
 
-from gapsweep.errors import StudyError
+from gapsweep.errors import ModelError, StudyError
 from gapsweep.model.structure import AnyStructure
 from gapsweep.response.result import RESPONSE, ResponseClass, columns_of
 from gapsweep.study.axes import Number, OscillatorTable, Positive, Range, TomlTable
+from gapsweep.study.problems import problems
 from gapsweep.study.samples import Distribution, Measured, Samples, drawn
 
 _CLASSES = tuple(one.name.lower() for one in ResponseClass)
@@ -219,6 +220,33 @@ class UncertainTable(TomlTable):
             return ["correlation: Sobol indices are for independent numbers; leave out one of both"]
         return []
 
+    @classmethod
+    def of_call(
+        cls, names: Collection[str], events: Mapping[str, Any], settings: Mapping[str, Any]
+    ) -> "UncertainTable":
+        """Return the table of a call, of which the distributions are no part.
+
+        Raises
+        ------
+        ModelError
+            If an event or a setting is invalid.
+        """
+        several = [{"name": name, **event} for name, event in events.items()]
+        numbers = {name: {"uniform": [0.0, 1.0]} for name in names}
+        try:
+            return cls.model_validate({**settings, "event": several, **numbers})
+        except ValidationError as error:
+            raise ModelError("; ".join(problems("gs.risk", error, cls, ()))) from None
+
+    def wrong_quantities(
+        self, structure: AnyStructure, parts: Mapping[str, Sequence[str]]
+    ) -> Iterator[str]:
+        """Yield a line per quantity that responses of a structure do not have."""
+        allowed = quantities_of(structure, parts)
+        for quantity in self.all_quantities:
+            if quantity not in allowed:
+                yield f"quantity = {quantity!r}: must be one of {', '.join(allowed)}"
+
     @property
     def tables(self) -> dict[str, DistributionTable]:
         """Distributions by name; a pair of walls as j_1 and j_2."""
@@ -311,14 +339,10 @@ class UncertainTable(TomlTable):
             if "gap" in axes and name in ("gap", "j_1", "j_2"):
                 ends = {"j_1": [0], "j_2": [1]}.get(name, [0, 1])
                 values = [(gap.j_1, gap.j_2)[i] for gap in axes["gap"] for i in ends]
-            for value in values:
-                if problem := _outside(name, table, folder, value, in_metres=structure.in_metres):
-                    yield problem
-                    break
-        allowed = quantities_of(structure, parts)
-        for quantity in self.all_quantities:
-            if quantity not in allowed:
-                yield f"quantity = {quantity!r}: must be one of {', '.join(allowed)}"
+            given = table.kind, table.distribution(folder), table.nominal
+            found = (outside(name, *given, value, structure.in_metres) for value in values)
+            yield from [problem for problem in found if problem][:1]
+        yield from self.wrong_quantities(structure, parts)
         if self.safe and len(axes.get(self.safe.along, ())) < 2:
             yield f"safe.along = {self.safe.along!r}: must have several values in [[sweep]]"
 
@@ -333,25 +357,36 @@ def quantities_of(structure: AnyStructure, parts: Mapping[str, Sequence[str]]) -
     return found
 
 
-def _outside(
-    name: str, table: DistributionTable, folder: Path, value: Any, *, in_metres: bool
+def outside(
+    name: str, kind: str, of: Distribution, nominal: str | None, value: Any, in_metres: bool
 ) -> str:
-    """Return the problem of a distribution that leaves the range of its number; empty without."""
+    """Return the problem of a distribution that leaves the range of its number; empty without.
+
+    Parameters
+    ----------
+    kind : str
+        Of the distribution, for the message.
+    nominal : str, optional
+        How it acts on the nominal value, as of `Samples`.
+    value : float
+        Nominal value.
+    in_metres : bool
+        Whether the model is an oscillator.
+    """
     bounds = _range(name, in_metres=in_metres)
-    of = table.distribution(folder)
-    if table.nominal == "plus":
+    if nominal == "plus":
         low, high = (bound - value for bound in bounds)
-    elif table.nominal == "times" and value:
+    elif nominal == "times" and value:
         low, high = (bound / value for bound in bounds)
     else:
         low, high = bounds
-    at = "" if table.nominal is None else f" at the nominal value {value:g}"
+    at = "" if nominal is None else f" at the nominal value {value:g}"
     shares = float(of.cdf(low)), 1.0 - float(of.cdf(high))
     for share, sign, bound in zip(shares, "<>", bounds, strict=True):
         if share > _MOST_OUTSIDE:
             return (
-                f"{name}: {table.kind} gives {name} {sign} {bound:g}{at} with probability "
-                f"{share:.3g}; choose a narrower one, or truncated with low and high"
+                f"{name}: {kind} gives {name} {sign} {bound:g}{at} with probability {share:.3g}; "
+                "choose a narrower one, or one that is truncated"
             )
     return ""
 
