@@ -80,7 +80,7 @@ class Outcome:
     failures: Mapping[str, int]  # number of sweep points per failure status
     # By file, the number of motions in it per failure status.
     failed_motions: Mapping[str, Mapping[str, int]]
-    # Warnings of numbers in another unit, and of cases in which the exact law touches no wall.
+    # Warnings of numbers in another unit, and of cases in which no steady response touches a wall.
     doubts: tuple[str, ...]
 
 

@@ -9,7 +9,7 @@ import csv
 import pytest
 from matplotlib.figure import Figure
 from tests.browser.tab import tab
-from tests.builders.datasets import datasets, periodic, tables
+from tests.builders.datasets import datasets, datasets_by_place, periodic, tables
 from tests.unit.test_paper_figures import LIMITS, STRONG, WEAK, responses_of
 from tests.unit.test_report_sections import HOSTILE, decided
 from workflows.paper.figures import sections
@@ -23,6 +23,7 @@ from gapsweep.report.inputs import Inputs
 from gapsweep.report.parts import Figured, Part, rendered
 from gapsweep.report.tables import VERDICTS
 from gapsweep.status import Status
+from gapsweep.study.study import Study
 
 pytestmark = pytest.mark.browser
 
@@ -359,3 +360,39 @@ def test_numbers_on_an_axis_with_ticks_of_its_own_are_told_as_they_are(debugger,
     told = {(float(x), float(y)) for _, x, y in named(said)}
     assert told == set(zip(OMEGA, PEAKS, strict=True))
     assert [float(end) for end in ends.split()] == pytest.approx([0.0, 8.0], abs=0.05)
+
+
+def test_any_case_of_a_study_can_be_chosen_for_the_first_figure(debugger, tmp_path):
+    study = tables(("piecewise", "tanh-1e4"), (1.0, 2.0, 3.0))
+    gaps = [0.4e-3, 0.5e-3, 0.6e-3]
+    study["sweep"][0]["gap"] = [[gap, gap] for gap in gaps]
+
+    def at(place):
+        peak = 1e-3 * (1 + place["gap"] + 0.2 * place["representation"])
+        return periodic([(peak, 0.0)], 1.0 + place["omega"])
+
+    responses, attractors = datasets_by_place(tmp_path, Study.from_dict(study), at)
+    compared = agreement(responses, attractors)
+    inputs = Inputs(responses, timing(responses), compared, attractors)
+    write_report(tmp_path / "index.html", inputs)
+    page = tmp_path / "figures" / "figure-answer.html"
+    choose = """
+      const select = document.getElementById("case");
+      const drawn = () => document.querySelector("#panels canvas").dataset.y;
+      const options = [...select.options].map((one) => one.text);
+      const ends = [];
+      for (const n of [0, 1, 2]) {
+        select.value = n;
+        select.dispatchEvent(new Event("change"));
+        await new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)));
+        ends.push(drawn().split(" ").map(Number));
+      }
+      return [options, ends];
+    """
+    ((options, ends),) = ask(debugger, page, f"(async () => {{{choose}}})()")
+    assert [text.split(", ")[-1] for text in options[1:]] == [
+        f"{1e3 * g:g}/{1e3 * g:g} mm" for g in gaps
+    ]
+    for n, (low, high) in enumerate(ends):
+        assert low < 1.0 + n
+        assert 1.2 * n < high <= 2.0 * (1.0 + n)

@@ -71,6 +71,8 @@ def motion(kind, section, omega, extrema=None, **changes):
         "lyapunov": 1.0 if kind is ResponseClass.CHAOTIC else -1.0,
         "lyapunov_error": 0.1 if kind is ResponseClass.CHAOTIC else 0.0,
         "t_simulated": 10.0,
+        "contact_share": 0.5,
+        "contacts_per_period": 2.0,
         **COST,
     }
     return Response(**(values | changes))

@@ -51,10 +51,10 @@ def test_points_without_a_response_are_compared_by_class_alone(compare):
 
 def test_costs_are_summed_where_both_have_a_response(slabs):
     some = periodic([[1e-3, 0.0]], W)
-    exact = [periodic([[1e-3, 0.0]], W, n_contacts=7), some, failed(n_contacts=8)]
-    ours, theirs = slabs([some, failed(n_contacts=9), some], exact)
+    exact = [periodic([[1e-3, 0.0]], W, contacts_per_period=7.0), some, failed()]
+    ours, theirs = slabs([some, failed(), some], exact)
     sums = {name: values[0].tolist() for name, values in cost_sums(ours, theirs).items()}
-    assert_allclose(sums["n_contacts_per_period"], [[4.0, 10.0 * W], [0.0, 0.0], [0.0, 0.0]])
+    assert_allclose(sums["contacts_per_period"], [[2.0, 1.0], [0.0, 0.0], [0.0, 0.0]])
     assert_allclose(sums["cpu_time_per_period_ratio"], [[0.5, 10.0 * W] * 2, [0.0] * 4, [0.0] * 4])
     elsewhere = replace(theirs, host=theirs.host + 1)
     assert not cost_sums(ours, elsewhere)["cpu_time_per_period_ratio"].any()

@@ -140,12 +140,12 @@ def assert_same(a, b):
 def test_a_response_is_one_short_line():
     one = Response(
         status=gs.Status.OK, response_class=gs.ResponseClass.PERIODIC, period_multiple=3,
-        x_min=-4e-4, x_max=1.234567e-3, n_contacts=2,
+        x_min=-4e-4, x_max=1.234567e-3, contact_share=0.1,
     )  # fmt: skip
     assert repr(one) == (
         "<gapsweep.Response: periodic, period multiple 3, ok, x_min -0.0004, x_max 0.00123457>"
     )
-    assert "no contact" in repr(replace(one, n_contacts=0))
+    assert "no contact" in repr(replace(one, contact_share=0.0))
     lost = Response(status=gs.Status.DIVERGED)
     assert repr(lost) == "<gapsweep.Response: failed, diverged, x_min nan, x_max nan>"
     system = replace(one, x_min=np.array([-1.0, -2.0]), x_max=np.array([1.0, 2.0]))

@@ -6,9 +6,11 @@ import numpy as np
 import pytest
 import xarray as xr
 from numpy.testing import assert_array_equal
+from scipy.integrate import solve_ivp
 
 import gapsweep as gs
 from gapsweep.model.systems import paper_oscillator
+from gapsweep.report.accessor import GapsweepAccessor
 
 OSCILLATOR = paper_oscillator()
 LAW = gs.Piecewise(1.4e4, gs.Gap(0.4e-3, 0.4e-3))
@@ -161,13 +163,53 @@ def test_coordinates_align_with_those_of_a_study():
     assert motions["x_0"].values.tolist() == study["x_0"].tolist()
 
 
-def test_an_array_says_how_many_motions_touch_a_wall():
-    """A linear oscillator whose amplitude p/k |H| passes the wall at resonance only."""
+def test_an_array_says_how_many_responses_touch_a_wall():
+    """A linear oscillator whose amplitude p/k |H| passes the wall at resonance only.
+
+    Every transient touches it.
+    """
     linear, omega = paper_oscillator(alpha=0.0, forcing=1.0), [0.5, 5.0, 20.0]
-    found = gs.respond(linear, gs.Piecewise(1.4e4, gs.Gap(2e-3, 2e-3)), omega)
+    found = gs.respond(linear, gs.Piecewise(1.4e4, gs.Gap(2e-3, 2e-3)), omega, x_0=4e-3)
+    assert found.n_contacts.all()
     spring, r = linear.mass * linear.omega_n_rad**2, np.array(omega) / linear.omega_n
     free = 1.0 / spring / np.hypot(1.0 - r**2, 2.0 * linear.zeta * r)
     n = np.count_nonzero(free > 2e-3)
     assert n == 1
     assert f"{n} touched a wall" in repr(found)
-    assert found.to_dataset().attrs["touched_a_wall"] == f"{n} of 3 motions"
+    assert found.to_dataset().attrs["touched_a_wall"] == f"{n} of 3 responses"
+    assert found.contacts_per_period.tolist() == [0.0, 2.0, 0.0]
+
+
+@pytest.mark.parametrize(("omega", "multiple"), [(5.0, 1), (8.0, 2), (10.0, 6)])
+def test_contacts_per_period_are_those_of_the_steady_orbit(omega, multiple):
+    """Against upward passages of the walls in a motion by scipy from the section."""
+    model, low, high = paper_oscillator(), 0.2e-3, 1e-3
+    found = gs.respond(model, gs.Piecewise(1e5, gs.Gap(low, high)), omega)
+    assert found.period_multiple == multiple
+    rate, spring = 2.0 * np.pi * omega, model.mass * model.omega_n_rad**2
+
+    def motion(t, state):
+        x, v = state
+        wall = 1e5 * (max(x - high, 0.0) + min(x + low, 0.0))
+        drag = 2.0 * model.zeta * model.omega_n_rad * model.mass * v
+        force = model.forcing * np.cos(rate * t) - drag - spring * x - model.alpha * x**3 - wall
+        return v, force / model.mass
+
+    t = np.linspace(0.0, multiple / omega, 4001)
+    states = solve_ivp(motion, t[[0, -1]], found.section[:2], t_eval=t, rtol=1e-9, atol=1e-13).y
+    beyond = (states[0] > high) | (states[0] < -low)
+    n = np.count_nonzero(beyond != np.roll(beyond, 1)) / 2
+    assert found.contacts_per_period == n / multiple > 0.0
+
+
+def test_csv_has_units_in_its_header_and_lengths_in_millimetres():
+    law = gs.Piecewise(1.4e4, gs.Gap(0.4e-3, 0.4e-3))
+    made = gs.respond(paper_oscillator(), law, [7.0, 30.0]).to_dataset()
+    head, *rows = GapsweepAccessor(made).to_csv(digits=4).splitlines()
+    first = dict(zip(head.split(","), rows[0].split(","), strict=True))
+    assert first["omega [Hz]"] == "7.0"
+    assert float(first["x_max [mm]"]) == pytest.approx(1e3 * made["x_max"].values[0], rel=1e-3)
+    assert first["contacts_per_period"] == "2.0"
+    assert "lyapunov [1/s]" not in first
+    whole = GapsweepAccessor(made).to_csv("lyapunov").splitlines()[0]
+    assert whole == "omega [Hz],lyapunov [1/s]"

@@ -9,6 +9,7 @@ import pytest
 import xarray as xr
 from tests.builders.studies import study_text
 
+import gapsweep as gs
 from gapsweep.cli.main import FINISHED, exit_code
 from gapsweep.cli.query_output import Form, written
 from gapsweep.console import print_table, print_text
@@ -124,7 +125,7 @@ def test_a_variable_of_several_coordinates_has_a_column_for_each(responses, caps
 
 
 def test_an_unknown_column_is_refused_with_the_nearest(responses):
-    with pytest.raises(click.BadParameter, match="'xmax': no such variable; did you mean x_max"):
+    with pytest.raises(gs.DatasetError, match="'xmax': no such variable; did you mean x_max"):
         written(responses, Form("csv", ("xmax",)), None)
 
 

@@ -7,7 +7,7 @@ import numpy as np
 import xarray as xr
 from numpy.testing import assert_allclose
 
-from gapsweep.analysis.datasets.timing import timing
+from gapsweep.analysis.datasets.timing import COSTS, timing
 from gapsweep.study.schema import POINT_DIMS
 
 
@@ -24,7 +24,7 @@ def responses(host, cpu_time):
             "status": grid(zeros, int),
             "host": (*grid(host, int), {"flag_meanings": "left right"}),
             "cpu_time": grid(cpu_time),
-            **{name: grid(zeros, int) for name in ("nfev", "n_steps", "n_rejected", "n_contacts")},
+            **{name: grid(zeros, int) for name in COSTS if name != "cpu_time"},
         },
         coords={"representation": ["piecewise", "tanh-1e4"], "omega": np.arange(1.0, shape[3] + 1)},
         attrs=dict.fromkeys(("title", "study", "study_json", "numerics_fingerprint"), ""),

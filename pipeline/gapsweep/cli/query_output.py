@@ -1,6 +1,5 @@
 """A dataset of responses as a table."""
 
-import difflib
 import json
 import sys
 from collections.abc import Sequence
@@ -13,22 +12,14 @@ import xarray as xr
 
 from gapsweep.cli.options import echo
 from gapsweep.console import print_table, print_text
-from gapsweep.errors import StoreError
+from gapsweep.errors import DatasetError, StoreError
 from gapsweep.execution.layout import Layout
-from gapsweep.report.scales import shown_unit
+from gapsweep.report.rows import base, chosen, rows, short, to_csv, unit_of
 from gapsweep.store.artefact import replacing
 from gapsweep.study.study import Study
-from gapsweep.variables import to_dataframe
 
-# Variables of a table, which fits a terminal, and of a CSV file, next to the dimensions; those that
-# the responses have.
-_SHORT = {
-    "table": ("amplitude", "period_multiple", "response_class", "status"),
-    "csv": (
-        *("start", "x_max", "x_min", "amplitude", "force_max", "contact_share", "period_multiple"),
-        *("multiplier_abs", "lyapunov", "response_class", "status"),
-    ),
-}
+# Variables of a table, which fits a terminal, of those that the responses have.
+_SHORT = ("amplitude", "period_multiple", "response_class", "status")
 _ALL = "all"
 _DIGITS = 4
 _OF_TABLE = "more columns: --columns x_max,x_min,... or all; more digits: --digits 6"
@@ -42,7 +33,7 @@ class Form:
     """Format of the output."""
 
     kind: str  # ``table``, ``csv``, ``json`` or ``nc``
-    # Variables in addition to the dimensions; all if empty, those of `_SHORT` if None.
+    # Variables in addition to the dimensions; all if empty, a few if None.
     columns: Sequence[str] | None = ()
     digits: int | None = None  # significant digits; all if None
     hint: str = ""  # printed below the output: how to select columns; empty if columns were named
@@ -66,8 +57,8 @@ class Form:
             raise click.UsageError(
                 "--to table prints on the terminal; with --output use csv, json or nc"
             )
-        short = None if kind in _SHORT else ()
-        named = () if columns == _ALL else tuple(columns.split(",")) if columns else short
+        few = None if kind in ("table", "csv") else ()
+        named = () if columns == _ALL else tuple(columns.split(",")) if columns else few
         if kind == "table":
             return cls(kind, named, digits or _DIGITS, "" if columns else _OF_TABLE)
         return cls(kind, named, digits, hint)
@@ -76,7 +67,10 @@ class Form:
         """Raise an error for columns that the study's responses do not have."""
         layout = Layout.of(study.grid, study.steady)
         known = [*study.grid.coordinates(), *layout.variables]
-        _chosen([_base(name) for name in self.columns or ()], known)
+        try:
+            chosen([base(name) for name in self.columns or ()], known)
+        except DatasetError as error:
+            raise click.BadParameter(str(error), param_hint="--columns") from None
 
 
 def check_output(output: Path) -> None:
@@ -114,82 +108,33 @@ def written(responses: xr.Dataset, form: Form, output: Path | None) -> None:
 
 
 def _text(responses: xr.Dataset, form: Form) -> str:
-    frame = _frame(responses, form)
     if form.kind == "csv":
-        named = {name: f"{name}{_units(responses, name, ' [{}]')}" for name in frame.columns}
-        return str(frame.rename(columns=named).to_csv(index=False))
-    rows = json.loads(frame.to_json(orient="records", double_precision=15))
-    return "".join(json.dumps(row) + "\n" for row in rows)
+        return to_csv(responses, form.columns, form.digits)
+    frame = rows(responses, form.columns or (), form.digits, in_metres=True)
+    records = json.loads(frame.to_json(orient="records", double_precision=15))
+    return "".join(json.dumps(row) + "\n" for row in records)
 
 
 def _print(responses: xr.Dataset, form: Form) -> None:
     """Print a table; dimensions with one value are printed once above it."""
-    frame = _frame(responses, form)
+    columns = short(responses, _SHORT) if form.columns is None else form.columns
+    frame = rows(responses, columns, form.digits)
     dims = [str(dim) for dim in responses["status"].dims]
-    same = [dim for dim in dims if frame[dim].nunique() == 1 and dim not in (form.columns or ())]
+    same = [dim for dim in dims if frame[dim].nunique() == 1 and dim not in columns]
     if same:
-        words = [f"{dim} {_word(frame[dim].iloc[0])}{_units(responses, dim)}" for dim in same]
-        print_text(", ".join(words))
+        values = [f"{dim} {_word(frame[dim].iloc[0])}{unit_of(responses, dim)}" for dim in same]
+        print_text(", ".join(values))
     names = [name for name in frame.columns if name not in same]
-    rows = [[_word(value) for value in row] for row in frame[names].itertuples(index=False)]
-    print_table([_head(responses, name) for name in names], rows)
+    words = [[_word(value) for value in row] for row in frame[names].itertuples(index=False)]
+    print_table([_head(responses, name) for name in names], words)
 
 
 def _word(value: Any) -> str:
     return f"{value:.12g}" if isinstance(value, float) else str(value)
 
 
-def _units(responses: xr.Dataset, name: str, form: str = " {}") -> str:
-    """The unit in which tables show a variable, in a text; empty if it has none."""
-    unit = shown_unit(responses[_base(name)])[1]
-    return form.format(unit) if unit else ""
-
-
 def _head(responses: xr.Dataset, name: str) -> str:
-    base, bracket, of = name.partition("[")
-    title = base.replace("_", "_\n", 1) if len(base) > _LONG else base
+    variable, bracket, of = name.partition("[")
+    title = variable.replace("_", "_\n", 1) if len(variable) > _LONG else variable
     title += f"\n{bracket}{of}" if of else ""
-    return title + _units(responses, name, "\n[{}]")
-
-
-def _frame(responses: xr.Dataset, form: Form) -> Any:
-    """DataFrame with a row per sweep point and the selected variables; flags as words.
-
-    Lengths are in millimetres in a table and in CSV, which have units in their headers, as in
-    figures; in metres in JSON.
-    """
-    points = responses["status"].dims
-    frame = to_dataframe(responses)
-    columns = form.columns
-    if columns is None:
-        known = {_base(name) for name in frame.columns}
-        columns = [name for name in _SHORT[form.kind] if name in known]
-    if columns:
-        frame = frame[list(dict.fromkeys([*points, *_chosen(columns, frame.columns)]))]
-    if form.kind != "json":
-        for name in frame.select_dtypes("floating").columns:
-            frame[name] *= shown_unit(responses[_base(name)])[0]
-    if form.digits is not None:
-        floats = frame.select_dtypes("floating").columns.difference(points)
-        frame[floats] = frame[floats].map(lambda value: float(f"{value:.{form.digits}g}"))
-    return frame
-
-
-def _chosen(wanted: Sequence[str], known: Sequence[str]) -> list[str]:
-    """The selected columns; a variable selects the columns of all its coordinates or contacts."""
-    bases = [_base(name) for name in known]
-    found = []
-    for name in wanted:
-        if name not in (*known, *bases):
-            alike = difflib.get_close_matches(name, [*known, *bases], n=1)
-            likely = f"did you mean {alike[0]}? " if alike else ""
-            message = (
-                f"{name!r}: no such variable; {likely}choose from {', '.join(dict.fromkeys(bases))}"
-            )
-            raise click.BadParameter(message, param_hint="--columns")
-        found += [one for one, base in zip(known, bases, strict=True) if name in (one, base)]
-    return found
-
-
-def _base(name: str) -> str:
-    return name.partition("[")[0]
+    return title + unit_of(responses, name, "\n[{}]")

@@ -19,6 +19,7 @@ from gapsweep.report.continued import with_absolute
 from gapsweep.report.drawing import labels_of
 from gapsweep.report.dynamics import CURVES, WORDS
 from gapsweep.report.labelled import axes_of, axis_of, finished, loglog, scene_along, titled
+from gapsweep.report.rows import to_csv
 from gapsweep.report.scales import axis_label
 from gapsweep.report.selection import missing_variable, scene
 from gapsweep.report.style import colour
@@ -82,6 +83,16 @@ class GapsweepAccessor:
         if "status" not in self._dataset:
             raise DatasetError(missing_variable(self._dataset, "status"))
         return to_dataframe(self._dataset)
+
+    def to_csv(self, *columns: str, digits: int | None = None) -> str:
+        """The sweep points as CSV text with units in the header, a row each.
+
+        Lengths are in millimetres. Without `columns`, names of variables, these are the main ones;
+        see `to_dataframe` for all. `digits` is the number of significant digits.
+        """
+        if "status" not in self._dataset:
+            raise DatasetError(missing_variable(self._dataset, "status"))
+        return to_csv(self._dataset, columns or None, digits)
 
     def frequency_response(
         self,

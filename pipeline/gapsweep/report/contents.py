@@ -55,7 +55,7 @@ def results(inputs: Inputs) -> Iterator[Part]:
 
 
 SECTIONS = (
-    Section(answer.sections, template="_answer.html"),
+    Section(answer.sections, template="_answer.html", script="answer"),
     Section(findings.sections, template="_findings.html"),
     Section(model.sections, template="_pairs.html"),
     Section(own.sections, RESULTS, "_own.html"),

@@ -5,7 +5,8 @@ import csv
 import io
 import json
 import math
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -52,6 +53,44 @@ def as_json(figure: Figure) -> str:
     places = [str(axes.get_subplotspec()) for axes in panels if axes.get_subplotspec()]
     is_grid = len(set(places)) == len(panels) and {a.name for a in panels} == {"rectilinear"}
     return json.dumps([_panel(axes, panels) for axes in panels]) if is_grid else ""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Choice:
+    """Data that a reader may choose for the panels of a figure, in place of what is drawn.
+
+    Attributes
+    ----------
+    name : str
+    limits : tuple of float
+        Ends of the common vertical axis.
+    panels : sequence of (str, sequence of Marks)
+        Title and marks of each panel.
+    """
+
+    name: str
+    limits: tuple[float, float]
+    panels: Sequence[tuple[str, Sequence[Marks]]]
+
+
+def choices_as_json(figure: Figure, choices: Iterable[Choice]) -> str:
+    """Choices as JSON for the page of a figure; each appearance of marks is listed once.
+
+    Empty without choices.
+    """
+    axes, looks = figure.axes[0], dict[str, int]()
+    listed = []
+    for choice in choices:
+        panels = []
+        for title, several in choice.panels:
+            marks = []
+            for each in (_drawn(axes, one) for one in several if one.kind not in (TEXT, EDGE)):
+                x, y = each.pop("x"), each.pop("y")
+                marks.append([looks.setdefault(json.dumps(each), len(looks)), x, y])
+            panels.append({"title": title, "marks": marks})
+        listed.append({"name": choice.name, "limits": choice.limits, "panels": panels})
+    made = {"looks": [json.loads(look) for look in looks], "choices": listed}
+    return json.dumps(made, separators=(",", ":")) if listed else ""
 
 
 def label_of(axes: Axes, which: str) -> str:

@@ -10,6 +10,7 @@ from matplotlib.figure import Figure
 
 from gapsweep.report import backdrop, branch_lines, drawing, marks
 from gapsweep.report.drawing import labels_of
+from gapsweep.report.figure_data import Choice
 from gapsweep.report.maps import MapImage, draw
 from gapsweep.report.scales import axis_label, drawn, is_log
 from gapsweep.status import Status
@@ -104,13 +105,32 @@ def special_curves(curves: xr.Dataset, here: xr.Dataset, along: str, second: str
     return _grid(here, along, branch_lines.label(curves[second]), lines)
 
 
-def compared_with_exact(
-    scene: xr.Dataset, exact: str, titles: Mapping[str, str], continued: xr.Dataset | None = None
-) -> Figure:
+def compared_with_exact(scene: xr.Dataset, shown: Choice) -> Figure:
+    """Figure of `peaks_of_laws` of a parameter set."""
+    figure = Figure(figsize=(_WIDTH, 2.3), layout="constrained")
+    panels = figure.subplots(1, len(shown.panels), sharex=True, sharey=True, squeeze=False)[0]
+    for axes, (title, several) in zip(panels, shown.panels, strict=True):
+        marks.put(axes, several)
+        axes.set_title(title, fontsize=9, loc="left")
+        _axis(axes, scene["omega"])
+    panels[0].set_ylim(shown.limits)
+    panels[0].set_ylabel(axis_label(scene["x_max"], "peak"))
+    return figure
+
+
+def peaks_of_laws(
+    name: str,
+    scene: xr.Dataset,
+    exact: str,
+    titles: Mapping[str, str],
+    continued: xr.Dataset | None = None,
+) -> Choice:
     """Peaks of laws in front of the exact law's, which show in black if missed; a panel per law.
 
     Parameters
     ----------
+    name : str
+        The parameter set in words.
     scene : Dataset
         Dimensions representation, omega, initial_condition.
     exact : str
@@ -120,23 +140,19 @@ def compared_with_exact(
     continued : Dataset, optional
         ``branches.nc``; unstable orbits are drawn behind.
     """
-    figure = Figure(figsize=(_WIDTH, 2.3), layout="constrained")
-    panels = figure.subplots(1, len(titles), sharex=True, sharey=True, squeeze=False)[0]
     scene = drawing.with_setting(scene, "x_max")
     low, high = drawing.frame(scene, "x_max", exact)
     sizes = (7.0, 3.2) if scene.sizes["omega"] <= drawing.FEW else (3.4, 1.6)
-    for axes, (label, title) in zip(panels, titles.items(), strict=True):
-        marks.put(axes, backdrop.walls(scene, of_peaks=True))
+    panels = []
+    for label, title in titles.items():
+        several = [*backdrop.walls(scene, of_peaks=True)]
         law = scene.sel(representation=label)
         for one in (scene.sel(representation=exact), law):
-            marks.put(axes, branch_lines.unstable(continued, one, "omega", "x_max"))
+            several += branch_lines.unstable(continued, one, "omega", "x_max")
         for one, size in zip((_where_asked(law, scene, exact), law), sizes, strict=True):
-            marks.put(axes, drawing.peaks(one, size, low, high))
-        axes.set_title(title, fontsize=9, loc="left")
-        _axis(axes, scene["omega"])
-    panels[0].set_ylim(low, high)
-    panels[0].set_ylabel(axis_label(scene["x_max"], "peak"))
-    return figure
+            several += drawing.peaks(one, size, low, high)
+        panels.append((title, several))
+    return Choice(name, (low, high), panels)
 
 
 def _where_asked(law: xr.Dataset, scene: xr.Dataset, exact: str) -> xr.Dataset:

@@ -117,6 +117,6 @@ def heads(found: Iterable[T]) -> list[tuple[T, int]]:
 
 
 def swept_columns(found: Sequence[Contact]) -> tuple[str, list[str]]:
-    """Other swept parameters: their names with units, and their values in every case."""
+    """Other swept parameters: their names with units, and their values, in three digits."""
     names = [f"{one.name} [{one.unit}]" if one.unit else one.name for one in found[0].swept]
-    return ", ".join(names), [", ".join(one.value for one in c.swept) for c in found]
+    return ", ".join(names), [", ".join(one.short for one in c.swept) for c in found]

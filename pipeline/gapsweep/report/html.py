@@ -95,8 +95,9 @@ def _files(
         page = environment.get_template("figure.html").render(
             title=figure["name"] or figure["description"],
             figure=figure,
-            # No text of the data may close the script element.
+            # No text of the data may close a script element.
             data=Markup(figure["data"].replace("<", "\\u003c")),
+            choices=Markup(figure["choices"].replace("<", "\\u003c")),
             back=back,
             scripts=[_script("figure")],
         )

@@ -104,10 +104,10 @@ def _unused(kind: str, name: str, used: set[str]) -> str:
 
 
 def _shown(figure: Mapping[str, str]) -> dict[str, Any]:
-    """A stored figure with its size, its files, and the data of its page (may be empty)."""
+    """A stored figure with its size, its files, and the data and choices of its page, or empty."""
     files = {"svg": figure["svg"].encode()}
     for kind in PACKED:
         with suppress(KeyError, ValueError, zlib.error):  # absent, or not in packed form
             files[kind] = unpacked(figure[kind])
-    data = files.pop("json", b"").decode()
-    return {**figure, **size(figure["svg"]), "data": data, "files": files}
+    data, choices = (files.pop(kind, b"").decode() for kind in PACKED[1:])
+    return {**figure, **size(figure["svg"]), "data": data, "choices": choices, "files": files}

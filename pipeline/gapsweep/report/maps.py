@@ -225,7 +225,8 @@ def _key(axes: "Axes", names: Sequence[str], colours: Sequence[str], title: str)
     if not names:
         return
     # As many columns as fit below the axes; a wider legend would squeeze them.
-    wide = axes.figure.get_figwidth() * axes.get_position().width * _LETTERS_PER_INCH
+    figure: Any = axes.figure
+    wide = figure.get_figwidth() * axes.get_position().width * _LETTERS_PER_INCH
     n_columns = min(4, max(1, int(wide / (max(map(len, names)) + _HANDLE))))
     patches = [
         Patch(facecolor=shade, edgecolor=GREY, linewidth=0.4, label=name)

@@ -12,6 +12,7 @@ from typing import Any
 import matplotlib
 from matplotlib.figure import Figure
 
+from gapsweep.report.figure_data import Choice
 from gapsweep.report.pictures import pictures
 from gapsweep.report.style import MATPLOTLIB
 
@@ -43,13 +44,15 @@ class Table:
 class Figured:
     """A figure with its caption, its description for screen readers, and its name in claims.
 
-    A claim whose place is the name, such as "Fig. 8b", leads to the figure.
+    A claim whose place is the name, such as "Fig. 8b", leads to the figure. `choices` are other
+    data that the page of the figure shows on demand.
     """
 
     figure: Figure
     caption: str
     description: str
     name: str = ""
+    choices: Iterable[Choice] = ()
 
     def __post_init__(self) -> None:
         if not isinstance(self.figure, Figure):
@@ -137,4 +140,4 @@ def pictured(figured: Figured) -> dict[str, str]:
     """A figure as pictures, with its name, caption and description."""
     names = ("name", "caption", "description")
     words = {name: getattr(figured, name) for name in names}
-    return {**words, **pictures(figured.figure)}
+    return {**words, **pictures(figured.figure, figured.choices)}

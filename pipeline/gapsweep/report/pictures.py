@@ -8,6 +8,7 @@ import base64
 import io
 import re
 import zlib
+from collections.abc import Iterable
 from typing import Any
 from xml.etree import ElementTree
 
@@ -15,9 +16,9 @@ from matplotlib import rc_context
 from matplotlib.figure import Figure
 from matplotlib.text import Text
 
-from gapsweep.report.figure_data import as_csv, as_json
+from gapsweep.report.figure_data import Choice, as_csv, as_json, choices_as_json
 
-PACKED = "csv", "json"
+PACKED = "csv", "json", "choices"
 # Elements that matplotlib uses. Others could run scripts, link elsewhere or change the page.
 _DRAWING = {
     "svg", "g", "defs", "style", "path", "use", "clipPath", "rect", "circle", "image", "text",
@@ -29,24 +30,24 @@ _AS_TEXT: dict[Any, Any] = {"svg.fonttype": "none", "savefig.dpi": 130}
 _NO_METADATA = dict.fromkeys(("Creator", "Date", "Format", "Type"))
 
 
-def pictures(figure: Figure) -> dict[str, str]:
+def pictures(figure: Figure, choices: Iterable[Choice] = ()) -> dict[str, str]:
     """A figure as texts for JSON; the figure is cleared.
 
     Returns
     -------
     dict of str to str
         ``svg``; if the figure shows numbers, also ``csv``, and ``json`` for a page that draws them,
-        both as from `packed`.
+        with the data of its `choices`; all as from `packed`.
     """
-    numbers = as_csv(figure).encode(), as_json(figure).encode()
-    texts: list[Any] = figure.findobj(Text)
-    for text in texts:
-        text.set_fontsize(max(_SMALLEST, text.get_fontsize()))
+    texts = as_csv(figure), as_json(figure), choices_as_json(figure, choices)
+    labels: list[Any] = figure.findobj(Text)
+    for label in labels:
+        label.set_fontsize(max(_SMALLEST, label.get_fontsize()))
     buffer = io.StringIO()
     with rc_context(_AS_TEXT):
         figure.savefig(buffer, format="svg", metadata=_NO_METADATA)
     figure.clear()  # reference cycles would keep the data of every figure in memory
-    files = {kind: packed(h) for kind, h in zip(PACKED, numbers, strict=True) if h}
+    files = {kind: packed(t.encode()) for kind, t in zip(PACKED, texts, strict=True) if t}
     return {"svg": buffer.getvalue(), **files}
 
 

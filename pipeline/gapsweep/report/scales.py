@@ -72,6 +72,14 @@ class NamedValue:
             value = shortened(value)
         return cls(str(coordinate.name), value, shown_unit(coordinate)[1])
 
+    @property
+    def short(self) -> str:
+        """The value with three digits, to fit a column."""
+        try:
+            return plain(float(f"{float(self.value):.3g}"))
+        except ValueError:  # a gap
+            return self.value
+
     def __str__(self) -> str:
         """Text such as ``K_c = 14000 N/m``."""
         names = dict.fromkeys(("scene", "representation", COORDINATE), "")

@@ -23,7 +23,7 @@ from gapsweep.report.branch_lines import label as of_axis
 from gapsweep.report.parts import Table
 from gapsweep.report.scales import drawn
 
-_COUNTS = ("nfev", "n_steps", "n_rejected", "n_contacts")
+_COUNTS = ("nfev", "n_steps", "n_rejected")
 _MOST_ROWS = 40  # rows of special points
 # Verdicts, the worst first.
 VERDICTS = ("refuted", "partly", "confirmed", "undecidable")
@@ -112,7 +112,7 @@ _TIMING = [
     "Force evaluations",
     "Steps",
     "Rejected",
-    "Contacts",
+    "Contacts per period, mean",
     "Points",
 ]
 _OF_COST = (
@@ -152,14 +152,19 @@ def _interval(bounds: xr.DataArray) -> str:
 
 
 def _timing_rows(timing: xr.Dataset, labels: list[str]) -> Iterator[list[str]]:
-    timing = condensed(timing.load())
+    timing = timing.load()
+    contacts = timing["contacts_per_period_mean"]
+    contacts = contacts.mean(scene_dims(contacts.dims))
+    timing = condensed(timing)
     for label in labels:
         row = timing.sel(representation=label)
         cpu = number(1e3 * row["cpu_time_median"].item())
         others = row["n_points_elsewhere"].item()
         points = f"{row['n_points'].item()}"
         points += f" (+{others} of other machines, not shown)" if others else ""
-        yield [label, cpu, *(number(row[f"{n}_median"].item()) for n in _COUNTS), points]
+        counts = [number(row[f"{n}_median"].item()) for n in _COUNTS]
+        touched = number(contacts.sel(representation=label).item())
+        yield [label, cpu, *counts, touched, points]
 
 
 def special_points(found: xr.Dataset | None, here: xr.Dataset, along: str) -> Iterator[Table]:

@@ -28,9 +28,10 @@ or there are too few frequencies for intervals.
 """
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
+from itertools import chain, zip_longest
 from typing import Any
 
 import numpy as np
@@ -53,7 +54,7 @@ SHOWN = {
     "found": "recall_pooled",
 }
 _COST_RATIO = "cpu_time_per_period_ratio"
-_CONTACTS = "n_contacts_per_period"
+_CONTACTS = "contacts_per_period"
 COLUMNS = ("use", "with care", "no")
 # Estimate of each number, and the best and the worst end of its interval.
 Values = dict[str, NDArray[np.float64]]
@@ -83,6 +84,11 @@ class Judged:
     def is_approximation(self) -> bool:
         """Whether the law is an approximation: False for ``piecewise-noevents`` and ``auto``."""
         return not (self.law == NOT_LOCATED or self.law.is_auto)
+
+    @property
+    def error(self) -> float:
+        """The 95th percentile of the error; infinity if no attractors are paired."""
+        return float(np.nan_to_num(self.values["p95"][0], nan=np.inf))
 
     @property
     def is_firm(self) -> bool:
@@ -121,8 +127,8 @@ class Contact:
     """A case: stiffness [N/m] and gap [mm], and the verdict on every law.
 
     `floors` are the errors of the exact law with other settings, `floor_cost_ratio` its cost ratio,
-    `swept` the values of other swept parameters, `at` the position in the files, and `unjudged` the
-    reason if no law can be judged.
+    `n_chaotic` its chaotic sweep points, `swept` the values of other swept parameters, `at` the
+    position in the files, and `unjudged` the reason if no law can be judged.
     """
 
     K_c: float
@@ -134,6 +140,7 @@ class Contact:
     floor_cost_ratio: float = np.nan
     at: At = field(default_factory=dict)
     unjudged: str = ""
+    n_chaotic: int = 0
 
     @property
     def others(self) -> str:
@@ -155,6 +162,17 @@ class Contact:
     def anchor(self) -> str:
         """The id of the case's section in the page."""
         return anchor_of(self.at)
+
+    @property
+    def error(self) -> float:
+        """The largest error of an approximation (95th percentile), 0 if there is none."""
+        return max((one.error for one in self.laws if one.is_approximation), default=0.0)
+
+    @property
+    def lost(self) -> float:
+        """The largest share of the attractors that an approximation does not find."""
+        found = [one.values["found"][0] for one in self.laws if one.is_approximation]
+        return 1.0 - float(min(found, default=1.0))
 
     @property
     def columns(self) -> dict[str, list[Judged]]:
@@ -228,6 +246,8 @@ def contacts(agreement: xr.Dataset, static: xr.Dataset | None = None) -> list[Co
     tables = {str(name): pooled[name].values for name in pooled}
     periodic = agreement[_COST_RATIO].sel(regime="periodic")
     tables["periodic"] = periodic.transpose("representation", *dims).values
+    chaotic = agreement["n_points"].sel(regime="chaotic")
+    tables["n_chaotic"] = chaotic.transpose("representation", *dims).values
     noise = repeatability(tables[_COST_RATIO][[label in exact for label in labels]])
     found = []
     for at in scenes(pooled, dims):
@@ -235,7 +255,8 @@ def contacts(agreement: xr.Dataset, static: xr.Dataset | None = None) -> list[Co
             label: {name: table[r, *at.values()] for name, table in tables.items()}
             for r, label in enumerate(labels)
         }
-        unjudged = _unjudged(where[str(agreement.attrs["reference"])])
+        reference = where[str(agreement.attrs["reference"])]
+        unjudged = _unjudged(reference)
         here_too = [law for law in laws if where[law]["n_points"] > 0]
         can_be = [] if unjudged else [law for law in here_too if _is_judged(law, where[law])]
         if not (here_too if unjudged else can_be):
@@ -245,10 +266,29 @@ def contacts(agreement: xr.Dataset, static: xr.Dataset | None = None) -> list[Co
         here = pooled.coords.to_dataset().isel(at)
         gap, swept = gap_label(here), [NamedValue.of(here[name]) for name in other_parameters(here)]
         known = _threshold(static, here), swept, _floor_cost_ratio(where, exact), at, unjudged
-        contact = Contact(float(here["K_c"]), gap, floors, judged, *known)
+        n_chaotic = int(reference["n_chaotic"])
+        contact = Contact(float(here["K_c"]), gap, floors, judged, *known, n_chaotic)
         order = float(np.round(here["j_1"] + here["j_2"], 12)), float(here["j_1"])
         found.append((contact.K_c, *order, contact))
     return [contact for *_, contact in sorted(found, key=lambda one: one[:-1])]
+
+
+def telling(found: Sequence[Contact], most: int = MOST_CONTACTS) -> list[Contact]:
+    """At most `most` cases, in their order, that differ most from the exact law or are chaotic.
+
+    In turn the case with the largest error, with the largest share of attractors not found, and
+    with the most chaotic points.
+    """
+    measures: list[Callable[[Contact], float]] = [
+        lambda case: case.error, lambda case: case.lost, lambda case: case.n_chaotic,
+    ]  # fmt: skip
+    ranks = [
+        sorted((case for case in found if measure(case) > 0), key=measure, reverse=True)
+        for measure in measures
+    ]
+    ranked = dict.fromkeys(chain(*zip_longest(*ranks), found))
+    chosen = set([case for case in ranked if case][:most])
+    return [case for case in found if case in chosen]
 
 
 def verdict(values: Values, floors: Values) -> list[str]:
@@ -297,7 +337,7 @@ def _unjudged(exact: Row) -> str:
     """Reason why no law can be judged in a case; empty if laws can be judged."""
     if np.isnan(exact[SHOWN["found"]]):  # no attractors
         return "the exact law has no steady response"
-    return "" if exact[_CONTACTS] else "the exact law touches no wall"
+    return "" if exact[_CONTACTS] else "no steady response of the exact law crosses a wall"
 
 
 def _is_judged(law: Representation, row: Row) -> bool:
@@ -370,12 +410,16 @@ def _adequate(found: Sequence[Contact]) -> str:
 def _picked(found: Sequence[Contact]) -> str:
     """The cheapest adequate approximations in words, with the cases they are for."""
     groups: dict[tuple[str, ...], list[Contact]] = {}
+    is_counted = len(found) > MOST_CONTACTS
     for contact in found:
-        groups.setdefault(tuple(sorted(one.name for one in contact.picks)), []).append(contact)
-    return "; ".join(_pick(laws, some) for laws, some in groups.items())
+        laws = (str(one.law) if is_counted else one.name for one in contact.picks)
+        groups.setdefault(tuple(sorted(laws)), []).append(contact)
+    if is_counted:
+        groups = dict(sorted(groups.items(), key=lambda group: -len(group[1])))
+    return "; ".join(_pick(laws, some, is_counted) for laws, some in groups.items())
 
 
-def _pick(laws: tuple[str, ...], some: Sequence[Contact]) -> str:
+def _pick(laws: tuple[str, ...], some: Sequence[Contact], is_counted: bool) -> str:
     gaps: dict[tuple[str, str], list[str]] = {}
     for contact in some:
         gaps.setdefault((contact.stiffness, contact.others), []).append(contact.gap)
@@ -383,8 +427,8 @@ def _pick(laws: tuple[str, ...], some: Sequence[Contact]) -> str:
         f"{K_c} N/m with {', '.join(mm)} mm{f' at {others}' if others else ''}"
         for (K_c, others), mm in gaps.items()
     )
-    if len(some) > MOST_CONTACTS:
-        places = f"{len(some)} cases"
+    if is_counted:
+        places = f"{len(some)} case{'s' * (len(some) > 1)}"
     none = "undecided" if any(one.is_open for one in some) else "none of those computed"
     names = " or ".join([", ".join(laws[:-1]), laws[-1]] if laws[1:] else laws)
     return f"{names or none} for {places}"

@@ -287,6 +287,7 @@ def _record(orbits: Numbers, windows: RecordedWindows, shooting: NewtonShooting)
         windows.y[:, orbits], windows.status[orbits] = y, call.status
         windows.extrema.put(windows.rows(orbits), *_whole_period(windows, orbits, y, call))
         windows.contact_share[:, orbits] = contact_shares(ensemble, orbits, y, call, closed=True)
+        windows.contacts_per_period[orbits] = 0.5 * call.n_contacts / n
         section, counts = call.passings
         states.put(orbits, section.ravel(), len(y) * counts)
     return states
@@ -301,6 +302,7 @@ def _rest(points: Numbers, windows: RecordedWindows, states: RaggedArrays) -> No
     gaps = windows.ensemble.gaps(windows.ensemble.turning(points, y))
     low, high = windows.ensemble.walls[:, :, points]
     windows.contact_share[:, points] = (gaps < low) | (gaps > high)
+    windows.contacts_per_period[points] = 0.0
     windows.status[points] = Status.OK
     states.put(points, y.T.ravel(), np.full(len(points), len(y)))
 
@@ -370,6 +372,7 @@ def _read_off(
         "amplitude": 0.5 * (x_max - x_min),
         "force_max": force_max,
         "contact_share": share.T,
+        "contacts_per_period": windows.contacts_per_period[points],
         "contact_x_max": gap_max.T,
         "contact_x_min": gap_min.T,
     }

@@ -75,6 +75,9 @@ COLUMNS: dict[str, Variable] = {
     "amplitude": Variable("f8", "m", "half the range of the steady response", dims=_Q),
     "force_max": Variable("f8", "N", "largest magnitude of the contact force", dims=_B),
     "contact_share": Variable("f8", "1", "share of the time spent beyond the walls", dims=_B),
+    "contacts_per_period": Variable(
+        "f8", "1", "contacts of the steady response per forcing period, or per section point"
+    ),
     "multiplier_abs": Variable("f8", "1", "largest modulus of the Floquet multipliers"),
     "lyapunov": Variable("f8", "s-1", "largest Lyapunov exponent"),
     "lyapunov_error": Variable("f8", "s-1", "standard error of the largest Lyapunov exponent"),
@@ -270,6 +273,9 @@ class Response:
     contact_share : float
         Share of the time [-] beyond the walls, ``x < -j_1`` or ``x > j_2``, in a response period,
         or in the recording window if aperiodic.
+    contacts_per_period : float
+        Contacts per forcing period (unforced: per section point) in the same time, of all contacts
+        together: pairs of wall crossings. A response that stays on a wall has none.
     contact_x_max, contact_x_min : float
         Peak and trough of the relative displacement ``b · q`` [m] at each contact of a system; NaN
         if the only contact is at the only coordinate.
@@ -339,6 +345,7 @@ class Response:
     amplitude: float = math.nan
     force_max: float = math.nan
     contact_share: float = math.nan
+    contacts_per_period: float = math.nan
     contact_x_max: float = math.nan
     contact_x_min: float = math.nan
     multipliers: NDArray[np.complex128] = field(
@@ -369,8 +376,7 @@ class Response:
         """Return the responses as an `xarray.Dataset` with the variables of ``responses.nc``.
 
         Dimensions are `omega` and `initial_condition` if every frequency has every initial state,
-        otherwise `point`. The attribute ``touched_a_wall`` counts motions with contact, transients
-        included.
+        otherwise `point`. The attribute ``touched_a_wall`` counts steady responses with contact.
         """
         shape, steady = np.shape(self.status), self.inputs["steady"]
         models, n = objects(self.inputs["oscillator"]), math.prod(shape)
@@ -391,12 +397,13 @@ class Response:
         arrays = Responses(columns, lists, {}).arrays(sizes_of(structure, steady), of_contacts)
         arrays["message"] = np.ravel(self.message).astype(str)
         made = dataset(self.inputs, shape, RESPONSE | _MESSAGE, arrays)
-        return made.assign_attrs(touched_a_wall=f"{self._n_touching} of {n} motions")
+        return made.assign_attrs(touched_a_wall=f"{self._n_touching} of {n} responses")
 
     @property
     def _n_touching(self) -> int:
-        """Number of motions that touch a wall, transients included."""
-        return int(np.count_nonzero(self.n_contacts))
+        """Number of steady responses with time in contact."""
+        is_touched = np.reshape(self.contact_share, (np.size(self.status), -1)) > 0.0
+        return int(is_touched.any(axis=1).sum())
 
     def to_dataframe(self) -> Any:
         """Return the responses as a `pandas.DataFrame`, a row each, without extrema and sections.
@@ -419,7 +426,7 @@ class Response:
         if self.period_multiple:
             words.append(f"period multiple {self.period_multiple}")
         words.append(self.status.label)
-        if self.status == Status.OK and not np.any(self.n_contacts):
+        if self.status == Status.OK and not self._n_touching:
             words.append("no contact")
         for name in ("x_min", "x_max"):
             values = np.atleast_1d(getattr(self, name)).tolist()

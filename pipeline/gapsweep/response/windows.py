@@ -40,6 +40,8 @@ class RecordedWindows:
         Zero-velocity points [m] of a window recorded with all events; `n_turning` lists a case.
     contact_share : ndarray, shape (n_contacts, n)
         Share of that window's time spent beyond each contact's walls [-].
+    contacts_per_period : ndarray, shape (n,)
+        Contacts in that window per forcing period, or per section point of an unforced system [-].
     """
 
     def __init__(self, ensemble: Ensemble, y: Array) -> None:
@@ -53,6 +55,7 @@ class RecordedWindows:
         self.n_turning = len(ensemble.turning(np.arange(n), y))
         self._elapsed, self.extrema = np.zeros(n), RaggedArrays(n * self.n_turning)
         self.contact_share = np.full(ensemble.walls.shape[1:], np.nan)
+        self.contacts_per_period = np.full(n, np.nan)
 
     @property
     def t(self) -> Array:
@@ -122,6 +125,7 @@ class RecordedWindows:
             self.extrema.put(self.rows(points), extrema, counts.ravel())
             shares = contact_shares(self.ensemble, points, self.y[:, points], call)
             self.contact_share[:, points] = shares
+            self.contacts_per_period[points] = 0.5 * call.n_contacts / n_periods
         if recorded.any():
             self._add(scenes[recorded], recorded.nonzero()[0], call)
         self._elapsed[points] += np.bincount(of, call.t_end)

@@ -23,7 +23,7 @@ from gapsweep.user_code.package_digest import numerics_fingerprint
 from gapsweep.variables import canonical as canonical
 
 # Raised whenever the stored result of a point changes its form or meaning.
-RESULT_SCHEMA = 8
+RESULT_SCHEMA = 9
 
 FIXED = "fixed"
 SWEEPS = ("sweep_up", "sweep_down")

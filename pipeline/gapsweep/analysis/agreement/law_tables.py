@@ -38,7 +38,7 @@ def class_numbers(requested: Bools, response_class: Ints, period_multiple: Ints)
 _KINDS = ("status", "response_class", "period_multiple")
 _FIELDS = (
     *("attractor", "amplitude", "extrema", "noise"),
-    *("host", "cpu_time", "n_contacts", "t_simulated"),
+    *("host", "cpu_time", "contacts_per_period", "t_simulated"),
 )
 _SECTION = ("section_x", "section_v")
 _FOUND_INTEGERS = ("response_class", "period_multiple", "mirror_of")
@@ -97,7 +97,7 @@ class LawTable:
         Extrema [m], padded with NaN.
     noise : ndarray
         Numerical scatter of section points [m].
-    host, cpu_time, n_contacts, t_simulated : ndarray
+    host, cpu_time, contacts_per_period, t_simulated : ndarray
         As in ``responses.nc``.
     found : AttractorTable
     """
@@ -112,7 +112,7 @@ class LawTable:
     noise: Array
     host: Ints
     cpu_time: Array
-    n_contacts: Ints
+    contacts_per_period: Array
     t_simulated: Array
     found: AttractorTable
 

@@ -167,8 +167,8 @@ METRICS: dict[str, Metric] = {
         "A14", "1", "CPU time per forcing period, relative to the exact law",
         "sum of cpu_time / sum of omega t_simulated, over that of the exact law at the same points",
     ),
-    "n_contacts_per_period": _pooled(
-        "A14", "1", "crossings per forcing period", "sum of n_contacts / sum of omega t_simulated"
+    "contacts_per_period": _pooled(
+        "A14", "1", "contacts of steady responses per forcing period", "mean over points compared"
     ),
     "n_points": _count("all", POOLED, "sweep points", "in the study"),
     "n_compared": _count("all", POOLED, "sweep points compared", "with both responses"),

@@ -35,8 +35,8 @@ def cost_sums(ours: LawTable, theirs: LawTable) -> dict[str, Array]:
     timed &= ours.fixed | ~ours.fixed.any()
     periods, their_periods = (table.t_simulated * table.omega[:, None] for table in (ours, theirs))
     times = [ours.cpu_time, periods, theirs.cpu_time, their_periods]
-    contacts = [ours.n_contacts, periods]
+    contacts = [ours.contacts_per_period, np.ones(both.shape)]
     return {
         "cpu_time_per_period_ratio": np.where(timed[..., None], np.stack(times, axis=-1), 0.0),
-        "n_contacts_per_period": np.where(both[..., None], np.stack(contacts, axis=-1), 0.0),
+        "contacts_per_period": np.where(both[..., None], np.stack(contacts, axis=-1), 0.0),
     }

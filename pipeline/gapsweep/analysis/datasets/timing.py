@@ -18,7 +18,7 @@ COSTS = {
     "nfev": ("1", "right-hand-side evaluations per point"),
     "n_steps": ("1", "accepted steps per point"),
     "n_rejected": ("1", "rejected steps per point"),
-    "n_contacts": ("1", "wall crossings per point"),
+    "contacts_per_period": ("1", "contacts of steady responses per forcing period"),
 }
 
 

@@ -4,17 +4,19 @@ The answer in words, as a map of all laws in all cases, as one figure, and the n
 study's own answer comes before that of the rules.
 """
 
+import math
 from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
 import xarray as xr
 
-from gapsweep.analysis.dimensions import in_metres
+from gapsweep.analysis.dimensions import REPRESENTATION, SWEPT, in_metres
 from gapsweep.model.labels import EXACT
 from gapsweep.report.backdrop import caption_of_walls
 from gapsweep.report.drawing import caption_of_marks
-from gapsweep.report.figures import compared_with_exact
+from gapsweep.report.figure_data import Choice
+from gapsweep.report.figures import compared_with_exact, peaks_of_laws
 from gapsweep.report.heat import GROUPS, MANY, cells, heads, swept_columns
 from gapsweep.report.inputs import Inputs
 from gapsweep.report.parts import Figured, Part
@@ -24,14 +26,18 @@ from gapsweep.report.sections.own import answer_of
 from gapsweep.report.tables import VERDICTS, percent
 from gapsweep.report.verdicts import (
     LIMITS,
-    MOST_CONTACTS,
     SIGNS,
     Contact,
     Judged,
     how_many,
     in_words,
+    telling,
     times,
 )
+
+# Cases and points that the page of a figure holds: seconds to make, a megabyte of text.
+_MOST_CHOICES, _MOST_VALUES = 200, 200_000
+_MOST_LISTED = 400  # cases with their numbers on the page
 
 
 def sections(inputs: Inputs) -> Iterator[Part]:
@@ -42,14 +48,15 @@ def sections(inputs: Inputs) -> Iterator[Part]:
     said = in_words(found)
     headline = [*own.sentences] or said[:1]
     is_compared = inputs.agreement is not None and in_metres(responses)
-    if is_compared and (far := unreached_walls(responses)):
+    is_mostly_free = 2 * sum(bool(one.unjudged) for one in found) >= len(found)
+    if is_compared and is_mostly_free and (far := unreached_walls(responses)):
         headline[:1] = [" ".join([far, *headline[:1]])]
     counts = inputs.claims["counts"] if inputs.claims else {}
     content = {
         "counts": {verdict: counts[verdict] for verdict in VERDICTS if counts.get(verdict)},
         "map": _map(responses, found) if found else None,
         "sentences": said if own.sentences else said[1:],
-        "numbers": list(map(_numbers, found[:MOST_CONTACTS])),
+        "numbers": list(map(_numbers, telling(found, _MOST_LISTED))),
     }
     figures = [*_compared(inputs), *own.figures]
     yield Part("answer", "Answer", headline, own.tables, figures, content)
@@ -57,14 +64,15 @@ def sections(inputs: Inputs) -> Iterator[Part]:
 
 def _map(responses: xr.Dataset, found: Sequence[Contact]) -> dict[str, Any]:
     """Texts of the map of laws and cases, for its template."""
-    listed = found[:MOST_CONTACTS]
+    listed = telling(found)
     return {
-        "cut": f"The first {how_many(len(listed), found)}. " if len(found) > len(listed) else "",
+        "cut": how_many(len(listed), found) if len(found) > len(listed) else "",
         "verdicts": [
             (sign, verdict, [percent(limit) for limit in LIMITS.get(verdict, ())])
             for verdict, sign in SIGNS.items()
         ],
         "has_own_starts": any(len({law.n_exact for law in one.laws}) > 1 for one in listed),
+        "has_unknown": any(np.isnan(law.low) for one in listed for law in one.laws),
         "has_tanh": any(one.least("tanh") for one in listed),
         "groups": GROUPS,
         "n_contacts": len(listed),
@@ -103,29 +111,48 @@ def _numbers(contact: Contact) -> tuple[str, list[list[str]]]:
 
 
 def _compared(inputs: Inputs) -> Iterator[Figured]:
-    """Laws and the exact law in the case with the most verdicts, if it has a curve."""
+    """Laws and the exact law in the case with the most verdicts; others can be chosen.
+
+    Of several, the one with most chaos, lost attractors and error.
+    """
     responses, found = inputs.responses, inputs.cases
     if not found or responses.sizes["omega"] < 2:
         return
-    contact = max(found, key=lambda one: (len(list(filter(None, one.columns.values()))), one.K_c))
-    scene = Scenes(responses).at(contact.at)
-    laws: dict[str, str] = {
-        o.law: f"{o.law}: {o.verdict}{' ±' * (not o.is_firm)}" for o in telling(contact)
-    }
-    if scene is None or not laws:
+    scenes = Scenes(responses)
+
+    def shown(contact: Contact) -> tuple[xr.Dataset, Choice] | None:
+        laws: dict[str, str] = {
+            o.law: f"{o.law}: {o.verdict}{' ±' * (not o.is_firm)}" for o in panels_of(contact)
+        }
+        scene = scenes.at(contact.at) if laws else None
+        if scene is None:
+            return None
+        scene = swept(scene.sel(representation=[EXACT, *laws]))
+        return scene, peaks_of_laws(contact.place, scene, EXACT, laws, inputs.branches)
+
+    def telling_most(contact: Contact) -> tuple[float, ...]:
+        n_verdicts = len([laws for laws in contact.columns.values() if laws])
+        return n_verdicts, contact.n_chaotic, contact.lost, contact.error, contact.K_c
+
+    contact = max(found, key=telling_most)
+    if (drawn := shown(contact)) is None:
         return
+    n_values = math.prod(responses.sizes[dim] for dim in (REPRESENTATION, *SWEPT))
+    n_most = min(_MOST_CHOICES, max(1, _MOST_VALUES // n_values))
+    others = telling(found, n_most) if len(found) > 1 else []
     description = (
         f"Peak displacement at {contact.place}: contact laws (coloured) and the exact law (larger "
         "dots behind), for the same initial conditions"
     )
-    shown = swept(scene.sel(representation=[EXACT, *laws]))
-    figure = compared_with_exact(shown, EXACT, laws, inputs.branches)
+    figure = compared_with_exact(*drawn)
     words = " Dashed lines: unstable orbits." if inputs.branches is not None else ""
-    looks = f"{caption_of_walls(scene, of_peaks=True)}{words}{caption_of_marks(figure)}"
-    yield Figured(figure, f"{description}.{looks}", description)
+    looks = f"{caption_of_walls(drawn[0], of_peaks=True)}{words}{caption_of_marks(figure)}"
+    more = f" Explore shows {how_many(len(others), found)}." if others else ""
+    choices = (each[1] for case in others if (each := shown(case)))
+    yield Figured(figure, f"{description}.{looks}{more}", description, choices=choices)
 
 
-def telling(contact: Contact) -> list[Judged]:
+def panels_of(contact: Contact) -> list[Judged]:
     """Approximations for the first figure: one of each verdict, a firm one if any.
 
     If all have the same verdict, the most and the least accurate.

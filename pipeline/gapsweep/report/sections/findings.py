@@ -40,6 +40,7 @@ def sections(inputs: Inputs) -> Iterator[Part]:
     sentences = [*_doubtful(responses), *filter(None, [far])]
     sentences += [outcomes(responses), _tried(responses)]
     sentences += _along(responses)
+    sentences += _touching(responses)
     if inputs.attractors is not None:
         sentences += _coexisting(inputs.attractors)
     if inputs.agreement is not None and not in_metres(responses):
@@ -161,6 +162,25 @@ def _along(responses: xr.Dataset) -> Iterator[str]:
             yield f"{label} is {words}{some} at {where} {ranges}."
 
 
+def _touching(responses: xr.Dataset) -> Iterator[str]:
+    """Sentence on the responses that touch a wall, of the exact law if computed, and where."""
+    if "contact_share" not in responses:
+        return
+    label = _exact_if_swept(responses)
+    here = responses[["contact_share", "status"]].sel(representation=label)
+    is_touching = here["contact_share"] > 0.0
+    if CONTACT in is_touching.dims:
+        is_touching = is_touching.any(CONTACT)
+    n, n_all = int(is_touching.sum()), int((here["status"] != Status.NOT_REQUESTED).sum())
+    if not n:
+        return
+    where = ""
+    if is_touching.sizes.get("omega", 1) > 1:
+        at = is_touching.any([dim for dim in is_touching.dims if dim != "omega"])
+        where = f", at omega [Hz] {_ranges(at.values, responses['omega'].values)}"
+    yield f"{label} touches a wall in {n} of {n_all} steady responses{where}."
+
+
 def _ranges(is_so: NDArray[np.bool_], x: NDArray[np.float64]) -> str:
     """Return intervals of a grid on which a condition holds: the 3 widest, ascending, as text."""
     edges = np.flatnonzero(np.diff(is_so, prepend=False, append=False)).reshape(-1, 2) - (0, 1)
@@ -225,9 +245,9 @@ def counted(found: Sequence[Contact]) -> Iterator[str]:
     costs = [one for one in laws if np.isfinite(one.cost_ratio)]
     if costs and all(np.isnan(one.low) for one in costs):
         yield (
-            "Cost relative to the exact law: undecided. Add piecewise@half and [protocol] half = "
-            "{ rtol = 5e-10, atol = 5e-13 } to the study, with enough frequencies, to measure the "
-            "repeatability of timings."
+            "Costs relative to the exact law are marked with ?: their repeatability is unknown. To "
+            "measure it, add piecewise@half and [protocol] half = { rtol = 5e-10, atol = 5e-13 } "
+            "to the study, with enough frequencies."
         )
 
 

@@ -11,6 +11,7 @@ from dataclasses import replace
 import numpy as np
 import xarray as xr
 
+from gapsweep.analysis.agreement.law_tables import NONE as NO_CLASS
 from gapsweep.analysis.dimensions import (
     REPRESENTATION,
     SWEPT,
@@ -29,6 +30,7 @@ from gapsweep.report.parts import Figured, Part
 from gapsweep.report.scales import long_name, named
 from gapsweep.report.selection import places
 from gapsweep.report.tables import scene_tables, special_points
+from gapsweep.response.result import ResponseClass
 from gapsweep.status import Status
 from gapsweep.study.grid import COORDINATE
 
@@ -113,7 +115,7 @@ def _words(
         f", for each of {responses.sizes[axis]} values of {long_name(responses[axis])}"
         for axis in few
     )
-    rest = ", with all other parameters at one value" * is_cut
+    rest = ", at those values of other parameters that have most chaos and most attractors" * is_cut
     return (
         f"{n_scenes} parameter set{'s' * (n_scenes > 1)} with {n_points} sweep points"
         f"{': figures over ' * bool(names)}{names}{each}{rest}. "
@@ -149,9 +151,12 @@ def _axes(responses: xr.Dataset) -> tuple[list[str], list[str]]:
 
 
 def _figures(inputs: Inputs, asked: xr.DataArray, label: str, axes: list[str]) -> Iterator[Figured]:
-    """Figures of a representation, with other parameters at the values with the most points."""
+    """Figures of a representation, with other parameters at the values with the most points.
+
+    Of several, those at which most responses of the exact law are not periodic or coexist.
+    """
     responses, attractors = inputs.responses, inputs.attractors
-    at = _most(asked, label, [_START] if axes[0] in STATE else axes)
+    at = _most(asked, label, [_START] if axes[0] in STATE else axes, _interesting(inputs))
     here = responses.isel(at)
     found = None if attractors is None else attractors.isel(at, missing_dims="ignore")
     n_starts = responses.sizes[_START]
@@ -202,10 +207,30 @@ def _maps(
     yield from maps_of(parts + amplitudes, axes, where)
 
 
-def _most(asked: xr.DataArray, label: str, over: list[str]) -> dict[str, int]:
-    """Position of a representation with the most points along the dimensions `over`."""
+def _interesting(inputs: Inputs) -> xr.DataArray:
+    """Mask of the points at which the exact law is not periodic, or has several attractors.
+
+    Of the first law where the exact law was not computed.
+    """
+    labels = inputs.responses[REPRESENTATION].values.tolist()
+    law = {REPRESENTATION: labels.index(EXACT) if EXACT in labels else 0}
+    known = (ResponseClass.PERIODIC, ResponseClass.FAILED, NO_CLASS)
+    found = ~inputs.responses["response_class"].isel(law).isin(known)
+    if inputs.attractors is not None:
+        found = found | (inputs.attractors["n_attractors"].isel(law) > 1)
+    return found.drop_vars(REPRESENTATION)
+
+
+def _most(
+    asked: xr.DataArray, label: str, over: list[str], interesting: xr.DataArray
+) -> dict[str, int]:
+    """Position of a representation with the most points along the dimensions `over`.
+
+    Of several, the one with most `interesting` points.
+    """
     r = asked[REPRESENTATION].values.tolist().index(label)
-    counts = asked.isel({REPRESENTATION: r}).sum(over)
+    of_law = asked.isel({REPRESENTATION: r})
+    counts = of_law.sum(over) + (of_law & interesting).sum(over) / (1.0 + of_law.size)
     place = np.unravel_index(int(counts.values.argmax()), counts.shape)
     return {REPRESENTATION: r} | {
         str(dim): int(i) for dim, i in zip(counts.dims, place, strict=True)

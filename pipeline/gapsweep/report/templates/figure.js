@@ -345,9 +345,14 @@
   }
 
   const data = JSON.parse($("data").textContent), panels = [];
-  $("panels").style.setProperty("--columns", Math.max(...data.map(({ column }) => column[1])) - 1);
-  $("panels").style.setProperty("--height", data.some(({ row }) => row > 1) ? "17rem" : "24rem");
-  for (const given of data) panels.push(new Panel(given, panels));
+  const build = (shown) => {
+    $("panels").replaceChildren();
+    $("panels").style.setProperty("--columns", Math.max(...shown.map(({ column }) => column[1])) - 1);
+    $("panels").style.setProperty("--height", shown.some(({ row }) => row > 1) ? "17rem" : "24rem");
+    panels.length = 0;
+    for (const given of shown) panels.push(new Panel(given, panels));
+    addSwitches();
+  };
   let waiting = 0;
   const drawAll = () => {
     quiet();
@@ -358,7 +363,6 @@
     });
   };
 
-  // Switches: laws, and logarithmic axes.
   const form = $("laws");
   const option = (text, checked, mark, change) => {
     const label = document.createElement("label"), box = document.createElement("input");
@@ -375,21 +379,37 @@
     label.append(text);
     form.append(label);
   };
-  const laws = new Map();
-  for (const { marks } of panels) for (const mark of marks) if (law(mark) && !laws.has(law(mark))) laws.set(law(mark), mark);
-  if (laws.size > 1) for (const [name, mark] of laws) option(name, true, mark, (on) => (on ? off.delete(name) : off.add(name)));
-  const words = new Set(panels.flatMap(({ marks }) => marks.flatMap((mark) => mark.series.split(", ").slice(1))));
-  form.append(...Object.entries(SIGNS).filter(([name]) => words.has(name)).map(([name, sign]) => `${sign} ${name}\u2003`));
-  for (const which of ["x", "y"]) {
-    const axes = [...new Set(panels.map((panel) => panel[which]))];
-    const drawn = panels.flatMap((panel) => panel.marks.filter((mark) => mark.kind === "point" || mark.kind === "line"));
-    const marks = drawn.map((mark) => mark[which]);
-    const least = marks.reduce((a, m) => m.reduce((b, v) => (v > 0 && v < b ? v : b), a), Infinity);
-    const negative = marks.some((m) => m.some((v) => v < 0));
-    if (negative || least === Infinity || axes.some((axis) => axis.words || axis.now === "symlog")) continue;
-    option(`log ${which}`, axes.every((axis) => axis.now === "log"), null, (on) => axes.forEach((axis) => axis.use(on ? "log" : "linear", least)));
+  // Switches: laws, and logarithmic axes.
+  const addSwitches = () => {
+    form.replaceChildren();
+    const laws = new Map();
+    for (const { marks } of panels) for (const mark of marks) if (law(mark) && !laws.has(law(mark))) laws.set(law(mark), mark);
+    if (laws.size > 1) for (const [name, mark] of laws) option(name, !off.has(name), mark, (on) => (on ? off.delete(name) : off.add(name)));
+    const words = new Set(panels.flatMap(({ marks }) => marks.flatMap((mark) => mark.series.split(", ").slice(1))));
+    form.append(...Object.entries(SIGNS).filter(([name]) => words.has(name)).map(([name, sign]) => `${sign} ${name}\u2003`));
+    for (const which of ["x", "y"]) {
+      const axes = [...new Set(panels.map((panel) => panel[which]))];
+      const drawn = panels.flatMap((panel) => panel.marks.filter((mark) => mark.kind === "point" || mark.kind === "line"));
+      const marks = drawn.map((mark) => mark[which]);
+      const least = marks.reduce((a, m) => m.reduce((b, v) => (v > 0 && v < b ? v : b), a), Infinity);
+      const negative = marks.some((m) => m.some((v) => v < 0));
+      if (negative || least === Infinity || axes.some((axis) => axis.words || axis.now === "symlog")) continue;
+      option(`log ${which}`, axes.every((axis) => axis.now === "log"), null, (on) => axes.forEach((axis) => axis.use(on ? "log" : "linear", least)));
+    }
+    form.hidden = !form.children.length;
+  };
+  build(data);
+  // Other cases in the same panels.
+  if ($("choices")) {
+    const { looks, choices } = JSON.parse($("choices").textContent), [first] = data, select = $("case");
+    const marksOf = (marks) => marks.map(([look, x, y]) => ({ ...looks[look], x, y }));
+    const chosen = ({ limits, panels }) => panels.map(({ title, marks }, n) => ({
+      ...first, title, column: [n + 1, n + 2], y: { ...first.y, limits }, texts: [], marks: marksOf(marks),
+    }));
+    select.append(new Option("as in the report", ""), ...choices.map(({ name }, n) => new Option(name, n)));
+    select.addEventListener("change", () => (build(select.value ? chosen(choices[select.value]) : data), drawAll()));
+    $("cases").hidden = false;
   }
-  form.hidden = !form.children.length;
   form.addEventListener("submit", (event) => event.preventDefault());
   $("help").hidden = false;
   if (parent !== window) document.documentElement.classList.add("framed");
