@@ -259,10 +259,10 @@ def risk(
     law : ContactLaw or mapping of str to ContactLaw
         As in `gapsweep.simulate`.
     uncertain : mapping of str to distribution
-        Distributions with ``ppf`` and ``cdf``, as ``scipy.stats.norm(4e-4, 2e-5)``, by name: a field
-        of the oscillator or the law, ``"gap"`` for both walls alike, ``"j_1"``, ``"j_2"``, a keyword
-        of the callable, or an initial state, as ``"x_0"``. Others have the values of model and law,
-        and initial states are 0.
+        Distributions with ``ppf`` and ``cdf``, as ``scipy.stats.norm(4e-4, 2e-5)``, by name: a
+        field of the oscillator or the law, ``"gap"`` for both walls alike, ``"j_1"``, ``"j_2"``, a
+        keyword of the callable, or an initial state, as ``"x_0"``. Other numbers have the values of
+        model and law, and initial states are 0.
     omega : float or array_like, optional
         Forcing frequencies [Hz]; None for an unforced system.
     events : mapping of str to mapping, optional
@@ -270,8 +270,7 @@ def risk(
         ``{"response_class": "chaotic"}``. A quantity of one coordinate or contact is written
         ``"x_max[h]"``.
     quantities : sequence of str
-        Variables of which quantiles are wanted, in addition to those of events; ``"amplitude"`` if
-        there is none.
+        Variables of which quantiles and indices are wanted, in addition to those of events.
     samples, repeats : int
         Sobol points of a repeat, a power of two; independent repeats, from which intervals follow,
         at least 2. By default 1024 and 8.

@@ -192,6 +192,8 @@ class UncertainTable(TomlTable):
     @model_validator(mode="after")
     def _consistent(self) -> "UncertainTable":
         wrong = [] if self.parameter else [f"no uncertain number; write gap = {_EXAMPLE}"]
+        if not (self.event or self.quantities):
+            wrong.append("give quantities = ['amplitude'], or an event")
         names = [event.name for event in self.event]
         wrong += [f"event {n!r}: occurs twice" for n in dict.fromkeys(names) if names.count(n) > 1]
         walls = {"gap"} & {*self.parameter} and {"j_1", "j_2"} & {*self.parameter}
@@ -269,7 +271,7 @@ class UncertainTable(TomlTable):
     def all_quantities(self) -> tuple[str, ...]:
         """Quantities that have quantiles and indices."""
         of_events = [event.quantity for event in self.event if event.quantity]
-        return tuple(dict.fromkeys([*self.quantities, *of_events])) or ("amplitude",)
+        return tuple(dict.fromkeys([*self.quantities, *of_events]))
 
     def median(self, name: str) -> Any:
         """Return the median of a number, a pair for a gap; None if none or only a file gives it."""

@@ -314,7 +314,7 @@ def risk_of_call(
     settings |= {"indices": indices, "quantities": [*quantities]}
     if correlation is not None:
         settings["correlation"] = np.asarray(correlation).tolist()
-    table = UncertainTable.of_call(uncertain, events or {}, settings)
+    table = UncertainTable.of_call(_checked(uncertain), events or {}, settings)
     found = drawn(uncertain, samples, repeats, seed, indices=indices, correlation=table.correlation)
     rates: list[float] = [0.0]
     if omega is not None:
@@ -348,6 +348,16 @@ def risk_of_call(
     values = _columns(family, rows, start, rates, (solver, steady), wanted)
     made = risk_of(_dataset(values, found, rates, model.parts), table)
     return made.isel({START: 0} if first else {START: 0, "omega": 0}, drop=True)
+
+
+def _checked(uncertain: Any) -> Mapping[str, Distribution]:
+    """Return distributions by name; a ModelError for anything else."""
+    given = uncertain if isinstance(uncertain, Mapping) else {"uncertain": uncertain}
+    for name, one in given.items():
+        if not (hasattr(one, "ppf") and hasattr(one, "cdf")):
+            example = "{'gap': scipy.stats.norm(4e-4, 2e-5)}"
+            raise ModelError(f"{name} = {one!r:.80}: must be a distribution, as {example}")
+    return given
 
 
 def _columns(
