@@ -293,7 +293,7 @@ MISTAKES = {
         r"gap < 0 at the nominal value 0\.0004 with probability 0\.159",
     ),
     "samples": ({"samples": 1000}, r"samples = 1000: must be a power of two, as 512 or 1024"),
-    "quantity": ({"event": [EVENT | {"quantity": "amplitud"}]}, r"'amplitud': must be one of .*x_max"),
+    "quantity": ({"event": [EVENT | {"quantity": "amplitud"}]}, r"'amplitud': must be one"),
     "threshold": ({"event": [{"name": "a", "quantity": "x_max"}]}, r"no threshold; write above"),
     "two events of a name": ({"event": [EVENT, EVENT]}, r"'large': occurs twice"),
     "name": ({"gapp": {"normal": 4e-4, "sd": 1e-5}}, r"gapp: cannot be uncertain; choose .*K_c"),

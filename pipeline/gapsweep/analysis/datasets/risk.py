@@ -33,7 +33,7 @@ from gapsweep.variables import CONTACT, COORDINATE, INPUTS, LAG, START, Variable
 Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 
-EVENT, QUANTITY, LEVEL, NUMBER = "event", "quantity", "level", "number"
+EVENT, QUANTITY, LEVEL, NUMBER, UNITS = "event", "quantity", "level", "number", "quantity_units"
 LEVELS = (0.025, 0.05, 0.25, 0.5, 0.75, 0.95, 0.975)  # of quantiles
 _PART = 4096  # responses computed in one call
 _AT_ONCE = 2**22  # values of a variable in memory
@@ -118,7 +118,9 @@ def risk_of(responses: xr.Dataset, table: UncertainTable) -> xr.Dataset:
         for name, coordinate in responses.coords.items()
         if {*coordinate.dims} <= {*dims}
     }
-    own = {name: (name, axes[name], one.attributes) for name, one in AXES.items()}
+    own: dict[str, Any] = {name: (name, axes[name], one.attributes) for name, one in AXES.items()}
+    of = [responses[name.partition("[")[0]].attrs.get("units", "") for name in axes[QUANTITY]]
+    own[UNITS] = (QUANTITY, np.array(of, str), {"long_name": "unit of the quantity"})
     made = xr.Dataset(data, inherited | own, of_study(responses))
     return made.assign_attrs(n_samples=repeats * min(matrices, MIXED) * design[-1], repeats=repeats)
 
@@ -289,6 +291,31 @@ def _indices(values: Array, unknown: Bools) -> dict[str, Array]:
     return found
 
 
+def safety(risk: xr.Dataset, along: str, event: str, limit: float) -> xr.Dataset:
+    """Return the largest probability of an event over frequencies and starts, and its judgement.
+
+    Parameters
+    ----------
+    risk : Dataset
+        As `risk_of` returns it.
+    along : str
+        Designed parameter.
+    event : str
+    limit : float
+        Probability that the event may have.
+
+    Returns
+    -------
+    Dataset
+        `probability`, `low` and `high` over `along` and the other dimensions of a case, and
+        `safe`: 1 if the whole interval is within the limit, -1 if it is above, 0 if undecided.
+    """
+    shown = risk[["probability", "low", "high"]].sel({EVENT: event}, drop=True)
+    worst = shown.max([dim for dim in ("omega", START) if dim in shown.dims and dim != along])
+    is_safe, is_not = worst["high"] <= limit, worst["low"] > limit
+    return worst.assign(safe=is_safe.astype("i1") - is_not.astype("i1"))
+
+
 def risk_of_call(
     oscillator: Model | Callable[..., Model],
     law: AnyLaw | None,
@@ -346,7 +373,8 @@ def risk_of_call(
     bases = {one.partition("[")[0] for one in table.all_quantities}
     wanted = ["status", "response_class", *sorted(bases)]
     values = _columns(family, rows, start, rates, (solver, steady), wanted)
-    made = risk_of(_dataset(values, found, rates, model.parts), table)
+    of = _dataset(values, found, rates, model.parts, in_metres=structure.in_metres)
+    made = risk_of(of, table)
     return made.isel({START: 0} if first else {START: 0, "omega": 0}, drop=True)
 
 
@@ -391,12 +419,15 @@ def _dataset(
     samples: Samples,
     rates: list[float],
     parts: Mapping[str, Sequence[str]],
+    *,
+    in_metres: bool,
 ) -> xr.Dataset:
     """Return the responses of a call as a dataset of a study."""
     data = {}
     for name, values in columns.items():
         within = [dim for dim in RESPONSE[name].dims if dim in parts][: values.ndim - 2]
-        data[name] = (("omega", SAMPLE, START, *within), values[:, :, None])
+        about = RESPONSE[name] if in_metres else RESPONSE[name].of_systems
+        data[name] = (("omega", SAMPLE, START, *within), values[:, :, None], about.attributes)
     coords: dict[str, Any] = {name: [*labels] for name, labels in parts.items()}
     coords |= {name: (SAMPLE, getattr(samples, name)) for name in ("matrix", "repeat")}
     coords["omega"] = ("omega", rates, INPUTS["omega"].attributes)
