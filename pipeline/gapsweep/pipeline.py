@@ -259,12 +259,14 @@ def risk(
     law : ContactLaw or mapping of str to ContactLaw
         As in `gapsweep.simulate`.
     uncertain : mapping of str to distribution
-        Distributions with ``ppf`` and ``cdf``, as ``scipy.stats.norm(4e-4, 2e-5)``, by name: a
+        Distributions as ``scipy.stats.norm(4e-4, 2e-5)``, with ``ppf`` and ``cdf``, by name: a
         field of the oscillator or the law, ``"gap"`` for both walls alike, ``"j_1"``, ``"j_2"``, a
-        keyword of the callable, or an initial state, as ``"x_0"``. Other numbers have the values of
-        model and law, and initial states are 0.
+        keyword of the callable, or an initial state, as ``"x_0"``, of systems ``"v_0[1]"``. Other
+        numbers have the values of model and law.
     omega : float or array_like, optional
         Forcing frequencies [Hz]; None for an unforced system.
+    x_0, v_0, q_0, z_0 : float or array_like
+        Initial state where it is certain, as in `gapsweep.respond`.
     events : mapping of str to mapping, optional
         By name ``{"quantity": "amplitude", "above": 1e-3}``, with `above`, `below` or both, or
         ``{"response_class": "chaotic"}``. A quantity of one coordinate or contact is written

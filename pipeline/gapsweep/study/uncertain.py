@@ -134,7 +134,7 @@ def _column(path: Path, name: str) -> tuple[float, ...]:
 class EventTable(TomlTable):
     """An event: a quantity above or below a limit, between both, or a response class."""
 
-    name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._ -]{0,63}$")] = ""
+    name: Annotated[str, Field(min_length=1, max_length=64)]
     quantity: str | None = None
     above: Number | None = None
     below: Number | None = None

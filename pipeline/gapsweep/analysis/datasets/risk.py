@@ -19,7 +19,7 @@ from gapsweep.errors import ModelError
 from gapsweep.integrate.problem import DEFAULT_ENGINE, Model, Models, Solver
 from gapsweep.integrate.simulate import AnyLaw
 from gapsweep.model.doubts import doubts, warn_of
-from gapsweep.model.oscillator import checked
+from gapsweep.model.oscillator import Oscillator, checked
 from gapsweep.model.structure import structure_of
 from gapsweep.model.system import numbers
 from gapsweep.response.respond import check_steady, respond_models
@@ -321,7 +321,11 @@ def risk_of_call(
     law: AnyLaw | None,
     uncertain: Mapping[str, Distribution],
     omega: ArrayLike | None = None,
+    x_0: float = 0.0,
+    v_0: ArrayLike = 0.0,
     *,
+    q_0: ArrayLike = 0.0,
+    z_0: ArrayLike = 0.0,
     events: Mapping[str, Mapping[str, Any]] | None = None,
     quantities: Sequence[str] = (),
     samples: int = 1024,
@@ -364,7 +368,7 @@ def risk_of_call(
     if problems:
         raise ModelError("; ".join(problems))
     names = columns_of(structure)[-structure.n_states :]
-    start = np.zeros((len(found), structure.n_states))
+    start = np.tile(_state(model, x_0, v_0, q_0, z_0), (len(found), 1))
     for name in uncertain.keys() - {*of_model}:
         if name not in names:
             raise ModelError(f"{name}: must be an initial state: {', '.join(names)}")
@@ -386,6 +390,19 @@ def _checked(uncertain: Any) -> Mapping[str, Distribution]:
             example = "{'gap': scipy.stats.norm(4e-4, 2e-5)}"
             raise ModelError(f"{name} = {one!r:.80}: must be a distribution, as {example}")
     return given
+
+
+def _state(model: Any, x_0: ArrayLike, v_0: ArrayLike, q_0: ArrayLike, z_0: ArrayLike) -> Array:
+    """Return the nominal initial state of a model, shape (n_states,)."""
+    is_oscillator, found = isinstance(model, Oscillator), []
+    displacement = ("x_0", x_0) if is_oscillator else ("q_0", q_0)
+    parts = [(*displacement, model.n), ("v_0", v_0, model.n), ("z_0", z_0, model.n_lags)]
+    for name, value, size in parts:
+        given = np.ravel(numbers(name, value, "finite numbers"))
+        if given.size not in (1, size) or not np.isfinite(given).all():
+            raise ModelError(f"{name} = {value!r:.80}: must be {size} finite numbers")
+        found.append(np.broadcast_to(given, max(size, given.size))[:size])
+    return np.concatenate(found)
 
 
 def _columns(

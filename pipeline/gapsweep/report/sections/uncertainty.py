@@ -66,13 +66,14 @@ def _judged(found: xr.Dataset, asked: Mapping[str, Any] | None) -> Iterator[xr.D
 
 def _safe(found: xr.Dataset, asked: Mapping[str, Any] | None) -> Iterator[str]:
     """Sentences on the values of a designed parameter with a probability within the limit."""
+    everywhere = " at all frequencies" * (found.sizes.get("omega", 1) > 1)
     for case in _judged(found, asked):
         for label in labels_of(case):
             assert asked is not None
             one = case.sel({REPRESENTATION: label})
             names = [name for name in _case(found, asked["along"]) if name in one.coords]
             where = [label, *(named(one[name]) for name in names)]
-            yield f"{', '.join(where)}: {_in_words(one, **asked)}"
+            yield f"{', '.join(where)}: {_in_words(one, everywhere, **asked)}"
 
 
 def _case(found: xr.Dataset, along: str) -> list[str]:
@@ -82,14 +83,14 @@ def _case(found: xr.Dataset, along: str) -> list[str]:
     return [str(dim) for dim in dims if dim not in own and found.sizes[dim] > 1]
 
 
-def _in_words(one: xr.Dataset, along: str, event: str, probability: float) -> str:
+def _in_words(one: xr.Dataset, everywhere: str, along: str, event: str, probability: float) -> str:
     """Clause on the safe values along one axis."""
     safe, unit = one["safe"].values, shown_unit(one[along])[1]
     unit = unit or str(one[along].attrs.get("units", ""))
     values = one[along].values if along == "gap" else map(number, drawn(one[along]))
     texts = [f"{value} {unit}".removesuffix(" 1").strip() for value in values]
     name = "gap" if along == "gap" else long_name(one[along])
-    target = f"P({event}) at most {probability:g} at all frequencies"
+    target = f"P({event}) at most {probability:g}{everywhere}"
     is_safe = np.flatnonzero(safe > 0)
     if not is_safe.size:
         best = int(np.nanargmin(one["probability"]))
