@@ -22,7 +22,6 @@ from gapsweep.study.schema import (
     VARIABLES,
     Found,
     coordinates,
-    described,
 )
 from gapsweep.variables import EXTREMUM, MULTIPLIER, SECTION_POINT, Variable
 
@@ -79,13 +78,13 @@ class Layout:
         """The coordinates of a dataset with these dimensions."""
         samples = self.grid.axes.get(SAMPLE)
         drawn = samples.numbers if isinstance(samples, Samples) else ()
-        return coordinates(dims, self.grid.structure, drawn)
+        return coordinates(dims, self.grid.structure, self.grid.units, drawn)
 
     def _described(self, variables: Mapping[str, Variable]) -> dict[str, Variable]:
         """The variables that exist for the models, with their units where these are known."""
         structure = self.grid.structure
         return {
-            name: described(variable, structure)
+            name: variable.in_units(self.grid.units)
             for name, variable in variables.items()
             if exists(name, structure)
         }

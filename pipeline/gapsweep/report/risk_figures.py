@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 _PROBABILITY = ("probability", "low", "high")
 _BANDS = ((0.05, 0.95, 1.6, 0.45), (0.25, 0.75, 4.0, 0.45))  # levels, width, opacity
 _INDICES = {"total": (9.0, 0.35), "first_order": (4.0, 1.0)}  # width, opacity
-_WORDS = {"total": "total", "first_order": "by the number alone"}
+_WORDS = {"total": "total", "first_order": "without interactions"}
 
 
 def risk(

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, ClassVar
 
@@ -17,6 +17,7 @@ from gapsweep.study.samples import DRAWN, SAMPLE, Samples
 from gapsweep.variables import CONTACT as CONTACT
 from gapsweep.variables import COORDINATE as COORDINATE
 from gapsweep.variables import LAG as LAG
+from gapsweep.variables import METRES, Units, part_units
 from gapsweep.variables import START as START
 
 Axes = Mapping[str, Sequence[Any]]
@@ -110,12 +111,15 @@ class Grid:
         Structure of the models of all points.
     parts : mapping of str to tuple of str
         Dimensions within a point, those with several entries: names of coordinates, contacts, lags.
+    units : mapping of str to sequence of str
+        Units of all coordinates and contacts.
     """
 
     axes: Axes
     requested: NDArray[np.bool_]
     structure: AnyStructure
     parts: Mapping[str, tuple[str, ...]]
+    units: Units = field(default_factory=lambda: METRES)
 
     @property
     def dims(self) -> tuple[str, ...]:
@@ -161,8 +165,13 @@ class Grid:
         return axis.number.tolist() if isinstance(axis, Starts | Samples) else axis
 
     def label(self, gap: Gap) -> str:
-        """Return wall distances as text: in mm, or for a system in the unit of the study."""
-        return gap.label if self.structure.in_metres else f"{gap.j_1:.12g}/{gap.j_2:.12g}"
+        """Return wall distances as text: in mm, or in the unit of contacts that is no length."""
+        return gap.label if self.in_metres else f"{gap.j_1:.12g}/{gap.j_2:.12g}"
+
+    @property
+    def in_metres(self) -> bool:
+        """Whether the displacements of all contacts are lengths."""
+        return {*self.units[CONTACT]} <= {"m"}
 
     def coordinates(self) -> dict[str, NDArray[Any]]:
         """Return the values of all coordinates of the dataset; states of sweeps are NaN."""
@@ -177,6 +186,7 @@ class Grid:
             if size:
                 found[name] = states[:, first] if size == 1 else states[:, first : first + size]
         found |= {name: np.array(names) for name, names in self.parts.items()}
+        found |= {name: np.array(some) for name, some in part_units(self.units).items()}
         if isinstance(samples := self.axes.get(SAMPLE), Samples):
             found |= {f"{DRAWN}{name}": drawn for name, drawn in samples.numbers.items()}
             found |= {name: getattr(samples, name) for name in ("matrix", "repeat")}
@@ -190,7 +200,9 @@ class Grid:
             else tuple(axis[i] for i in some)
             for (name, axis), some in zip(self.axes.items(), selection, strict=True)
         }
-        return Grid(axes, self.requested[np.ix_(*selection)], self.structure, self.parts)
+        return Grid(
+            axes, self.requested[np.ix_(*selection)], self.structure, self.parts, self.units
+        )
 
     @property
     def n_omega(self) -> int:

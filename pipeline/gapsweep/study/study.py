@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from gapsweep.errors import ModelError, StudyError
 from gapsweep.integrate.problem import Solver
-from gapsweep.model.contact import ContactLaw, Piecewise
+from gapsweep.model.contact import OF_WALLS, ContactLaw, Piecewise
 from gapsweep.model.labels import EXACT, Representation, contact_law
 from gapsweep.model.oscillator import Gap, Oscillator
 from gapsweep.model.own_law import OwnLaw, checked
@@ -208,6 +208,8 @@ class Study:
                         Piecewise(value, Gap(0.0, 0.0))
                     case "K_ratio":
                         Piecewise(1.0, Gap(0.0, 0.0), K_ratio=value)
+                    case "damping":
+                        Piecewise(1.0, Gap(0.0, 0.0), damping=value)
                     case str(name) if self.model.is_oscillator and name in self.spec.model:
                         replace(self.oscillator, **{name: value})
             except ModelError as error:
@@ -261,12 +263,7 @@ class Study:
         return self._next_to_study(self.spec.report)
 
     def _next_to_study(self, table: ModuleTable | None) -> Path | None:
-        return None if table is None else self.folder / table.module
-
-    @property
-    def folder(self) -> Path:
-        """Folder of the study file; the current one without a file."""
-        return Path(self.source).absolute().parent
+        return None if table is None else Path(self.source).absolute().parent / table.module
 
     @cached_property
     def model(self) -> ParametricModel:
@@ -301,7 +298,7 @@ class Study:
     @cached_property
     def folders(self) -> tuple[Path, ...]:
         """Folders searched for user modules after Python's path: the study's and the current."""
-        return tuple(dict.fromkeys((self.folder, Path.cwd())))
+        return tuple(dict.fromkeys((Path(self.source).absolute().parent, Path.cwd())))
 
     @cached_property
     def _known_laws(self) -> dict[str, OwnLaw]:
@@ -325,7 +322,9 @@ class Study:
         named = {**self.spec.parameters, **parameters}
         return replace(self._known_laws[name], parameters=tuple(named.items()))
 
-    def law(self, label: str, K_c: float, gap: Gap, K_ratio: float = 1.0) -> ContactLaw:
+    def law(
+        self, label: str, K_c: float, gap: Gap, K_ratio: float = 1.0, damping: float = 0.0
+    ) -> ContactLaw:
         """Return the contact law of a label; the label may name a user law.
 
         Raises
@@ -337,7 +336,8 @@ class Study:
         if own is not None:
             return own.law(K_c, gap, K_ratio)
         law = Representation(label).law
-        return contact_law(law, K_c, gap, self.spec.fit.range, K_ratio=K_ratio)
+        of_walls = {"K_ratio": K_ratio, "damping": damping}
+        return contact_law(law, K_c, gap, self.spec.fit.range, **of_walls)
 
     @property
     def own_laws(self) -> tuple[Representation, ...]:
@@ -373,7 +373,7 @@ class Study:
     @cached_property
     def _blocks(self) -> list[Axes]:
         swept = {name for block in self.spec.sweep for name in block.parameters}
-        known = {**self.spec.model, **self.spec.parameters, "K_ratio": 1.0}
+        known = {**self.spec.model, **self.spec.parameters, **OF_WALLS}
         default = {n: x for n, x in known.items() if n in swept}
         return [
             expanded(block, default)
@@ -386,18 +386,18 @@ class Study:
     def _samples(self) -> Samples | None:
         """The samples of uncertain numbers; None without [uncertain]."""
         table = self.spec.uncertain
-        return None if table is None else table.samples_in(self.folder, self.source)
+        return None if table is None else table.draw()
 
     def _problems_of_uncertain(self) -> Iterator[str]:
         """Numbers of [uncertain] that the study does not have or that leave their range."""
         assert self.spec.uncertain is not None
         of_laws = set() if self.spec.system else set(self.spec.parameters)
-        known: dict[str, Any] = {**self.spec.model, "K_ratio": 1.0}
+        known: dict[str, Any] = {**self.spec.model, **OF_WALLS}
         walls = [name for name in ("K_c", "gap", "j_1", "j_2") if name in self._axes]
         walls += ["j_1", "j_2"] if "gap" in self._axes else []
         known |= dict.fromkeys([*walls, *columns_of(self.structure)[-self.structure.n_states :]])
         known = {name: value for name, value in known.items() if name not in of_laws}
-        about = self.folder, known, self._axes, self.structure, self.model.parts
+        about = known, self._axes, self.structure, self.model.parts
         yield from (f"uncertain.{line}" for line in self.spec.uncertain.problems(*about))
 
     def _starts(self, given: Any, block: int) -> Starts:
@@ -421,7 +421,8 @@ class Study:
     def grid(self) -> Grid:
         """The grid of sweep points: the union of all blocks."""
         requested = requested_of(self._blocks, self._axes)
-        return Grid(self._axes, requested, self.structure, self.model.parts)
+        units = self.model.default.part_units
+        return Grid(self._axes, requested, self.structure, self.model.parts, units)
 
     def select(self, /, **wanted: Any) -> Selection:
         """Return the points with the selected values.
@@ -536,7 +537,7 @@ class Study:
 
         Values of the history come first, then the single values of sweep axes, then the model's.
         """
-        given = {**self.spec.model, **self.spec.parameters, "K_ratio": 1.0}
+        given = {**self.spec.model, **self.spec.parameters, **OF_WALLS}
         given |= {name: self._axes[name][0] for name in given if name in self._axes}
         walls = {"K_c": table.K_c, "gap": Gap(*map(canonical, table.gap)), "omega": table.omega}
         values = given | table.parameters | walls

@@ -10,9 +10,11 @@ import numpy as np
 from pydantic import AfterValidator, Field, ValidationError, model_validator
 
 from gapsweep.errors import ModelError, StudyError
+from gapsweep.model.contact import OF_WALLS
 from gapsweep.model.structure import AnyStructure
 from gapsweep.response.result import RESPONSE, ResponseClass, columns_of
-from gapsweep.study.axes import Number, OscillatorTable, Positive, Range, TomlTable
+from gapsweep.study.axes import MAX_VALUES, Number, Positive, Range, TomlTable
+from gapsweep.study.oscillator_table import OscillatorTable
 from gapsweep.study.problems import problems
 from gapsweep.study.samples import Distribution, Measured, Samples, drawn
 
@@ -20,7 +22,7 @@ _CLASSES = tuple(one.name.lower() for one in ResponseClass)
 _KINDS = ("normal", "lognormal", "uniform", "triangular", "truncated", "data")
 _NEEDS = {"normal": ("sd",), "lognormal": ("sd",), "truncated": ("sd", "low", "high"), "data": ()}
 _EXAMPLE = "{ normal = 0.4e-3, sd = 0.02e-3 }"
-WALLS = ("gap", "j_1", "j_2", "K_c", "K_ratio")
+_OF_CONTACTS = ("gap", "j_1", "j_2", "K_c", *OF_WALLS)
 # Share of a distribution that may lie outside the range of its number.
 _MOST_OUTSIDE = 1e-9
 
@@ -33,8 +35,7 @@ class DistributionTable(TomlTable):
     uniform: Range | None = None
     triangular: Annotated[list[Number], Field(min_length=3, max_length=3)] | None = None
     truncated: Number | None = None  # mean of a normal one that is cut at low and high
-    data: str | None = None  # a CSV file next to the study, with a column of measured values
-    column: str | None = None
+    data: Annotated[list[Number], Field(min_length=2, max_length=MAX_VALUES)] | None = None
     sd: Positive | None = None  # of the logarithm for lognormal
     low: Number | None = None
     high: Number | None = None
@@ -50,10 +51,6 @@ class DistributionTable(TomlTable):
             if (getattr(self, name) is None) == (name in needs):
                 words = "needs" if name in needs else "has no"
                 raise ValueError(f"{self.kind} {words} {name}")
-        if (self.column is None) == (self.kind == "data"):
-            raise ValueError(
-                "data and column belong together, as data = 'gaps.csv', column = 'gap'"
-            )
         ends = [self.low, self.high] if self.kind == "truncated" else None
         ordered: Any = self.uniform or self.triangular or ends or [0.0, 1.0]
         if sorted(ordered) != ordered or ordered[0] == ordered[-1]:
@@ -72,18 +69,13 @@ class DistributionTable(TomlTable):
             return []
         return [self.model_copy(update={self.kind: one}) for one in pair]
 
-    def distribution(self, folder: Path) -> Distribution:
-        """Return the distribution of `scipy.stats`; files are searched in the folder.
-
-        Raises
-        ------
-        ValueError
-            If the file has no such column of numbers.
-        """
+    @property
+    def distribution(self) -> Distribution:
+        """The distribution of `scipy.stats`, or of measured values."""
         from scipy import stats  # a second to import, and few studies need it
 
         if self.data is not None:
-            return Measured(_column(folder / self.data, str(self.column)))
+            return Measured(tuple(self.data))
         sd: Any = self.sd
         found: Distribution
         match getattr(self, self.kind), self.low, self.high:
@@ -99,22 +91,48 @@ class DistributionTable(TomlTable):
         return found
 
 
-def _column(path: Path, name: str) -> tuple[float, ...]:
+def with_data(tables: Any, source: str) -> Any:
+    """Return the tables of a study with measured values in place of files.
+
+    ``{ data = "gaps.csv", column = "gap" }`` has the values of a column of that file, which is next
+    to the study and begins with the names of its columns.
+
+    Raises
+    ------
+    StudyError
+        If a file cannot be read or has no such column of numbers.
+    """
+    given = tables.get("uncertain") if isinstance(tables, dict) else None
+    if not isinstance(given, dict):
+        return tables
+    folder, found = Path(source).absolute().parent, dict(given)
+    for name, table in given.items():
+        if isinstance(table, dict) and isinstance(table.get("data"), str):
+            where = f"{source}: uncertain.{name}"
+            if not isinstance(column := table.get("column"), str):
+                raise StudyError(f"{where}: data needs column, as column = 'gap'")
+            rest = {key: value for key, value in table.items() if key != "column"}
+            try:
+                found[name] = rest | {"data": _column(folder / table["data"], column)}
+            except ValueError as error:
+                raise StudyError(f"{where}: {error}") from None
+    return tables | {"uncertain": found}
+
+
+def _column(path: Path, name: str) -> list[float]:
     """Return the numbers of a column of a CSV file with a header.
 
     Raises
     ------
     ValueError
-        If the file cannot be read or has no such column of at least two finite numbers.
+        If the file cannot be read or has no such column of finite numbers.
     """
     try:
         with path.open(encoding="utf-8-sig", newline="") as file:
             rows = csv.DictReader(file)
             names = rows.fieldnames or []
             if name not in names:
-                raise ValueError(
-                    f"column {name!r}: not in {path.name}, which has {', '.join(names)}"
-                )
+                raise ValueError(f"column {name!r}: {path.name} has {', '.join(names)}")
             texts = [row[name] or "" for row in rows]
     except (OSError, UnicodeDecodeError, csv.Error) as error:
         raise ValueError(f"{path} cannot be read: {error}") from None
@@ -123,12 +141,9 @@ def _column(path: Path, name: str) -> tuple[float, ...]:
         try:
             found.append(float(text))
         except ValueError:
-            raise ValueError(
-                f"{path.name}, row {i + 2}: {name} = {text!r:.40}: no number"
-            ) from None
-    if len(found) < 2 or not np.all(np.isfinite(found)):
-        raise ValueError(f"{path.name}: column {name!r}: must have at least two finite numbers")
-    return tuple(found)
+            problem = f"{path.name}, row {i + 2}: {name} = {text!r:.40}"
+            raise ValueError(f"{problem}: must be a number") from None
+    return found
 
 
 class EventTable(TomlTable):
@@ -274,32 +289,22 @@ class UncertainTable(TomlTable):
         return tuple(dict.fromkeys([*self.quantities, *of_events]))
 
     def median(self, name: str) -> Any:
-        """Return the median of a number, a pair for a gap; None if none or only a file gives it."""
+        """Return the median of a number, a pair for a gap; None if it is certain or a deviation."""
         tables = self.tables
         if name == "gap" and "gap" not in tables:
             pair = [self.median(wall) for wall in ("j_1", "j_2")]
             return None if None in pair else pair
         table = tables.get(name)
-        if table is None or table.nominal or table.data:
+        if table is None or table.nominal:
             return None
-        value = float(table.distribution(Path()).ppf(0.5))
+        value = float(table.distribution.ppf(0.5))
         return [value, value] if name == "gap" else value
 
-    def samples_in(self, folder: Path, source: str) -> Samples:
-        """Draw the samples; files of measured values are searched in the folder.
-
-        Raises
-        ------
-        StudyError
-            If such a file cannot be read.
-        """
+    def draw(self) -> Samples:
+        """Draw the samples."""
         tables = self.tables
-        try:
-            of = {name: table.distribution(folder) for name, table in tables.items()}
-        except ValueError as error:
-            raise StudyError(f"{source}: uncertain: {error}") from None
         return drawn(
-            of,
+            {name: table.distribution for name, table in tables.items()},
             self.samples,
             self.repeats,
             self.seed,
@@ -310,7 +315,6 @@ class UncertainTable(TomlTable):
 
     def problems(
         self,
-        folder: Path,
         known: Mapping[str, Any],
         axes: Mapping[str, Sequence[Any]],
         structure: AnyStructure,
@@ -341,7 +345,7 @@ class UncertainTable(TomlTable):
             if "gap" in axes and name in ("gap", "j_1", "j_2"):
                 ends = {"j_1": [0], "j_2": [1]}.get(name, [0, 1])
                 values = [(gap.j_1, gap.j_2)[i] for gap in axes["gap"] for i in ends]
-            given = table.kind, table.distribution(folder), table.nominal
+            given = table.kind, table.distribution, table.nominal
             found = (outside(name, *given, value, structure.in_metres) for value in values)
             yield from [problem for problem in found if problem][:1]
         yield from self.wrong_quantities(structure, parts)
@@ -395,7 +399,7 @@ def outside(
 
 def _range(name: str, *, in_metres: bool) -> tuple[float, float]:
     """Return the range of a number that models allow, infinite without a bound."""
-    if name in WALLS:
+    if name in _OF_CONTACTS:
         return 0.0, math.inf
     fields = OscillatorTable.model_fields if in_metres else {}
     metadata = fields[name].metadata if name in fields else []

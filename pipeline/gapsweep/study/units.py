@@ -61,4 +61,6 @@ def _parameter(key: Any, table: dict[Any, Any]) -> Any:
         return f"forcing: amplitude{f' at power {power}' if (power := table.get('power')) else ''}"
     if key in ("above", "below"):
         return table.get("quantity", key)
+    if key == "period":
+        return "forcing: period"
     return table.get("second", key) if key == "range" else key

@@ -13,15 +13,16 @@ import xarray as xr
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import betaincinv, ndtri, stdtrit
 
-from gapsweep.analysis.dimensions import of_study
+from gapsweep.analysis.dimensions import REPRESENTATION, of_study
 from gapsweep.continuation.family import Family
 from gapsweep.errors import ModelError
 from gapsweep.integrate.problem import DEFAULT_ENGINE, Model, Models, Solver
 from gapsweep.integrate.simulate import AnyLaw
+from gapsweep.model.arrays import numbers
+from gapsweep.model.contact import ContactLaw
 from gapsweep.model.doubts import doubts, warn_of
 from gapsweep.model.oscillator import Oscillator, checked
 from gapsweep.model.structure import structure_of
-from gapsweep.model.system import numbers
 from gapsweep.response.respond import check_steady, respond_models
 from gapsweep.response.result import RESPONSE, ResponseClass, Steady
 from gapsweep.status import Status
@@ -60,7 +61,7 @@ RISK = {
     ),
 }
 _OF_NUMBERS = {
-    "first_order": "first Sobol index: share of the variance due to the number alone",
+    "first_order": "first Sobol index: share of the variance due to the number without interactions",
     "first_order_error": "half-width of the 95 % interval of the first index",
     "total": "total Sobol index: share of the variance with the number's interactions",
     "total_error": "half-width of the 95 % interval of the total index",
@@ -377,9 +378,10 @@ def risk_of_call(
     bases = {one.partition("[")[0] for one in table.all_quantities}
     wanted = ["status", "response_class", *sorted(bases)]
     values = _columns(family, rows, start, rates, (solver, steady), wanted)
-    of = _dataset(values, found, rates, model.parts, in_metres=structure.in_metres)
-    made = risk_of(of, table)
-    return made.isel({START: 0} if first else {START: 0, "omega": 0}, drop=True)
+    of = _dataset(values, found, rates, model)
+    made = risk_of(of, table).isel({START: 0} if first else {START: 0, "omega": 0}, drop=True)
+    is_law = isinstance(law, ContactLaw)  # names the style of plots
+    return made.assign_coords({REPRESENTATION: law.family}) if is_law else made
 
 
 def _checked(uncertain: Any) -> Mapping[str, Distribution]:
@@ -435,17 +437,15 @@ def _dataset(
     columns: dict[str, NDArray[Any]],
     samples: Samples,
     rates: list[float],
-    parts: Mapping[str, Sequence[str]],
-    *,
-    in_metres: bool,
+    model: Any,
 ) -> xr.Dataset:
     """Return the responses of a call as a dataset of a study."""
     data = {}
     for name, values in columns.items():
-        within = [dim for dim in RESPONSE[name].dims if dim in parts][: values.ndim - 2]
-        about = RESPONSE[name] if in_metres else RESPONSE[name].of_systems
+        within = [dim for dim in RESPONSE[name].dims if dim in model.parts][: values.ndim - 2]
+        about = RESPONSE[name].in_units(model.part_units)
         data[name] = (("omega", SAMPLE, START, *within), values[:, :, None], about.attributes)
-    coords: dict[str, Any] = {name: [*labels] for name, labels in parts.items()}
+    coords: dict[str, Any] = {name: [*labels] for name, labels in model.parts.items()}
     coords |= {name: (SAMPLE, getattr(samples, name)) for name in ("matrix", "repeat")}
     coords["omega"] = ("omega", rates, INPUTS["omega"].attributes)
     return xr.Dataset(data, coords)

@@ -8,7 +8,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from gapsweep.analysis.dimensions import REPRESENTATION, in_metres
+from gapsweep.analysis.dimensions import REPRESENTATION, of_oscillator
 from gapsweep.model.labels import EXACT
 from gapsweep.report.drawing import labels_of
 from gapsweep.report.inputs import Inputs
@@ -54,7 +54,7 @@ def _doubtful(responses: xr.Dataset) -> list[str]:
     User code is not called; a study with a user function of systems has no warnings.
     """
     tables = json.loads(responses.attrs.get("study_json", "{}"))
-    if not tables or "uncertain" in tables:  # its files of measured values may not be here
+    if not tables:
         return []
     study = Study(check(tables))
     return [f"{each[0].upper()}{each[1:]}." for each in doubts_of(study, own=False)]
@@ -66,7 +66,7 @@ _LISTED = 3  # intervals of it that are listed
 
 def unreached_walls(responses: xr.Dataset) -> str:
     """Sentence on cases or contacts in which no motion reaches a wall; empty if all do."""
-    if in_metres(responses):
+    if of_oscillator(responses):
         dims = [str(dim) for dim in responses["status"].dims]
         sentence = never_reached(lambda name: responses[name].values, dims, labels_of(responses))
         return f"{sentence[0].upper()}{sentence[1:]}." if sentence else ""

@@ -153,10 +153,7 @@ def _worst(one: xr.Dataset) -> str:
 def _about(found: xr.Dataset, asked: Mapping[str, Any]) -> str:
     """Sentence on the uncertain numbers and the samples."""
     tables = {name: table for name, table in asked.items() if name not in _SETTINGS}
-    texts = [
-        f"{name} {', '.join(f'{key} {value}' for key, value in table.items())}"
-        for name, table in tables.items()
-    ]
+    texts = [f"{name} {_in_short(table)}" for name, table in tables.items()]
     n, repeats = found.attrs["n_samples"], found.attrs["repeats"]
     undecided = int(found["n_undecided"].sum())
     words = f" {undecided} undecided responses (failed or unresolved) widen them." * bool(undecided)
@@ -164,6 +161,13 @@ def _about(found: xr.Dataset, asked: Mapping[str, Any]) -> str:
         f"Uncertain, in SI units: {'; '.join(texts)}. {n} samples, in {repeats} independent "
         f"repeats of a scrambled Sobol sequence. In brackets: 95 % intervals.{words}"
     )
+
+
+def _in_short(distribution: Mapping[str, Any]) -> str:
+    """A distribution as text, measured values by their number."""
+    if "data" in distribution:
+        return f"{len(distribution['data'])} measured values"
+    return ", ".join(f"{key} {value}" for key, value in distribution.items())
 
 
 def _table(found: xr.Dataset) -> Table:
