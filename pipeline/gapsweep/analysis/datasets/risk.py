@@ -61,7 +61,7 @@ RISK = {
     ),
 }
 _OF_NUMBERS = {
-    "first_order": "first Sobol index: share of the variance due to the number without interactions",
+    "first_order": "first Sobol index: share of the variance by the number, no interactions",
     "first_order_error": "half-width of the 95 % interval of the first index",
     "total": "total Sobol index: share of the variance with the number's interactions",
     "total_error": "half-width of the 95 % interval of the total index",
@@ -380,8 +380,9 @@ def risk_of_call(
     values = _columns(family, rows, start, rates, (solver, steady), wanted)
     of = _dataset(values, found, rates, model)
     made = risk_of(of, table).isel({START: 0} if first else {START: 0, "omega": 0}, drop=True)
-    is_law = isinstance(law, ContactLaw)  # names the style of plots
-    return made.assign_coords({REPRESENTATION: law.family}) if is_law else made
+    if isinstance(law, ContactLaw):  # plots have the style of its family
+        return made.assign_coords({REPRESENTATION: law.family})
+    return made
 
 
 def _checked(uncertain: Any) -> Mapping[str, Distribution]:
