@@ -40,6 +40,7 @@ if TYPE_CHECKING:
     )
     from gapsweep.model.table import ForceTable
     from gapsweep.model.user_law import UserLaw
+    from gapsweep.model.waves import PeriodicForce, Record, Switched
     from gapsweep.pipeline import plan, query, run
     from gapsweep.report.model_figures import frequency_response
     from gapsweep.report.model_figures import parameter_map as map
@@ -63,6 +64,7 @@ _ON_DEMAND = {
     **dict.fromkeys(("SystemTrajectory", "Trajectory"), "integrate.trajectory"),
     **dict.fromkeys(("plan", "query", "run"), "pipeline"),
     "ForceTable": "model.table",
+    **dict.fromkeys(("PeriodicForce", "Record", "Switched"), "model.waves"),
     "UserLaw": "model.user_law",
     "Study": "study.study",
     "advise": "study.least_model",
@@ -124,9 +126,11 @@ __all__ = [
     "ModelError",
     "Modulation",
     "Oscillator",
+    "PeriodicForce",
     "Piecewise",
     "Polynomial",
     "RationalPolynomial",
+    "Record",
     "Response",
     "ResponseClass",
     "Status",
@@ -134,6 +138,7 @@ __all__ = [
     "StoreError",
     "Study",
     "StudyError",
+    "Switched",
     "System",
     "SystemTrajectory",
     "Tanh",

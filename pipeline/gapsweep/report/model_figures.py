@@ -15,9 +15,9 @@ from gapsweep.continuation.follow import branches as continued
 from gapsweep.errors import ModelError
 from gapsweep.integrate.problem import TIME_LIMIT, Model, Models, Solver, within
 from gapsweep.integrate.simulate import AnyLaw
+from gapsweep.model.arrays import numbers
 from gapsweep.model.doubts import doubts, warn_of
 from gapsweep.model.oscillator import Oscillator, called_as, checked
-from gapsweep.model.system import numbers
 from gapsweep.report import branch_lines, maps, marks
 from gapsweep.report.motion import Picture, walls
 from gapsweep.report.scales import axis_label, drawn

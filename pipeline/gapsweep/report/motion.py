@@ -203,7 +203,7 @@ def _both(factor: float, law: ContactLaw) -> list[float]:
 
 
 def _is_forced(run: Trajectory) -> bool:
-    return not isinstance(run, SystemTrajectory) or run.system.is_forced
+    return run.inputs["omega"] is not None
 
 
 def _section(run: Trajectory, start: float, along: Array) -> tuple[Array, Array]:

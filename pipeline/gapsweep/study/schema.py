@@ -56,6 +56,7 @@ COORDINATES: dict[str, tuple[str, Variable]] = {
         "K_ratio",
         Variable("f8", UNITS["K_ratio"], "stiffness ratio, lower wall over upper wall"),
     ),
+    "damping": ("damping", Variable("f8", UNITS["damping"], "damping of both walls")),
     "initial_condition": (START, INPUTS[START]),
     "x_0": (START, INPUTS["x_0"]),
     "v_0": (START, INPUTS["v_0"]),
@@ -66,7 +67,7 @@ COORDINATES: dict[str, tuple[str, Variable]] = {
 
 # Numbers of an oscillator whose names parameters of a system may have, too.
 SHARED = ("mean_load", "c", "unbalance", "base_amplitude", "base_damping")
-_OF_CONTACTS = ("K_c", "gap", "j_1", "j_2")
+_OF_CONTACTS = ("K_c", "gap", "j_1", "j_2", "damping")
 PARAMETER = "parameter"  # beginning of the long name of a system parameter's coordinate
 
 

@@ -16,7 +16,7 @@ _EQUATION = "ẍ + {damping} ẋ + ω_n² x + {force} = {load}{moving}, with ω 
 # Terms of an unbalance and a moving base, and their numbers: shown if there is one.
 _MOVING = " + (u / m + a) ω² cos ωt + (1 − s) {damping} a ω sin ωt"
 _OF_MOVING = ("unbalance", "base_amplitude", "base_damping")
-_OPTIONAL = ("alpha", "mean_load", "c")  # terms that are shown if they are not zero
+_OPTIONAL = ("alpha", "mean_load", "c", "damping")  # terms that are shown if they are not zero
 # Parameters of the equation in the order of the section: symbol and unit.
 _NUMBERS = {
     "zeta": ("ζ", ""),
@@ -31,11 +31,12 @@ _NUMBERS = {
     "base_damping": ("s", "(share of the damping at the base)"),
     "K_c": ("K_c", "N/m"),
     "K_ratio": ("r", "(stiffness of the lower wall / K_c)"),
+    "damping": ("c_c", "N s/m (of both walls)"),
     "omega": ("ω", "Hz"),
 }
 _RATIO = _NUMBERS["K_ratio"]
 # Settings that a contact may have separately.
-_OWN = {"representation": "", "K_c": "K_c", "gap": "j₁/j₂", "K_ratio": "r"}
+_OWN = {"representation": "", "K_c": "K_c", "gap": "j₁/j₂", "K_ratio": "r", "damping": "c_c"}
 _EQUATION_OF_SYSTEMS = "M q̈ + C q̇ + K q + Σ α (a·q)³ a + Σ F(b·q) b = loads"
 _EQUATION_OF_LAGS = " − D z, ż = E q̇ + G q + H z"
 _MATRICES = {"mass": "M", "damping": "C", "stiffness": "K"}
@@ -52,7 +53,11 @@ def sections(inputs: Inputs) -> Iterator[Part]:
 def _oscillator(responses: xr.Dataset) -> list[tuple[str, str]]:
     """Equation, numbers and contact laws of an oscillator."""
     study = json.loads(responses.attrs["study_json"])
-    fixed = {"K_ratio": 1.0} | study["oscillator"]
+    fixed, wave = {"K_ratio": 1.0, "damping": 0.0} | study["oscillator"], []
+    if isinstance(points := fixed["forcing"], dict):
+        forces = points.get("f") or points["levels"]
+        fixed["forcing"] = max(map(abs, forces))
+        wave = [("Wave", f"in place of the cosine of p: {len(forces)} points in a period")]
     held = {n: responses[n].values if n in responses else fixed[n] for n in _NUMBERS}
     is_moving = bool(np.any(held["unbalance"]) or np.any(held["base_amplitude"]))
     absent = {name for name in _OPTIONAL if not np.any(held[name])}
@@ -75,6 +80,7 @@ def _oscillator(responses: xr.Dataset) -> list[tuple[str, str]]:
     return [
         ("Equation", equation),
         ("Numbers", ", ".join(numbers)),
+        *wave,
         *_laws(responses),
     ]
 
@@ -94,6 +100,11 @@ def _system(responses: xr.Dataset) -> list[tuple[str, str]]:
     rows += [(f"b of {name}", _rows(along)) for name, along in held["contacts"].items()]
     rows += [("a, α", f"{_rows(each['along'])}, {plain(each['alpha'])}") for each in held["cubic"]]
     for load in held["forcing"]:
+        if wave := load.get("wave"):
+            amplitude = np.multiply(load["peak"], load["along"])
+            pieces = f"{len(wave['ends'])} pieces in a period"
+            rows.append(("Load", f"{_rows(amplitude.tolist())} times {pieces}"))
+            continue
         growth = f" ({_rate(load)}){'²' * (load['power'] == 2)}" if load["power"] else ""
         rows.append(("Load", f"{_rows(load['amplitude'])}{growth}{_turning(load)}"))
     for name, terms in held["modulation"].items():
@@ -122,6 +133,9 @@ def _numbers_of_contacts(
         ratios = np.ravel(responses["K_ratio"].values) if "K_ratio" in responses else np.ones(1)
         none = "" if ratios.all() else "; 0: no lower wall"
         yield _RATIO[0], f"{_text(ratios)} {_RATIO[1]}{none}"
+    if "damping" in responses:
+        symbol, unit = _NUMBERS["damping"]
+        yield symbol, f"{_text(np.ravel(responses['damping'].values))} {unit}"
     for contact, table in own.items():
         settings = (
             f"{symbol} {_written(table[name])}".strip()
