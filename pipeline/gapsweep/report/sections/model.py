@@ -37,7 +37,7 @@ _NUMBERS = {
 _RATIO = _NUMBERS["K_ratio"]
 # Settings that a contact may have separately.
 _OWN = {"representation": "", "K_c": "K_c", "gap": "j₁/j₂", "K_ratio": "r", "damping": "c_c"}
-_EQUATION_OF_SYSTEMS = "M q̈ + C q̇ + K q + Σ α (a·q)³ a + Σ F(b·q) b = loads"
+_EQUATION_OF_SYSTEMS = "M q̈ + C q̇ + K q{cubic} + Σ F(b·q) b = loads"
 _EQUATION_OF_LAGS = " − D z, ż = E q̇ + G q + H z"
 _MATRICES = {"mass": "M", "damping": "C", "stiffness": "K"}
 _OF_LAGS = {"force": "D", "of_speed": "E", "of_place": "G", "of_lags": "H"}
@@ -111,7 +111,8 @@ def _system(responses: xr.Dataset) -> list[tuple[str, str]]:
         parts = (f"{plain(term['depth'])}{_turning(term)}" for term in terms)
         rows.append((f"F of {name}", f"times 1 + {' + '.join(parts)}"))
     rows += _numbers_of_contacts(responses, study.get("contact", {}))
-    equation = _EQUATION_OF_SYSTEMS + (_EQUATION_OF_LAGS if lags else "")
+    cubic = " + Σ α (a·q)³ a" if held["cubic"] else ""
+    equation = _EQUATION_OF_SYSTEMS.format(cubic=cubic) + (_EQUATION_OF_LAGS if lags else "")
     names = ", ".join(held["coordinates"])
     return [
         ("Equation", f"{equation}; x = b·q, q = ({names})"),
