@@ -586,6 +586,18 @@ def contact(laws, **where):
     return Contact(**{"K_c": 1.4e4, "gap": "0/1", **where}, floors={}, laws=judged, threshold="?")
 
 
+@pytest.mark.parametrize(("more", "n_cubic"), [({"alpha": 0.0}, 0), ({"alpha": 7e8, "c": 1.0}, 1)])
+def test_the_equation_has_the_terms_that_are_not_zero(tmp_path, more, n_cubic):
+    study = tables(["piecewise"], (1.0,))
+    study["oscillator"] = {**study["oscillator"], "mean_load": 0.0, **more}
+    responses, _ = datasets(tmp_path, study, lambda *_: periodic([(1e-3, 0.0)], 1.0))
+    told = dict(model(responses))
+    assert told["Equation"].count("x³") == n_cubic
+    assert told["Equation"].count("c / m") == ("c" in more)
+    assert "p₀" not in told["Equation"]
+    assert ("α" in told["Numbers"]) == bool(n_cubic)
+
+
 def test_of_many_cases_those_that_tell_most_are_listed():
     """In turn the largest error, the most lost attractors, the most chaos; in their own order."""
     plain = {"tanh-1e4": ("use", 0.01, 1.0, 2.0)}

@@ -71,7 +71,7 @@ COORDINATES: dict[str, tuple[str, Variable]] = {
 
 # Numbers of an oscillator whose names parameters of a system may have, too.
 SHARED = ("mean_load", "c", "unbalance", "base_amplitude", "base_damping")
-_OF_CONTACTS = ("K_c", "gap", "j_1", "j_2")
+_OF_CONTACTS = ("K_c", "gap", "j_1", "j_2", "damping")
 PARAMETER = "parameter"  # beginning of the long name of a system parameter's coordinate
 
 
