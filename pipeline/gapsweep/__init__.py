@@ -19,6 +19,16 @@ if TYPE_CHECKING:
     from gapsweep.analysis.datasets.contact_errors import static_error
     from gapsweep.continuation.curves import special_curve
     from gapsweep.continuation.follow import branches
+    from gapsweep.design.choose import Choice, choose
+    from gapsweep.design.demands import (
+        Demand,
+        at_least,
+        at_most,
+        no_chaos,
+        no_contact,
+        periodic,
+    )
+    from gapsweep.design.fit import Fit, fit
     from gapsweep.explorer.widget import explore
     from gapsweep.integrate.simulate import simulate
     from gapsweep.integrate.trajectory import SystemTrajectory, Trajectory
@@ -62,6 +72,10 @@ _ON_DEMAND = {
     **dict.fromkeys(("Modulation", "System", "Unbalance"), "model.system"),
     **dict.fromkeys(("SystemTrajectory", "Trajectory"), "integrate.trajectory"),
     **dict.fromkeys(("plan", "query", "run"), "pipeline"),
+    **dict.fromkeys(("Choice", "choose"), "design.choose"),
+    **dict.fromkeys(("Demand", "at_least", "at_most"), "design.demands"),
+    **dict.fromkeys(("no_chaos", "no_contact", "periodic"), "design.demands"),
+    **dict.fromkeys(("Fit", "fit"), "design.fit"),
     "ForceTable": "model.table",
     "UserLaw": "model.user_law",
     "Study": "study.study",
@@ -100,10 +114,13 @@ _RETURN_DATASETS = ("basins", "branches", "open", "query", "run", "special_curve
 __all__ = [
     "Arctan",
     "BaseMotion",
+    "Choice",
     "ClusterError",
     "ContactLaw",
     "Cubic",
     "DatasetError",
+    "Demand",
+    "Fit",
     "ForceTable",
     "Gap",
     "GapsweepError",
@@ -131,15 +148,22 @@ __all__ = [
     "UserLaw",
     "absolute_range",
     "advise",
+    "at_least",
+    "at_most",
     "basins",
     "branches",
     "canonical_label",
+    "choose",
     "contact_law",
     "explore",
+    "fit",
     "frequency_response",
     "law",
     "map",
+    "no_chaos",
+    "no_contact",
     "open",
+    "periodic",
     "plan",
     "plot",
     "query",
