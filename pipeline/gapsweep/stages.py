@@ -60,7 +60,6 @@ from gapsweep.user_code.snapshot import Snapshot
 
 if TYPE_CHECKING:
     import xarray as xr
-    from distributed import Client
 
     Content = xr.Dataset | dict[str, Any] | None
 
@@ -105,7 +104,7 @@ class RunContext:
     plan: Plan | None = None
     meanwhile: Iterator[bool] | None = None
     cache: Path = Path()
-    connect: Callable[[], "Client"] | None = None
+    connect: Callable[[], Any] | None = None
     timeout: float = DEFAULT_TIMEOUT
     say: Callable[[str], None] = _ignore
     inputs: tuple[str, ...] = ()

@@ -85,7 +85,7 @@ def test_the_response_follows_a_slider_that_is_dragged(debugger):
     assert during >= 2  # while the button was held
     assert n_drawn <= 31  # no more often than it moved
     question = of_model(approximations=())
-    here = asked(numbers(question) | {"forcing": forcing}, question.band)
+    here = asked(question, numbers(question) | {"forcing": forcing})
     np.testing.assert_allclose(x_max, 1e3 * from_rest(here, EXACT).x_max, rtol=1e-12)
 
 

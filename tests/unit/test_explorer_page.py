@@ -21,7 +21,7 @@ import xarray as xr
 from bokeh.document import Document
 from tests.builders.datasets import branches, datasets, periodic, tables
 from tests.builders.runs import wait_until
-from tests.builders.studies import PAPER
+from tests.builders.studies import PAPER, TWO_MASSES, changed
 from tornado.httpclient import AsyncHTTPClient, HTTPClientError, HTTPRequest
 from tornado.websocket import websocket_connect
 
@@ -82,7 +82,7 @@ def linear_amplitude(oscillator, omega):
 def test_the_numbers_of_the_sliders_make_the_question():
     law = gs.Tanh(K_c=2e4, gap=gs.Gap(1e-4, 3e-4), K_ratio=0.5, epsilon=1e5)
     question = of_model(gs.systems.paper_oscillator(alpha=-1e8, zeta=0.0), law, approximations=())
-    assert asked(numbers(question), question.band) == question
+    assert asked(question, numbers(question)) == question
 
 
 def test_every_slider_can_reach_where_it_starts():
@@ -113,7 +113,7 @@ def test_a_study_gives_the_ranges():
     found = {dial.name: dial for dial in dials(question, ranges)}
     assert question.band == (4.0, 12.0)
     assert question.approximations == ("poly-7",)
-    assert question.oscillator.mass == 2.0
+    assert question.model.mass == 2.0
     assert (found["K_c"].low, found["K_c"].high) == (1e3, 1e6)
     assert (found["zeta"].low, found["zeta"].high) == (0.01, 0.2)
     assert (found["j_1"].low, found["j_1"].high) == pytest.approx((0.1, 0.3))
@@ -123,12 +123,22 @@ def test_a_study_gives_the_ranges():
 def test_a_study_of_blocks_starts_where_one_has_a_point():
     study = gs.Study.load("workflows/paper/study.toml")
     question, _ = of_study(study)
-    study.select(K_c=question.K_c, gap=question.gap.label)  # raises if no block asks for it
+    K_c, gap = numbers(question)["K_c"], question.gap("x").label
+    study.select(K_c=K_c, gap=gap)  # raises if no block asks for it
 
 
-def test_what_is_no_oscillator_is_refused():
-    with pytest.raises(ModelError, match=r"must be a gapsweep\.Oscillator"):
-        of_model(gs.systems.typical_section(speed=12.0))
+@pytest.mark.parametrize(
+    ("model", "law", "said"),
+    [
+        (gs.systems.typical_section(speed=12.0), None, "needs a forcing"),
+        (3.0, None, r"must be a gapsweep\.Oscillator, a gapsweep\.System"),
+        (gs.systems.typical_section, None, "speed: has no default"),
+        (gs.systems.two_masses(), {"wall": FREE}, r"must name \['stop'\]"),
+    ],
+)
+def test_what_has_no_page_is_refused(model, law, said):
+    with pytest.raises(ModelError, match=said):
+        of_model(model, law)
 
 
 @pytest.mark.parametrize(
@@ -192,8 +202,8 @@ def test_a_motion_starts_where_the_question_says():
     k = int(np.argmax(up.x_max - down.x_max[::-1]))
     peaks = []
     for curve, row in ((up, k), (down, len(up.omega) - 1 - k)):
-        state = curve.x_end[row].item(), curve.v_end[row].item()
-        here = replace(question, omega=curve.omega[row].item(), start=state)
+        state = tuple(curve.end[row].tolist())
+        here = replace(question.at("omega", curve.omega[row].item()), start=state)
         peaks.append(motion(here, EXACT).x.max())
         # A peak between two samples, four times as sharp as that of a sine.
         between = 0.5 * 4.0 * (np.pi / SAMPLES_PER_PERIOD) ** 2
@@ -232,9 +242,9 @@ def test_every_start_of_a_linear_oscillator_ends_alike():
 
 def test_basins_are_those_of_the_grid_of_starts():
     # Between the jumps a hardening spring has two motions.
-    question = replace(of_model(gs.systems.paper_oscillator(), FREE), omega=11.0)
+    question = of_model(gs.systems.paper_oscillator(), FREE).at("omega", 11.0)
     *_, plane = basins(question, EXACT, 5e-3)
-    found = gs.basins(question.oscillator, FREE, 11.0, x=plane.x, v=plane.y, rtol=1e-6, atol=1e-9)
+    found = gs.basins(question.model, FREE, 11.0, x=plane.x, v=plane.y, rtol=1e-6, atol=1e-9)
     peaks = np.append(found["x_max"].values, np.nan)[found["attractor"].values]
     assert found.sizes["attractor_number"] == 2
     np.testing.assert_allclose(plane.x_max, peaks, rtol=1e-3)
@@ -252,8 +262,8 @@ def test_the_map_varies_what_it_says():
 def test_places_on_a_slider_are_values_there_and_back():
     for dial in dials(of_model()):
         values = dial.along(5)
-        assert values[0] == pytest.approx(dial.low * dial.factor)
-        assert values[-1] == pytest.approx(dial.high * dial.factor)
+        assert values[0] == pytest.approx(dial.low * dial.scale.factor)
+        assert values[-1] == pytest.approx(dial.high * dial.scale.factor)
         places = [dial.place(value) for value in values]
         np.testing.assert_allclose(np.diff(places), places[1] - places[0], rtol=1e-9)
 
@@ -281,7 +291,7 @@ def test_the_settling_time_that_is_stated_is_the_one_that_is_used(zeta):
 
 def looked_at(question):
     """The figures of a question, as if its motion had been shown."""
-    found = Figures()
+    found = Figures(question)
     found.look_at(question)
     found.planes.look_at(question, {dial.name: dial for dial in dials(question)}[question.over])
     return found
@@ -370,6 +380,117 @@ def test_the_nearest_response_is_found():
     assert nearest([], 1.0, 1.0, (1.0, 1.0)) is None
 
 
+# --- systems --------------------------------------------------------------------------------------
+
+
+def pair(k: float = 10.0, load: float = 1.0) -> gs.System:
+    return gs.System(
+        mass=[[1.0, 0.0], [0.0, 2.0]],
+        stiffness=[[20.0 + k, -k], [-k, 10.0 + k]],
+        damping=[[1.8, -0.6], [-0.6, 1.2]],
+        contacts={"stop": [1.0, 0.0], "between": [1.0, -1.0]},
+        forcing=[gs.Harmonic(amplitude=[load, 0.0])],
+    )
+
+
+PAIR_LAWS = {
+    "stop": gs.Piecewise(100.0, gs.Gap(0.05, 0.06)),
+    "between": gs.Piecewise(50.0, gs.Gap(0.1, 0.12), K_ratio=2.0),
+}
+
+
+def test_a_function_of_systems_has_a_slider_for_each_keyword_and_wall():
+    question = of_model(pair, PAIR_LAWS, approximations=())
+    found = {dial.name: dial for dial in dials(question)}
+    assert (found["k"].value, found["load"].value) == (10.0, 1.0)
+    assert found["K_c of between"].value == 50.0
+    changed = asked(question, numbers(question) | {"k": 4.0, "j_2 of stop": 0.07})
+    assert changed.model.stiffness[0, 1] == -4.0
+    stop, between = changed.laws("tanh-1e4")
+    assert (stop.gap, stop.K_c) == (gs.Gap(0.05, 0.07), 100.0)
+    assert (between.gap, between.K_ratio) == (gs.Gap(0.1, 0.12), 2.0)
+    (one,) = {dial.name for dial in dials(of_model(gs.systems.two_masses))} & {"K_c of stop", "K_c"}
+    assert one == "K_c"  # one law for all contacts
+
+
+def test_a_study_of_systems_gives_ranges_and_keeps_its_own_contacts():
+    study = gs.Study.from_dict(TWO_MASSES)
+    question, ranges = of_study(study)
+    found = {dial.name: dial for dial in dials(question, ranges)}
+    assert {*found} == {"K_c", "j_1", "j_2", "K_ratio", "omega"}
+    assert (found["K_c"].low, found["K_c"].high) == (10.0, 100.0)
+    assert (found["omega"].low, found["omega"].high) == (0.3, 0.5)
+    stop, between = asked(question, numbers(question) | {"K_c": 20.0}).laws(EXACT)
+    assert (stop.K_c, stop.gap) == (20.0, gs.Gap(0.1, 0.2))
+    assert between == gs.Piecewise(50.0, gs.Gap(0.5, 0.4), K_ratio=2.0)
+
+
+@pytest.mark.parametrize("shown_", ["q_2", "between"])
+def test_figures_of_a_system_show_the_chosen_displacement(shown_, monkeypatch):
+    monkeypatch.setattr(shown, "N_OMEGA", 3)
+    question = replace(of_model(pair, PAIR_LAWS).at("omega", 0.9), shown=shown_, band=(0.7, 0.9))
+    settings = {"rtol": shown.RTOL, "atol": shown._atol(question.model)}
+    steady = shown.settled(question.model)
+    found = gs.respond(pair(), PAIR_LAWS, [0.7, 0.8, 0.9], steady=steady, **settings)
+    peaks = found.x_max[:, 1] if shown_ == "q_2" else found.contact_x_max[:, 1]
+    curve = from_rest(question, EXACT)
+    np.testing.assert_array_equal(curve.x_max, peaks)
+    np.testing.assert_array_equal(curve.end[:, :2], found.x_end)
+    moved = motion(question, EXACT)
+    assert moved.x.max() == pytest.approx(peaks[2], rel=1e-2)
+    low, high = question.clearance
+    assert (low, high) == ((-0.1, 0.12) if shown_ == "between" else (-np.inf, np.inf))
+
+
+def test_basins_of_a_system_vary_the_chosen_states(monkeypatch):
+    monkeypatch.setattr(shown, "N_STARTS", 3)
+    question = replace(of_model(pair, PAIR_LAWS).at("omega", 0.9), plane=("q_2", "v_q_1"))
+    *_, plane = basins(question, EXACT, 0.2)
+    found = gs.basins(pair(), PAIR_LAWS, 0.9, x=("q_2", plane.x), v=("v_q_1", plane.y), rtol=1e-6)
+    peaks = found["x_max"].values[found["attractor"].values, 0]
+    np.testing.assert_allclose(plane.x_max, peaks, rtol=1e-3)
+
+
+def test_a_page_of_a_system_offers_displacements_and_states():
+    document = Document()
+    page = Page(document, of_model(pair, PAIR_LAWS), {}, None)
+    (of_shown,) = document.select({"name": "shown"})
+    assert of_shown.options == ["q_1", "q_2", "between"]
+    (across,) = document.select({"name": "state across"})
+    assert across.options == ["q_1", "q_2", "v_q_1", "v_q_2"]
+    of_shown.value = "between"
+    assert page._question.shown == "between"
+    across.value = "v_q_1"  # as upwards
+    (status,) = document.select({"name": "status"})
+    assert "choose two" in status.text
+    page.stop()
+    one = Document()
+    Page(one, of_model(LINEAR, FREE), {}, None).stop()
+    assert not one.select({"name": "shown"})
+
+
+def test_points_of_a_run_of_systems_are_those_of_the_chosen_displacement(tmp_path):
+    study = changed(TWO_MASSES, sweep__0__K_c=100.0, sweep__0__initial_condition=None)
+    system = gs.Study.from_dict(study).model.default
+    gaps = {"stop": gs.Gap(0.1, 0.2), "between": gs.Gap(0.5, 0.4)}
+    laws = {name: gs.Piecewise(100.0, gap) for name, gap in gaps.items()}
+    found = {omega: gs.respond(system, laws, omega) for omega in (0.3, 0.5)}
+    for each in datasets(tmp_path, study, lambda label, omega, start: found[omega]):
+        each.close()
+    stored = StoredRun(tmp_path)
+    (name,) = stored.scenes
+    assert stored.scenes[name] == {"K_c": 100.0, "j_1": 0.1, "j_2": 0.2}
+    for shown_, peaks in (
+        ("q_2", [one.x_max[1] for one in found.values()]),
+        ("between", [one.contact_x_max[1] for one in found.values()]),
+    ):
+        question = replace(stored.question, shown=shown_)
+        (points,) = stored.points(name, question)
+        np.testing.assert_allclose(points.x_max, peaks)
+        np.testing.assert_allclose(points.end[0], np.ravel(found[0.3].section)[:4])
+        assert stored.branches(name, question) == []
+
+
 # --- the newest question --------------------------------------------------------------------------
 
 
@@ -390,10 +511,13 @@ def test_an_error_of_any_kind_is_a_word_and_the_next_question_is_answered():
     assert said == ["OverflowError: too large"]
 
 
-@pytest.mark.parametrize("wrong", [{"omega": float("nan")}, {"start": (0.0, float("inf"))}])
+@pytest.mark.parametrize("wrong", [{"omega": float("nan")}, {"K_c": float("inf")}])
 def test_what_is_no_number_is_no_question(wrong):
+    question = of_model()
     with pytest.raises(ModelError, match="must be"):
-        replace(of_model(), **wrong)
+        list(answers(asked(question, numbers(question) | wrong)))
+    with pytest.raises(ModelError, match="must be"):
+        replace(question, start=(0.0, float("inf")))
 
 
 def test_a_newer_question_takes_the_place_of_all_older_ones():
@@ -465,34 +589,35 @@ def test_the_points_of_a_run_are_found_in_their_scenes(run):
     (name,) = stored.scenes
     assert "14000 N/m" in name
     assert stored.scenes[name] == {"K_c": 1.4e4, "j_1": 0.4e-3, "j_2": 0.4e-3}
-    curves = stored.points(name)
+    curves = stored.points(name, stored.question)
     assert [curve.label for curve in curves] == ["piecewise", "tanh-1e4"]
     for points in curves:
         assert sorted(points.omega) == [5.0] * 2 + [7.0] * 2
         np.testing.assert_allclose(points.x_max, 1e-3 * points.omega)
-        np.testing.assert_allclose(points.x_end, 1e-3 * points.omega)
-        assert len(set(points.v_end)) == 3  # at rest, or one at either frequency
+        np.testing.assert_allclose(points.end[:, 0], 1e-3 * points.omega)
+        assert len(set(points.end[:, 1].tolist())) == 3  # at rest, or one at either frequency
         assert points.is_periodic.all()
 
 
 def test_branches_of_a_run_are_lines_behind_its_points(run):
     """Of the scene alone; without the file there are none."""
     (name,) = StoredRun(run).scenes
-    assert StoredRun(run).branches(name) == []
+    stored = StoredRun(run)
+    assert stored.branches(name, stored.question) == []
     labels, K_c, gap = ["piecewise", "tanh-1e4"], [1.4e4, 1.0], ["0.4/0.4"] * 2
     found = branches([[1, 1, 0]] * 2, [[0, 1, 0]] * 2, representation=labels, K_c=K_c, gap=gap)
     found.attrs["created"] = "9999"
     found.to_netcdf(run / "branches.nc", engine="netcdf4")
     with pytest.warns(UserWarning, match="not checked for damage"):
         stored = StoredRun(run)
-    lines = stored.branches(name)
+    lines = stored.branches(name, stored.question)
     assert [(label, is_stable) for label, is_stable, _ in lines] == [
         ("piecewise", False),
         ("piecewise", True),
     ]
     np.testing.assert_allclose(lines[1][2][:2], [[5.0, 0.0], [5.5, 1.0]])
-    figures = Figures()
-    figures.show_stored(stored.points(name), lines)
+    figures = Figures(stored.question)
+    figures.show_stored(stored.points(name, stored.question), lines)
     assert figures.response.select_one({"name": "branches"}).data["dash"] == ["dashed", "solid"]
 
 
@@ -620,17 +745,13 @@ gap = [0.1, 0.1]
 """
 
 
-def test_a_study_of_systems_is_refused_before_its_code_is_looked_for(tmp_path, capsys):
-    (tmp_path / "moved.toml").write_text(SYSTEM)
-    run = tmp_path / "run"
-    run.mkdir()
+def test_no_code_is_executed_that_a_run_names(tmp_path, capsys):
     told = xr.Dataset(attrs={"study_json": json.dumps(tomllib.loads(SYSTEM))})
-    told.to_netcdf(run / "responses.nc", engine="netcdf4")
-    for path in (tmp_path / "moved.toml", run):
-        assert exit_code(["explore", str(path), "--no-browser"]) == 1
-        said = capsys.readouterr().err
-        assert f"error: {path}: a study of systems; explore accepts oscillators only" in said
-        assert "report of 'gapsweep run'" in said
+    told.to_netcdf(tmp_path / "responses.nc", engine="netcdf4")
+    assert exit_code(["explore", str(tmp_path), "--no-browser"]) == 1
+    said = capsys.readouterr().err
+    assert "made by 'moved_nowhere:system'" in said
+    assert "explore the study file" in said
 
 
 def test_the_page_says_that_its_line_is_no_law_of_the_users(tmp_path):

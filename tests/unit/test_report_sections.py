@@ -237,30 +237,21 @@ def test_where_a_curve_is_chaotic_is_told(tmp_path, starts, some):
     assert said(omega[1:8]) == []  # too few for a curve
 
 
-def test_agreement_of_systems_is_of_what_is_compared(tmp_path):
-    """Where neither law has a response both agree, and the worst scene is said beside a median."""
-    responses, one = made(tmp_path, EQUAL)
-    compared = one.load().isel(K_c=[0, 0, 0, 0])
-    place = {"representation": "poly-13", "regime": "all"}
-    compared["recall_pooled"].loc[place] = [[1.0], [0.75], [0.5], [1.0]]
-    compared["n_compared"].loc[place] = [[0], [4], [4], [4]]
-    said = found_in(in_own_units(responses), agreement=compared)
-    assert "misses 25 % of the attractors" in said[-1]
-    assert "3 parameter sets" in said[-1]
-    assert "50 %" in said[-1]
-
-
-def test_what_approximations_keep_of_systems_is_told(tmp_path):
-    responses, compared = made(tmp_path, {**EQUAL, "poly-13": 1.3})
-    # These are of an oscillator, whose approximations are judged instead.
-    assert not any("accurate" in one for one in found_in(responses, agreement=compared))
-    *_, tanh, poly = found_in(in_own_units(responses), agreement=compared)
-    assert tanh.startswith(
-        "tanh-1e4 is accurate enough: 95 % of its amplitudes err by less than 2 %"
+def test_laws_of_systems_are_judged_by_their_worst_coordinate(tmp_path):
+    """The verdict of an oscillator, and of two coordinates that of the one with larger errors."""
+    _, compared = made(tmp_path, {**EQUAL, "poly-13": 1.3})
+    good, bad = (compared.load().sel(representation=[*LABELS]) for _ in range(2))
+    good = good.assign({name: 0.5 * good[name] for name in good if "error" in str(name)})
+    several = xr.concat([good, bad], "coordinate").assign_attrs(
+        compared.attrs, system_json='{"contacts": {}}'
     )
-    assert tanh.endswith("finds 100 % of the attractors.")
-    assert poly.startswith("poly-13 is too inaccurate: 5 % of its amplitudes err by more than 30 %")
-    assert poly.endswith("misses 100 % of the attractors.")
+    (one,), (both,) = contacts(compared), contacts(several)
+    assert one.place == "14000 N/m, 0.4/0.4 mm"
+    assert both.place.startswith("K_c 14000, gap ")
+    assert [(law.law, law.verdict) for law in both.laws] == [
+        (law.law, law.verdict) for law in one.laws
+    ]
+    assert [law.verdict for law in one.laws] == ["use", "no"]
 
 
 def test_left_fit_ranges_are_told_from_missing_responses(tmp_path):

@@ -1,6 +1,6 @@
 """The page of the explorer: sliders, and figures computed from their setting."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from contextlib import suppress
 from functools import partial
 from html import escape
@@ -20,7 +20,7 @@ from bokeh.models import (
     TextInput,
 )
 
-from gapsweep.errors import GapsweepError
+from gapsweep.errors import GapsweepError, ModelError
 from gapsweep.explorer.latest import Latest
 from gapsweep.explorer.page_figures import Figures, legend
 from gapsweep.explorer.page_results import (
@@ -39,6 +39,7 @@ from gapsweep.explorer.question import (
     MAX_APPROXIMATIONS,
     Dial,
     Question,
+    Scale,
     asked,
     dials,
     labels,
@@ -48,7 +49,6 @@ from gapsweep.explorer.stored import StoredRun
 from gapsweep.model.labels import EXACT, Representation
 from gapsweep.report.style import NOT_PERIODIC
 
-_MM = 1e3
 _SIDE = 300  # pixels
 _FRAME = 60  # ms for the browser to draw the first figure before it gets others
 _WARMING = "Compiling kernels (first run only, up to a minute) …"
@@ -107,7 +107,7 @@ class Page:
         self._motions: dict[str, Motion] = {}
         self._points: list[Curve] = []
         self._controls(question, ranges)
-        self._figures = Figures()
+        self._figures = Figures(question)
         self._figures.look_at(question)
         self._figures.response.on_event(Tap, self._heeding(self._clicked))
         for (name, _), plane in self._figures.planes.figures.items():
@@ -145,7 +145,8 @@ class Page:
         low, high = question.band
         self._band = RangeSlider(
             title="Frequencies of the response [Hz]", name="band", start=min(0.1, low),
-            end=2.0 * high, value=(low, high), step=0.1, width=_SIDE,
+            end=2.0 * high, value=(low, high), step=min(0.1, high / 100.0), format="0[.]000",
+            width=_SIDE,
         )  # fmt: skip
         self._band.on_change("value", self._moved)
         self._laws = TextInput(
@@ -156,11 +157,24 @@ class Page:
         self._laws.on_change("value", self._moved)
         self._over = Select(
             title="Map over frequency and", name="over", value=question.over, width=_SIDE,
-            options=[(name, dial.title) for name, dial in self._dials.items() if name != "omega"],
+            options=[
+                (name, dial.scale.title) for name, dial in self._dials.items() if name != "omega"
+            ],
         )  # fmt: skip
         self._over.on_change("value", self._moved)
+        machine = question.machine
+        self._shown = _select("Displacement", "shown", question.shown, machine.displacements)
+        self._plane = [
+            _select(f"Basins, {way}", f"state {way}", name, machine.states)
+            for way, name in zip(("across", "upwards"), question.plane, strict=True)
+        ]
+        # A single displacement leaves nothing to choose.
+        several = [(self._shown, 1), *((each, 2) for each in self._plane)]
+        self._choices = [choice for choice, least in several if len(choice.options) > least]
+        for choice in self._choices:
+            choice.on_change("value", self._moved)
         self._from_rest = Button(label="Show the motion from rest", width=_SIDE)
-        self._from_rest.on_click(lambda: self._ask(start=(0.0, 0.0)))
+        self._from_rest.on_click(lambda: self._ask(start=()))
         self._status = Div(text=_WARMING, name="status", stylesheets=[_WORDS], width=_SIDE)
         self._legend = Div(
             text=legend(question, ()), name="legend", stylesheets=[_WORDS],
@@ -176,7 +190,8 @@ class Page:
             scenes.append(Div(text=text, name="note", stylesheets=[_WORDS], width=_SIDE))
         side = column(
             head, self._status, *scenes, *self._sliders.values(), self._band, self._laws,
-            self._from_rest, self._over, note, width=_SIDE + 20, spacing=2, name="side",
+            self._from_rest, self._over, *self._choices,
+            note, width=_SIDE + 20, spacing=2, name="side",
             stylesheets=[_ABOVE],
         )  # fmt: skip
         shown = self._figures
@@ -207,19 +222,25 @@ class Page:
     def _ask(self, **others: Any) -> None:
         """Compute results for the sliders; for values out of range, show the error only."""
         values = {name: self._read(name) for name in self._sliders}
-        kept = {"start": self._question.start, "fit_range": self._question.fit_range}
         over = self._dials[self._over.value]
-        kept |= {"over": over.name, "over_values": over.along(N_MAP)}
+        kept = {"over": over.name, "over_values": over.along(N_MAP), "shown": self._shown.value}
+        kept["plane"] = tuple(each.value for each in self._plane)
         try:
+            if len({*kept["plane"]}) < 2:
+                raise ModelError(f"basins: both states are {kept['plane'][0]}; choose two")
             approximations = labels(self._laws.value)
             question = asked(
-                values, self._band.value, **{"approximations": approximations, **kept, **others}
-            )
+                self._question, values, self._band.value,
+                **{"approximations": approximations, **kept, **others},
+            )  # fmt: skip
         except GapsweepError as error:
             self._refuse(self._question, str(error))
             return
+        is_other = question.shown != self._question.shown
         self._question = question
         self._latest.ask(question)
+        if is_other and self._stored is not None:
+            self._show_stored(self._scene.value)
 
     def _read(self, name: str) -> float:
         """The value of a slider in SI units, exactly as set if the program has set it.
@@ -257,16 +278,24 @@ class Page:
         # The figure is about three times as wide as high.
         scale = (high - low, 3.0 * self._highest())
         shown = [*self._curves.values(), *self._points]
-        found = nearest(shown, event.x, event.y / _MM, scale)
+        found = nearest(shown, event.x, event.y * self._length.factor, scale)
         if found is not None:
             curve, k = found
             self._have(curve.label)
             self._set({"omega": float(curve.omega[k])})
-            self._ask(start=(float(curve.x_end[k]), float(curve.v_end[k])))
+            self._ask(start=tuple(curve.end[k].tolist()))
 
     def _start_clicked(self, event: Tap) -> None:
         """Show the motion from the initial condition clicked in the basins."""
-        self._ask(start=(event.x / _MM, event.y / _MM))
+        machine, start = self._question.machine, np.zeros(self._question.model.n_states)
+        for name, place in zip(self._question.plane, (event.x, event.y), strict=True):
+            start[machine.states.index(name)] = place * machine.state(name).factor
+        self._ask(start=tuple(start.tolist()))
+
+    @property
+    def _length(self) -> Scale:
+        """Scale of the displacement that is shown."""
+        return self._question.machine.length(self._question.shown)
 
     def _setting_clicked(self, event: Tap) -> None:
         """Show the motion from rest at the clicked point of the map."""
@@ -274,7 +303,7 @@ class Page:
         low, high = self._question.band
         value = min(max(event.y, over.scaled(over.low)), over.scaled(over.high))
         self._set({"omega": min(max(event.x, low), high), over.name: over.at(value)})
-        self._ask(start=(0.0, 0.0))
+        self._ask(start=())
 
     def _highest(self) -> float:
         return max(
@@ -294,10 +323,15 @@ class Page:
     def _open_scene(self, name: str) -> None:
         """Show the stored points of a parameter set of the run, and compute its figures."""
         assert self._stored is not None
-        self._points = self._stored.points(name)
-        self._figures.show_stored(self._points, self._stored.branches(name))
         self._set(self._stored.scenes[name])
-        self._ask(start=(0.0, 0.0))
+        self._ask(start=())
+        self._show_stored(name)
+
+    def _show_stored(self, scene: str) -> None:
+        """Show the stored points of a parameter set, of the displacement that is shown."""
+        if self._stored is not None:
+            self._points = self._stored.points(scene, self._question)
+            self._figures.show_stored(self._points, self._stored.branches(scene, self._question))
 
     # --- answering --------------------------------------------------------------------------------
 
@@ -338,8 +372,15 @@ class Page:
             self._legend.text = legend(question, self._motions.values())
 
     def _words(self, question: Question) -> str:
-        x, v = question.start
-        state = f"x = {x * _MM:.4g} mm, v = {v * _MM:.4g} mm/s" if any(question.start) else "rest"
+        machine = question.machine
+        scales = [machine.state(name) for name in machine.states]
+        several = zip(machine.states, scales, question.start, strict=True)
+        state = ", ".join(
+            f"{name} = {value / scale.factor:.4g} {scale.unit}".strip()
+            for name, scale, value in several
+            if value or machine.is_oscillator
+        )
+        state = state if any(question.start) else "rest"
         problems = [m.problem for m in self._motions.values() if m.problem]
         lines = [f"Motion at {question.omega:.4g} Hz from {state}", *map(escape, problems)]
         return "<br>".join(lines)
@@ -363,11 +404,15 @@ def _side_by_side(*figures: Any) -> Any:
     return row(*figures, sizing_mode="stretch_width", styles={"flex-wrap": "wrap"})
 
 
+def _select(title: str, name: str, value: str, options: Iterable[str]) -> Select:
+    return Select(title=title, name=name, value=value, options=[*options], width=_SIDE)
+
+
 def _slider(dial: Dial) -> Slider:
     """The Bokeh slider of a dial, in decades if the dial is logarithmic."""
     low, high, value = map(dial.scaled, (dial.low, dial.high, dial.value))
     return Slider(
-        title=dial.label,
+        title=dial.scale.label,
         name=dial.name,
         start=low,
         end=high,

@@ -20,11 +20,10 @@ from gapsweep.explorer.page_results import (
     decay_times,
 )
 from gapsweep.explorer.planes import Planes, blank, guide
-from gapsweep.explorer.question import MAX_APPROXIMATIONS, Question
+from gapsweep.explorer.question import MAX_APPROXIMATIONS, Question, Scale
 from gapsweep.model.labels import EXACT
 from gapsweep.report.style import NOT_PERIODIC, NOT_SETTLED, colour, looks
 
-_MM = 1e3
 _N_SHOWN = 8  # forcing periods in the time history
 _ORDERS = 6  # multiples of the forcing frequency in the spectrum
 _FLOOR = 1e-6  # smallest amplitude of the spectrum that is shown, relative to the largest
@@ -33,13 +32,13 @@ _EXACT_SIZE, _SIZE = 6, 3.5  # pixels: of dots; the exact law behind is larger
 _EXACT_WIDTH, _WIDTH = 3.0, 1.3  # pixels: width of lines
 _DASHES = {"-": "solid", "--": "dashed", ":": "dotted", "-.": "dotdash"}
 
-_RESPONSE = ("omega", "x_max", "colour", "fill", "law", "protocol", "kind")
+_RESPONSE = ("omega", "x_max", "colour", "fill", "law", "protocol", "kind", "unit")
 _LINES = ("x", "y")
 _BRANCH = (*_LINES, "colour", "dash")
 _TIPS = [
     ("law", "@law, @protocol"),
     ("ω", "@omega{0.000} Hz"),
-    ("peak", "@x_max{0.0000} mm"),
+    ("peak", "@x_max{%.4g} @unit"),
     ("motion", "@kind"),
 ]
 
@@ -53,12 +52,11 @@ class Figures:
     planes : Planes
     """
 
-    def __init__(self) -> None:
-        self.response = blank(
-            "forcing frequency ω [Hz]", "peak displacement [mm]", 330, title="Frequency response"
-        )
+    def __init__(self, question: Question) -> None:
+        self._scale = question.machine.length(question.shown)
+        self.response = blank("forcing frequency ω [Hz]", "", 330, title="Frequency response")
         self.response.y_range = DataRange1d(start=0.0)
-        plane = "displacement x [mm]", "velocity v [mm/s]", 300
+        plane = "", "", 300
         self.phase = blank(*plane, title="Phase portrait")
         # With separate ranges, the numerical noise of a few points would fill the figure.
         self.section = blank(
@@ -66,11 +64,11 @@ class Figures:
             x_range=self.phase.x_range, y_range=self.phase.y_range,
         )  # fmt: skip
         self.history = blank(
-            "time t [s]", "displacement x [mm]", 230,
+            "time t [s]", "", 230,
             title=f"Time history, {_N_SHOWN} forcing periods",
         )  # fmt: skip
         self.spectrum = blank(
-            "frequency [Hz]", "amplitude [mm]", 300, y_axis_type="log",
+            "frequency [Hz]", "", 300, y_axis_type="log",
             title=f"Amplitude spectrum to {_ORDERS} ω",
             x_range=Range1d(0.0, 1.0), y_range=Range1d(1e-6, 1.0),
         )  # fmt: skip
@@ -92,7 +90,7 @@ class Figures:
             name: [_line(getattr(self, name), name, n) for n in range(MAX_APPROXIMATIONS + 1)]
             for name in ("phase", "section", "history", "spectrum")
         }
-        self.planes = Planes()
+        self.planes = Planes(question.machine)
         self._at = guide(self.response, "height", "solid")
         self._top = guide(self.response, "width")
         across = [(shown, "height") for shown in (self.phase, self.section)]
@@ -101,7 +99,8 @@ class Figures:
             for _ in range(2)
         ]
         dots = [one for one in self.response.renderers if one.data_source is not self._branches]
-        self.response.add_tools(HoverTool(tooltips=_TIPS, renderers=dots))
+        formats = {"@x_max": "printf"}
+        self.response.add_tools(HoverTool(tooltips=_TIPS, renderers=dots, formatters=formats))
 
     def _dots(self, name: str, marker: str, size: float) -> ColumnDataSource:
         source = ColumnDataSource(_empty(_RESPONSE), name=name)
@@ -113,12 +112,16 @@ class Figures:
 
     def look_at(self, question: Question) -> None:
         """Move the lines of frequency and walls, and remove results of other approximations."""
-        gap = question.gap
+        self._scale = scale = question.machine.length(question.shown)
+        self._name_axes(question)
         self._at.location = question.omega
-        self._top.location = gap.j_2 * _MM
-        for spans, wall in zip(self._walls, (-gap.j_1, gap.j_2), strict=True):
+        low, high = (
+            wall / scale.factor if np.isfinite(wall) else None for wall in question.clearance
+        )
+        self._top.location = high
+        for spans, wall in zip(self._walls, (low, high), strict=True):
             for span in spans:
-                span.location = wall * _MM
+                span.location = wall
         # Clear removed approximations, and sweeps of other parameters.
         for slot, source in self._curves.items():
             if slot[1] != REST or slot[0] > len(question.approximations):
@@ -127,6 +130,16 @@ class Figures:
             for source, _ in drawn[len(question.approximations) + 1 :]:
                 source.data = _empty(_LINES)
 
+    def _name_axes(self, question: Question) -> None:
+        """Label all axes with the displacement that is shown."""
+        length, speed = self._scale, question.machine.speed(question.shown)
+        of_peaks = f"peak {length.label}"
+        for shown in (self.phase, self.section):
+            shown.xaxis.axis_label, shown.yaxis.axis_label = length.label, speed.label
+        self.history.yaxis.axis_label = length.label
+        self.response.yaxis.axis_label = of_peaks
+        self.spectrum.yaxis.axis_label = f"amplitude of {length.label}"
+
     def show(self, question: Question, answer: Curve | Motion | Plane) -> None:
         """Draw a result of a question."""
         labels = (EXACT, *question.approximations)
@@ -134,18 +147,19 @@ class Figures:
         if isinstance(answer, Plane):
             self.planes.show(slot, answer)
         elif isinstance(answer, Curve):
-            self._curves[slot, answer.protocol].data = _response(answer, question)
+            self._curves[slot, answer.protocol].data = _response(answer, question, self._scale)
         else:
             self._show_motion(slot, _DASHES[looks(labels)[answer.label].dashes], answer)
 
     def _show_motion(self, slot: int, dash: str, motion: Motion) -> None:
         x, v, (section_x, section_v) = motion.x, motion.v, motion.section.T
         n = _N_SHOWN * SAMPLES_PER_PERIOD
+        factor = self._scale.factor  # of displacements and velocities
         columns = {
-            "phase": (x * _MM, v * _MM),
-            "section": (section_x * _MM, section_v * _MM),
-            "history": (motion.t[:n], x[:n] * _MM),
-            "spectrum": (motion.frequency, motion.spectrum * _MM),
+            "phase": (x / factor, v / factor),
+            "section": (section_x / factor, section_v / factor),
+            "history": (motion.t[:n], x[:n] / factor),
+            "spectrum": (motion.frequency, motion.spectrum / factor),
         }
         for name, values in columns.items():
             source, renderer = self._lines[name][slot]
@@ -156,7 +170,7 @@ class Figures:
             else:
                 renderer.glyph.line_color = renderer.glyph.fill_color = colour(motion.label)
         if slot == 0 and motion.spectrum.size:
-            largest = 2.0 * _MM * max(float(motion.spectrum.max()), 1e-12)
+            largest = 2.0 / factor * max(float(motion.spectrum.max()), 1e-12)
             self.spectrum.y_range.update(start=_FLOOR * largest, end=largest)
             self.spectrum.x_range.end = _ORDERS * motion.omega
 
@@ -169,7 +183,10 @@ class Figures:
             for label, is_stable, line in branches
         ]
         self._branches.data = {n: [row[i] for row in columns] for i, n in enumerate(_BRANCH)}
-        tables = [_columns(each, [colour(each.label)], 0.0, ["click to open"]) for each in points]
+        tables = [
+            _columns(each, [colour(each.label)], 0.0, ["click to open"], self._scale)
+            for each in points
+        ]
         self._stored.data = {
             name: [value for table in tables for value in table[name]] for name in _RESPONSE
         }
@@ -177,7 +194,7 @@ class Figures:
 
 def legend(question: Question, motions: Iterable[Motion]) -> str:
     """HTML legend of colours and marks, with the period of each law's motion."""
-    given = decay_times(question.oscillator)
+    given = decay_times(question.model)
     kinds = {motion.label: _kind(motion, given) for motion in motions}
     laws = "".join(
         f'<span style="margin-right:1.4em"><b style="color:{colour(label)}">●</b> '
@@ -201,27 +218,30 @@ def _kind(motion: Motion, given: float) -> str:
     return f"period {n}" if n else "not settled" if given < DECAY_TIMES else "no period found"
 
 
-def _response(curve: Curve, question: Question) -> dict[str, Any]:
+def _response(curve: Curve, question: Question, scale: Scale) -> dict[str, Any]:
     """Columns of a computed curve; colour and fill of marks show the class of responses."""
     own, is_exact = colour(curve.label), curve.label == EXACT
     strange, name = NOT_PERIODIC if is_exact else own, "not periodic"
-    if decay_times(question.oscillator) < DECAY_TIMES:
+    if decay_times(question.model) < DECAY_TIMES:
         strange, name = NOT_SETTLED, "not settled"
     shades = np.where(curve.is_periodic, own, strange)
     kinds = [f"period {n}" if n else name for n in curve.period_multiple]
-    return _columns(curve, shades, curve.is_periodic.astype(float), kinds)
+    return _columns(curve, shades, curve.is_periodic.astype(float), kinds, scale)
 
 
-def _columns(curve: Curve, colours: Any, fill: Any, kinds: Sequence[str]) -> dict[str, Any]:
+def _columns(
+    curve: Curve, colours: Any, fill: Any, kinds: Sequence[str], scale: Scale
+) -> dict[str, Any]:
     n = curve.omega.size
     return {
         "omega": curve.omega,
-        "x_max": curve.x_max * _MM,
+        "x_max": curve.x_max / scale.factor,
         "colour": np.broadcast_to(colours, n).tolist(),
         "fill": np.broadcast_to(fill, n),
         "law": [curve.label] * n,
         "protocol": [curve.protocol] * n,
         "kind": np.broadcast_to(kinds, n).tolist(),
+        "unit": [scale.unit] * n,
     }
 
 

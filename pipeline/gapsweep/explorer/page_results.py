@@ -6,22 +6,24 @@ repeat is called not settled.
 """
 
 import math
-from collections.abc import Hashable, Iterator, Sequence
+from collections.abc import Hashable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gapsweep.analysis.spectra import repetition, spectrum
 from gapsweep.explorer.question import Question
+from gapsweep.integrate.problem import Laws, Model, Models, Solver
 from gapsweep.integrate.simulate import simulate
-from gapsweep.model.contact import ContactLaw
+from gapsweep.integrate.trajectory import SystemTrajectory, Trajectory
 from gapsweep.model.labels import EXACT
 from gapsweep.model.oscillator import Oscillator
-from gapsweep.response.respond import respond
+from gapsweep.response.respond import respond_models
 from gapsweep.response.result import ResponseClass, Steady
-from gapsweep.response.section import unit_of
 from gapsweep.status import Status
+from gapsweep.variables import members
 
 Array = NDArray[np.float64]
 
@@ -54,8 +56,8 @@ class Curve:
     omega : ndarray, shape (n,)
         Frequencies [Hz].
     x_max : ndarray, shape (n,)
-        Peaks [m]; NaN for failed responses.
-    x_end, v_end : ndarray, shape (n,)
+        Peaks [m] of the displacement that is shown; NaN for failed responses.
+    end : ndarray, shape (n, n_states)
         State [m], [m/s] on each attractor, at forcing phase zero.
     response_class : ndarray of ResponseClass, shape (n,)
     period_multiple : ndarray of int, shape (n,)
@@ -65,8 +67,7 @@ class Curve:
     protocol: str
     omega: Array
     x_max: Array
-    x_end: Array
-    v_end: Array
+    end: Array
     response_class: NDArray[np.object_]
     period_multiple: NDArray[np.int32]
 
@@ -86,7 +87,7 @@ class Plane:
     name : str
         `BASINS` or `MAP`.
     x, y : ndarray, shape (n_x,), (n_y,)
-        Initial displacements [m] and velocities [m/s], or frequencies [Hz] and values of the
+        Values of two initial states [m], [m/s], or frequencies [Hz] and values of the
         question's `over` in SI units; of all rows, computed or not.
     x_max : ndarray, shape (m, n_x)
         Peaks [m] of the first m rows; NaN for failed responses.
@@ -147,7 +148,8 @@ def answers(question: Question) -> Iterator[Curve | Motion | Plane]:
     ModelError
         If a law cannot be built, as a fit outside its range.
     """
-    highest = max(question.gap.j_1, question.gap.j_2, _LEAST)
+    walls = np.abs([each for each in question.clearance if math.isfinite(each)])
+    highest = max(*walls.tolist(), _LEAST) if walls.any() else _least(question)
     for label in (EXACT, *question.approximations):
         curve = from_rest(question, label)
         yield curve
@@ -163,6 +165,11 @@ def answers(question: Question) -> Iterator[Curve | Motion | Plane]:
         yield from response_map(question, label)
 
 
+def _least(question: Question) -> float:
+    """Smallest range of initial displacements of a displacement without walls."""
+    return _LEAST if question.machine.is_oscillator else 1e-3 * question.model.deflection
+
+
 def frequencies(question: Question) -> Array:
     """Frequencies [Hz] of the response."""
     return np.linspace(*question.band, N_OMEGA)
@@ -171,7 +178,7 @@ def frequencies(question: Question) -> Array:
 def from_rest(question: Question, label: str) -> Curve:
     """The steady responses of a law from rest at all frequencies."""
     omega = frequencies(question)
-    return _curve(question, label, REST, omega, np.zeros((2, N_OMEGA)))
+    return _curve(question, label, REST, omega, np.zeros((N_OMEGA, question.model.n_states)))
 
 
 def sweeps(question: Question) -> Iterator[Curve]:
@@ -180,47 +187,82 @@ def sweeps(question: Question) -> Iterator[Curve]:
     Each frequency starts from the end state of the one before it. Every curve holds all
     frequencies of its sweep so far.
     """
-    law, omega = question.law(EXACT), frequencies(question)
-    ends = {UP: (0.0, 0.0), DOWN: (0.0, 0.0)}
+    laws, omega = question.laws(EXACT), frequencies(question)
+    rest = np.zeros(question.model.n_states)
+    ends = {UP: rest, DOWN: rest}
     parts: dict[str, list[Curve]] = {UP: [], DOWN: []}
     for first in range(0, N_OMEGA, _CHUNK):
         for protocol, along in ((UP, omega), (DOWN, omega[::-1])):
             here = along[first : first + _CHUNK]
-            states = _carried(question.oscillator, law, here, ends[protocol])
-            ends[protocol] = (states[0, -1], states[1, -1])
+            states = _carried(question.model, laws, here, ends[protocol])
+            ends[protocol] = states[-1]
             parts[protocol].append(_curve(question, EXACT, protocol, here, states))
             yield _joined(parts[protocol])
 
 
-def _carried(
-    oscillator: Oscillator, law: ContactLaw, omega: Array, state: tuple[float, float]
-) -> Array:
-    """End states of a sweep at each frequency, shape (2, n)."""
-    found, atol = [], _atol(oscillator)
+def _carried(model: Model, laws: Laws, omega: Array, state: Array) -> Array:
+    """End states of a sweep at each frequency, shape (n, n_states)."""
+    found = []
     for at in omega.tolist():
-        run = simulate(
-            oscillator, law, at, *state, t_end=_settling(oscillator, at) / at, rtol=RTOL, atol=atol
-        )
+        run = _moved(model, laws, at, state, _settling(model, at) / at)
         # After a failed motion the sweep continues from rest.
-        state = (run.x_end, run.v_end) if run.status == Status.OK else (0.0, 0.0)
+        state = _end(run) if run.status == Status.OK else np.zeros(model.n_states)
         found.append(state)
-    return np.transpose(found)
+    return np.array(found)
+
+
+def _moved(
+    model: Model, laws: Laws, omega: float, state: Array, t_end: float, *, dense: bool = False
+) -> Trajectory:
+    """The motion from an initial state."""
+    n = model.n
+    how: dict[str, Any] = {
+        "t_end": t_end,
+        "rtol": RTOL,
+        "atol": _atol(model),
+        "dense_output": dense,
+    }
+    if isinstance(model, Oscillator):
+        return simulate(model, laws[0], omega, *state.tolist(), **how)
+    named = dict(zip(model.contacts, laws, strict=True))
+    how |= {"q_0": state[:n], "v_0": state[n : 2 * n]}
+    how |= {"z_0": state[2 * n :]} if model.n_lags else {}
+    return simulate(model, named, omega, **how)
+
+
+def _end(run: Trajectory) -> Array:
+    """State at the end of a motion."""
+    if isinstance(run, SystemTrajectory):
+        return np.concatenate([run.q_end, run.v_end, run.z_end])
+    return np.array([run.x_end, run.v_end])
 
 
 def _curve(question: Question, label: str, protocol: str, omega: Array, states: Array) -> Curve:
-    """The steady responses of a law from given initial states."""
-    found = respond(
-        question.oscillator,
-        question.law(label),
-        omega,
-        *states,
-        rtol=RTOL,
-        atol=_atol(question.oscillator),
-        steady=settled(question.oscillator),
-    )
-    columns = (found.x_max, found.x_end, found.v_end)
-    kinds = (found.response_class, found.period_multiple)
-    return Curve(label, protocol, omega, *map(np.asarray, columns), *map(np.asarray, kinds))
+    """The steady responses of a law from given initial states, shape (n, n_states)."""
+    model = question.model
+    found = respond_models(
+        Models.of([model], [question.laws(label)], omega),
+        Solver.of(rtol=RTOL, atol=_atol(model)),
+        states,
+        settled(model),
+    ).columns
+    ends = [found[name].reshape(len(omega), -1) for name in ("x_end", "v_end")]
+    if model.n_lags:
+        ends.append(found["z_end"].reshape(len(omega), -1))
+    kinds = members(ResponseClass, found["response_class"]), found["period_multiple"]
+    return Curve(label, protocol, omega, peak(question, found), np.hstack(ends), *kinds)
+
+
+def peak(question: Question, found: Mapping[str, NDArray[Any]]) -> Array:
+    """Peaks of the displacement that is shown, from the variables of responses, shape (n,)."""
+    model, shown = question.model, question.shown
+    if shown in model.coordinates:
+        name, number = "x_max", [*model.coordinates].index(shown)
+    else:
+        name, number = "contact_x_max", [*model.contacts].index(shown)
+    values = np.asarray(found[name], float)
+    peaks: Array = values.reshape(len(values), -1)[:, number]
+    return peaks
 
 
 def _height(curve: Curve, omega: float) -> float:
@@ -231,18 +273,28 @@ def _height(curve: Curve, omega: float) -> float:
 
 
 def basins(question: Question, label: str, reach: float) -> Iterator[Plane]:
-    """Responses at the frequency of the motion, from initial displacements up to `reach` [m]."""
-    x = np.linspace(-reach, reach, N_STARTS)
-    v = x * unit_of(question.omega)[1]
-    omega = np.full(N_STARTS, question.omega)
-    starts = (np.stack([x, np.full(N_STARTS, each)]) for each in v)
-    rows = (_curve(question, label, BASINS, omega, states) for states in starts)
-    return _planes(Plane(label, BASINS, x, v), (question.of_basins, reach), rows)
+    """Responses at the frequency of the motion, from initial states that displace up to `reach`.
+
+    The two states of the question's plane differ, others are zero.
+    """
+    scales = np.asarray(question.model.unit(2.0 * math.pi * question.omega), float)
+    which = [question.machine.states.index(name) for name in question.plane]
+    x, y = (reach * scales[number] * np.linspace(-1.0, 1.0, N_STARTS) for number in which)
+    omega, rest = np.full(N_STARTS, question.omega), np.zeros((N_STARTS, len(scales)))
+
+    def starts(value: float) -> Array:
+        states = rest.copy()
+        states[:, which[1]] = value
+        states[:, which[0]] = x
+        return states
+
+    rows = (_curve(question, label, BASINS, omega, starts(value)) for value in y.tolist())
+    return _planes(Plane(label, BASINS, x, y), (question.of_basins, reach), rows)
 
 
 def response_map(question: Question, label: str) -> Iterator[Plane]:
     """The responses from rest over frequency and the number `over` of the question."""
-    omega, states = np.linspace(*question.band, N_MAP), np.zeros((2, N_MAP))
+    omega, states = np.linspace(*question.band, N_MAP), np.zeros((N_MAP, question.model.n_states))
     settings = (question.at(question.over, value) for value in question.over_values)
     rows = (_curve(each, label, MAP, omega, states) for each in settings)
     values = np.array(question.over_values)
@@ -275,12 +327,12 @@ def _planes(empty: Plane, basis: Hashable, rows: Iterator[Curve]) -> Iterator[Pl
 
 
 def _joined(parts: list[Curve]) -> Curve:
-    names = ("omega", "x_max", "x_end", "v_end", "response_class", "period_multiple")
+    names = ("omega", "x_max", "end", "response_class", "period_multiple")
     columns = [np.concatenate([getattr(part, name) for part in parts]) for name in names]
     return Curve(parts[0].label, parts[0].protocol, *columns)
 
 
-def settled(oscillator: Oscillator) -> Steady:
+def settled(model: Model) -> Steady:
     """Convergence criteria of the page.
 
     No Lyapunov exponent is computed for motions that do not repeat, which would take longer than
@@ -288,57 +340,51 @@ def settled(oscillator: Oscillator) -> Steady:
     """
     return Steady(
         settle_tol=_NEVER,
-        t_max=_transient(oscillator),
+        t_max=_transient(model),
         n_periods=32,
         max_period_multiple=16,
     )
 
 
-def _atol(oscillator: Oscillator) -> float:
+def _atol(model: Model) -> float:
     """Absolute tolerance [m], small even for motions of micrometres."""
-    deflection = oscillator.deflection
+    deflection = model.deflection
     return min(_ATOL, _OF_DEFLECTION * deflection) if deflection else _ATOL
 
 
-def _transient(oscillator: Oscillator) -> float:
+def _transient(model: Model) -> float:
     """Length of transients [s]."""
-    bound, rate = NATURAL_PERIODS / oscillator.omega_n, oscillator.settling_rate
+    bound, rate = NATURAL_PERIODS / model.slowest, model.settling_rate
     return min(bound, DECAY_TIMES / rate) if rate else bound
 
 
-def decay_times(oscillator: Oscillator) -> float:
+def decay_times(model: Model) -> float:
     """Length of transients in decay times; less than `DECAY_TIMES` for weak damping."""
-    return min(DECAY_TIMES, NATURAL_PERIODS * oscillator.settling_rate / oscillator.omega_n)
+    return min(DECAY_TIMES, NATURAL_PERIODS * model.settling_rate / model.slowest)
 
 
-def _settling(oscillator: Oscillator, omega: float) -> int:
+def _settling(model: Model, omega: float) -> int:
     """Length of transients in forcing periods, rounded up."""
-    return math.ceil(omega * _transient(oscillator))
+    return math.ceil(omega * _transient(model))
 
 
 def motion(question: Question, label: str) -> Motion:
     """The motion of a law at the frequency and initial condition of the question."""
-    oscillator, omega = question.oscillator, question.omega
-    first = _settling(oscillator, omega)
+    omega = question.omega
+    first = _settling(question.model, omega)
     n = first + N_SECTION
-    run = simulate(
-        oscillator,
-        question.law(label),
-        omega,
-        *question.start,
-        t_end=n / omega,
-        rtol=RTOL,
-        atol=_atol(oscillator),
-        dense_output=True,
-    )
+    laws, start = question.laws(label), np.array(question.start)
+    run = _moved(question.model, laws, omega, start, n / omega, dense=True)
     t = np.arange(N_PERIODS * SAMPLES_PER_PERIOD) / (SAMPLES_PER_PERIOD * omega)
     begin = (n - N_PERIODS) / omega
     if run.status != Status.OK:
         none = np.zeros(0)
         problem = f"{label}: the motion fails ({run.status.label})"
         return Motion(label, omega, none, none, none, np.zeros((0, 2)), none, none, problem=problem)
-    x, v = run.sample(begin + t)
-    steady = run.section[first:]
+    along, n_q = question.direction, question.model.n
+    x, v = (part.reshape(t.size, -1) @ along for part in run.sample(begin + t)[:2])
+    states = run.section[first:]
+    steady = np.stack([states[:, :n_q] @ along, states[:, n_q : 2 * n_q] @ along], axis=1)
     latest, n_bins = steady[-2 * N_PERIODS :], t.size // 2 + 1
     n_periods = repetition(latest, float(np.max(np.abs(x))), omega)
     return Motion(

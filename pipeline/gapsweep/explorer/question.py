@@ -1,23 +1,130 @@
 """A setting of the page's sliders, and the ranges of the sliders."""
 
+import inspect
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, fields, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from gapsweep.errors import ModelError
+from gapsweep.integrate.problem import Laws, Model
+from gapsweep.integrate.simulate import AnyLaw
 from gapsweep.model.contact import FIT_RANGE, ContactLaw, Piecewise
 from gapsweep.model.labels import EXACT, Representation, canonical_label, contact_law
-from gapsweep.model.oscillator import Gap, Oscillator, checked
+from gapsweep.model.oscillator import Gap, Oscillator, checked, is_number
+from gapsweep.model.system import System
 from gapsweep.model.systems import paper_oscillator
+from gapsweep.study.points import OF_CONTACT
 from gapsweep.study.study import Study
+
+Array = NDArray[np.float64]
 
 MAX_APPROXIMATIONS = 3
 DEFAULT_APPROXIMATIONS = ("tanh-1e4",)
 # First frequency of the page in natural frequencies: above resonance, where contacts matter.
 _LOOKED_AT = 1.8
+_MODES = 20.0  # largest natural frequency in the first response, over the smallest
+
+
+@dataclass(frozen=True, slots=True)
+class Scale:
+    """A quantity of a slider or an axis: its title, its unit, and SI units in one of the shown."""
+
+    title: str
+    unit: str = ""
+    factor: float = 1.0
+
+    @property
+    def label(self) -> str:
+        """Title and unit."""
+        return f"{self.title} [{self.unit}]" if self.unit else self.title
+
+
+@dataclass(frozen=True, eq=False)
+class Machine:
+    """A model and the walls of its contacts as functions of the sliders.
+
+    Attributes
+    ----------
+    make : callable
+        From the values of `parameters`, by name, to the model.
+    parameters : mapping of str to float
+        Initial values of the model's parameters.
+    walls : mapping of str to mapping of str to (str or float)
+        For every contact its `OF_CONTACT`: each the name of a slider, or a number.
+    laws : mapping of str to str
+        Labels of the laws of contacts that do not follow the page's.
+    factor : float
+        Displacement that is shown as 1.
+    """
+
+    make: Callable[[Mapping[str, float]], Model]
+    parameters: Mapping[str, float]
+    walls: Mapping[str, Mapping[str, str | float]]
+    laws: Mapping[str, str] = field(default_factory=dict)
+    factor: float = 1.0
+
+    @cached_property
+    def example(self) -> Model:
+        """The model at the initial values of its parameters."""
+        return self.make(self.parameters)
+
+    @cached_property
+    def names(self) -> tuple[str, ...]:
+        """Names of the sliders: walls, frequency, parameters."""
+        several = [walls[number] for number in _WALLS for walls in self.walls.values()]
+        of_walls = dict.fromkeys(one for one in several if isinstance(one, str))
+        return (*of_walls, "omega", *self.parameters)
+
+    @property
+    def is_oscillator(self) -> bool:
+        """Whether displacements are in metres, shown in millimetres."""
+        return isinstance(self.example, Oscillator)
+
+    @cached_property
+    def states(self) -> tuple[str, ...]:
+        """Names of the states."""
+        q = self.example.coordinates
+        lags = (f"z_{i + 1}" for i in range(self.example.n_lags))
+        return (*q, *(f"v_{name}" for name in q), *lags)
+
+    @cached_property
+    def displacements(self) -> dict[str, Array]:
+        """Direction of every displacement that can be shown, by name.
+
+        They are the coordinates, and the contacts between several of them.
+        """
+        model = self.example
+        found = dict(zip(model.coordinates, np.eye(model.n), strict=True))
+        along = zip(model.contacts, np.reshape(model.directions, (-1, model.n)), strict=True)
+        return found | {name: b for name, b in along if np.count_nonzero(b) > 1}
+
+    def length(self, name: str) -> Scale:
+        """Scale of a displacement."""
+        if self.is_oscillator:
+            return Scale(f"displacement {name}", "mm", self.factor)
+        return Scale(name, _power(self.factor), self.factor)
+
+    def speed(self, name: str) -> Scale:
+        """Scale of the rate of a displacement."""
+        if self.is_oscillator:
+            return Scale("velocity v", "mm/s", self.factor)
+        return Scale(f"v_{name}", _power(self.factor), self.factor)
+
+    def state(self, name: str) -> Scale:
+        """Scale of a state."""
+        is_rate = self.states.index(name) >= self.example.n
+        return self.speed(name.removeprefix("v_")) if is_rate else self.length(name)
+
+
+def _power(factor: float) -> str:
+    """A power of ten as text, as 10⁻³; empty for 1."""
+    exponent = str(round(math.log10(factor))).translate(str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹"))
+    return "" if factor == 1.0 else f"10{exponent}"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -26,51 +133,105 @@ class Question:
 
     Attributes
     ----------
-    oscillator : Oscillator
-    K_c, K_ratio : float
-        Stiffness [N/m] of the upper wall, and of the lower over the upper [-].
-    gap : Gap
+    machine : Machine
+    values : tuple of float
+        Values of the sliders in SI units, in the order of `Machine.names`.
     approximations : tuple of str
         Labels of the other laws.
     band : (float, float)
         First and last frequency [Hz] of the response.
-    omega : float
-        Frequency [Hz] of the motion that is shown.
-    start : (float, float)
-        Initial displacement [m] and velocity [m/s] of this motion.
+    start : tuple of float
+        Initial state of the motion that is shown; empty: rest.
+    shown : str
+        Name of the displacement that is shown; empty: the first coordinate.
+    plane : tuple of str
+        Names of the two states that differ in the basins; empty: the first coordinate and its
+        velocity.
     fit_range : float
         Half-width [m] of the range on which polynomials are fitted.
     over : str
         Name of the parameter on the second axis of the map.
     over_values : tuple of float
         Its values there, in SI units; without values there is no map.
+    model : Model
+        The model at these values.
     """
 
-    oscillator: Oscillator
-    K_c: float
-    gap: Gap
+    machine: Machine
+    values: tuple[float, ...]
     band: tuple[float, float]
-    omega: float
-    K_ratio: float = 1.0
     approximations: tuple[str, ...] = ()
-    start: tuple[float, float] = (0.0, 0.0)
+    start: tuple[float, ...] = ()
+    shown: str = ""
+    plane: tuple[str, ...] = ()
     fit_range: float = FIT_RANGE
-    over: str = "K_c"
+    over: str = ""
     over_values: tuple[float, ...] = ()
+    model: Model = field(init=False, compare=False, repr=False)
 
     def __post_init__(self) -> None:
-        if not self.oscillator.omega_n:
-            raise ModelError("omega_n = 0: must be > 0 here; for a free mass use gapsweep.respond")
+        machine, given = self.machine, numbers(self)
+        model = machine.make({name: given[name] for name in machine.parameters})
+        default: dict[str, Any] = {
+            "model": model,
+            "start": self.start or (0.0,) * model.n_states,
+            "shown": self.shown or model.coordinates[0],
+            "plane": self.plane or (machine.states[0], machine.states[model.n]),
+            "over": self.over or machine.names[0],
+        }
+        for name, value in default.items():
+            object.__setattr__(self, name, value)
+        if not model.slowest:
+            raise ModelError(
+                "natural frequency = 0 Hz: must be > 0 here; for a free mass use gapsweep.respond"
+            )
         checked("omega", self.omega, low=0.0, strict=True)
-        for name, value in zip(("x_0", "v_0"), self.start, strict=True):
-            checked(name, value)
+        for state, number in zip(machine.states, self.start, strict=True):
+            checked(state, number)
         low, high = self.band
         if not 0.0 < low < high:
             raise ModelError(f"frequencies {low:g} to {high:g} Hz: must be > 0 Hz and ascend")
 
-    def law(self, label: str) -> ContactLaw:
-        """The contact law of a label, with the stiffness and gap of the question."""
-        return contact_law(label, self.K_c, self.gap, self.fit_range, K_ratio=self.K_ratio)
+    @property
+    def omega(self) -> float:
+        """Frequency [Hz] of the motion that is shown."""
+        return numbers(self)["omega"]
+
+    def gap(self, contact: str) -> Gap:
+        """Gap of a contact."""
+        return Gap(*(self._walls(contact)[name] for name in ("j_1", "j_2")))
+
+    def _walls(self, contact: str) -> dict[str, float]:
+        given = numbers(self)
+        of = self.machine.walls[contact].items()
+        return {name: given[one] if isinstance(one, str) else one for name, one in of}
+
+    def laws(self, label: str) -> Laws:
+        """The laws of all contacts, of a label unless the machine has another for a contact."""
+        found = []
+        for contact in self.machine.walls:
+            walls, law = self._walls(contact), self.machine.laws.get(contact, label)
+            gap, ratio = self.gap(contact), walls["K_ratio"]
+            found.append(contact_law(law, walls["K_c"], gap, self.fit_range, K_ratio=ratio))
+        return tuple(found)
+
+    @property
+    def direction(self) -> Array:
+        """Direction of the displacement that is shown."""
+        return self.machine.displacements[self.shown]
+
+    @property
+    def clearance(self) -> tuple[float, float]:
+        """Range of the displacement that is shown without contact; infinite without walls."""
+        low, high = -math.inf, math.inf
+        directions = np.reshape(self.model.directions, (-1, self.model.n))
+        for contact, along in zip(self.machine.walls, directions, strict=True):
+            ratio = float(along @ self.direction) / float(self.direction @ self.direction)
+            if np.array_equal(ratio * self.direction, along):
+                gap = self.gap(contact)
+                ends = sorted((-gap.j_1 / ratio, gap.j_2 / ratio))
+                low, high = max(low, ends[0]), min(high, ends[1])
+        return low, high
 
     @property
     def of_basins(self) -> "Question":
@@ -81,16 +242,14 @@ class Question:
     def of_map(self) -> "Question":
         """The question without the values that its map does not depend on, as a key for it."""
         here = self.at(self.over, self.over_values[0]) if self.over_values else self
-        return replace(here, omega=1.0, **_OF_NO_PLANE)
+        return replace(here.at("omega", 1.0), plane=(), **_OF_NO_PLANE)
 
     def at(self, name: str, value: float) -> "Question":
         """The question with another value of a parameter that has a slider."""
-        others = ("approximations", "start", "fit_range", "over", "over_values")
-        kept = {each: getattr(self, each) for each in others}
-        return asked(numbers(self) | {name: value}, self.band, **kept)
+        return asked(self, numbers(self) | {name: value})
 
 
-_OF_NO_PLANE: dict[str, Any] = {"approximations": (), "start": (0.0, 0.0)}
+_OF_NO_PLANE: dict[str, Any] = {"approximations": (), "start": ()}
 
 
 def labels(text: str) -> tuple[Representation, ...]:
@@ -120,25 +279,19 @@ def labels(text: str) -> tuple[Representation, ...]:
 
 @dataclass(frozen=True, slots=True)
 class Dial:
-    """A slider: name, title, unit, range and initial value, in the unit that it shows."""
+    """A slider: name, scale, range and initial value, in the unit that it shows."""
 
     name: str  # name of the parameter
-    title: str
-    unit: str
-    factor: float  # SI units in one of the shown
+    scale: Scale
     low: float
     high: float
     value: float
+    decades: bool = False
 
     @property
     def is_log(self) -> bool:
         """Whether the slider is logarithmic."""
-        return self.name in _OVER_DECADES and self.low > 0.0
-
-    @property
-    def label(self) -> str:
-        """Title and unit."""
-        return f"{self.title} [{self.unit}]" if self.unit else self.title
+        return self.decades and self.low > 0.0
 
     @property
     def tick(self) -> str:
@@ -147,7 +300,7 @@ class Dial:
 
     def place(self, value: float) -> float:
         """The place of a value in SI units on the slider."""
-        return self.scaled(value / self.factor)
+        return self.scaled(value / self.scale.factor)
 
     def scaled(self, shown: float) -> float:
         """The place of a value in the displayed unit on the slider."""
@@ -155,7 +308,7 @@ class Dial:
 
     def at(self, place: float) -> float:
         """The value at a place of the slider, in SI units."""
-        return float(self.factor * (10.0**place if self.is_log else place))
+        return float(self.scale.factor * (10.0**place if self.is_log else place))
 
     def along(self, n: int) -> tuple[float, ...]:
         """`n` values in SI units, evenly spaced on the slider."""
@@ -163,26 +316,28 @@ class Dial:
         return tuple(map(self.at, places.tolist()))
 
 
+_WALLS = ("K_c", "j_1", "j_2", "K_ratio")
 _OVER_DECADES = ("K_c", "zeta", "mass")
-# Title, unit, its value in SI units, and the range: lower and upper end as multiples of the initial
-# value, and the smallest upper end in SI units.
-_DIALS: dict[str, tuple[str, str, float, float, float, float]] = {
-    "K_c": ("Contact stiffness K_c", "N/m", 1.0, 1e-2, 1e2, 1e4),
-    "j_1": ("Lower wall −j₁", "mm", 1e-3, 0.0, 3.0, 2e-3),
-    "j_2": ("Upper wall j₂", "mm", 1e-3, 0.0, 3.0, 2e-3),
-    "K_ratio": ("Stiffness of lower over upper wall", "", 1.0, 0.0, 2.0, 2.0),
-    "omega": ("Frequency of the motion ω", "Hz", 1.0, 0.0, 0.0, 0.0),
-    "forcing": ("Forcing p", "N", 1.0, 0.0, 5.0, 1.0),
-    "zeta": ("Damping ratio ζ", "", 1.0, 0.05, 10.0, 0.1),
-    "omega_n": ("Natural frequency ω_n", "Hz", 1.0, 0.2, 4.0, 0.0),
-    "mass": ("Mass m", "kg", 1.0, 0.1, 10.0, 0.0),
-    "alpha": ("Cubic stiffness α", "10⁹ N/m³", 1e9, 0.0, 5.0, 1e9),
-    "mean_load": ("Mean load p₀", "N", 1.0, 0.0, 5.0, 1.0),
-    "c": ("Added damping c", "N s/m", 1.0, 0.0, 5.0, 10.0),
-    "unbalance": ("Unbalance u", "g m", 1e-3, 0.0, 5.0, 1e-2),
-    "base_amplitude": ("Amplitude of the base a", "mm", 1e-3, 0.0, 5.0, 1e-3),
-    "base_damping": ("Share of the damping at the base s", "", 1.0, 0.0, 1.0, 1.0),
+# Scale and range: lower and upper end as multiples of the initial value, and the smallest upper end
+# in SI units, of an oscillator.
+_DIALS: dict[str, tuple[Scale, float, float, float]] = {
+    "K_c": (Scale("Contact stiffness K_c", "N/m"), 1e-2, 1e2, 1e4),
+    "j_1": (Scale("Lower wall −j₁", "mm", 1e-3), 0.0, 3.0, 2e-3),
+    "j_2": (Scale("Upper wall j₂", "mm", 1e-3), 0.0, 3.0, 2e-3),
+    "K_ratio": (Scale("Stiffness of lower over upper wall"), 0.0, 2.0, 2.0),
+    "omega": (Scale("Frequency of the motion ω", "Hz"), 0.0, 0.0, 0.0),
+    "forcing": (Scale("Forcing p", "N"), 0.0, 5.0, 1.0),
+    "zeta": (Scale("Damping ratio ζ"), 0.05, 10.0, 0.1),
+    "omega_n": (Scale("Natural frequency ω_n", "Hz"), 0.2, 4.0, 0.0),
+    "mass": (Scale("Mass m", "kg"), 0.1, 10.0, 0.0),
+    "alpha": (Scale("Cubic stiffness α", "10⁹ N/m³", 1e9), 0.0, 5.0, 1e9),
+    "mean_load": (Scale("Mean load p₀", "N"), 0.0, 5.0, 1.0),
+    "c": (Scale("Added damping c", "N s/m"), 0.0, 5.0, 10.0),
+    "unbalance": (Scale("Unbalance u", "g m", 1e-3), 0.0, 5.0, 1e-2),
+    "base_amplitude": (Scale("Amplitude of the base a", "mm", 1e-3), 0.0, 5.0, 1e-3),
+    "base_damping": (Scale("Share of the damping at the base s"), 0.0, 1.0, 1.0),
 }
+_OF_A_SYSTEM = 0.2, 4.0  # range of a parameter as multiples of its value
 
 
 def dials(question: Question, ranges: Mapping[str, Sequence[float]] | None = None) -> list[Dial]:
@@ -196,22 +351,24 @@ def dials(question: Question, ranges: Mapping[str, Sequence[float]] | None = Non
         their initial value.
     """
     given = {"omega": question.band, **(ranges or {})}
-    return [_dial(name, value, given.get(name)) for name, value in numbers(question).items()]
+    is_oscillator = question.machine.is_oscillator
+    return [
+        _dial(name, value, given.get(name), is_oscillator)
+        for name, value in numbers(question).items()
+    ]
 
 
 def numbers(question: Question) -> dict[str, float]:
     """The values of a question that have a slider, by name, in SI units."""
-    oscillator, gap = question.oscillator, question.gap
-    found = {name: getattr(oscillator, name) for name in _OSCILLATOR}
-    found |= {name: getattr(question, name) for name in ("K_c", "K_ratio", "omega")}
-    found |= {"j_1": gap.j_1, "j_2": gap.j_2}
-    return {name: found[name] for name in _DIALS}
+    return dict(zip(question.machine.names, question.values, strict=True))
 
 
-_OSCILLATOR = tuple(field.name for field in fields(Oscillator))
-
-
-def asked(values: Mapping[str, float], band: tuple[float, float], **others: Any) -> Question:
+def asked(
+    question: Question,
+    values: Mapping[str, float],
+    band: tuple[float, float] | None = None,
+    **others: Any,
+) -> Question:
     """The question with these values of the sliders, in SI units.
 
     Raises
@@ -219,92 +376,164 @@ def asked(values: Mapping[str, float], band: tuple[float, float], **others: Any)
     ModelError
         If one is out of range.
     """
-    return Question(
-        oscillator=Oscillator(**{name: values[name] for name in _OSCILLATOR}),
-        gap=Gap(values["j_1"], values["j_2"]),
-        band=band,
-        K_c=values["K_c"],
-        K_ratio=values["K_ratio"],
-        omega=values["omega"],
-        **others,
-    )
+    several = tuple(values[name] for name in question.machine.names)
+    return replace(question, values=several, band=band or question.band, **others)
 
 
-def _dial(name: str, value: float, given: Sequence[float] | None) -> Dial:
-    title, unit, factor, least, most, smallest_end = _DIALS[name]
+def _dial(name: str, value: float, given: Sequence[float] | None, is_oscillator: bool) -> Dial:
+    wall, _, contact = name.partition(" of ")
+    if is_oscillator:
+        scale, least, most, smallest_end = _DIALS[name]
+    elif wall in _WALLS or name == "omega":
+        known, least, most, _ = _DIALS[wall]
+        title = f"{known.title} of {contact}" if contact else known.title
+        scale, smallest_end = Scale(title, "Hz" if name == "omega" else ""), 0.0
+    else:
+        scale, (least, most), smallest_end = Scale(name), _OF_A_SYSTEM, 0.0
     if given is not None and min(given) < max(given):
         low, high = min(given), max(given)
     else:
         low, high = sorted((least * value, most * value))
         low, high = min(low, 0.0) if value <= 0.0 else low, max(high, smallest_end)
     low, high = min(low, value), max(high, value)
-    return Dial(name, title, unit, factor, low / factor, high / factor, value / factor)
+    high = high if low < high else low + 1.0
+    low, high, value = (each / scale.factor for each in (low, high, value))
+    decades = name in _OVER_DECADES if is_oscillator else wall == "K_c"
+    return Dial(name, scale, low, high, value, decades)
 
 
 # --- where it starts ------------------------------------------------------------------------------
 
+_OSCILLATOR = tuple(name for name in _DIALS if name in {each.name for each in fields(Oscillator)})
+
+
+def _oscillator(values: Mapping[str, float]) -> Oscillator:
+    return Oscillator(**values)
+
+
+def _machine(
+    model: Any,
+    walls: Mapping[str, Mapping[str, str | float]],
+    widest: float,
+    laws: Mapping[str, str] | None = None,
+) -> Machine:
+    """The machine of a model, or of a function that returns it for keywords with defaults.
+
+    `widest` is the distance of a wall; those of a system decide the power of ten that is shown.
+    """
+    if isinstance(model, Oscillator):
+        numbers_of = {name: getattr(model, name) for name in _OSCILLATOR}
+        return Machine(_oscillator, numbers_of, walls, factor=1e-3)
+    factor = 10.0 ** (3 * round(math.log10(widest) / 3)) if widest else 1.0
+    if isinstance(model, System):
+        return Machine(lambda _: model, {}, walls, laws or {}, factor)
+    return Machine(lambda values: model(**values), _defaults(model), walls, laws or {}, factor)
+
+
+def _defaults(function: Any) -> dict[str, float]:
+    """The arguments of a function that are numbers, and their defaults."""
+    try:
+        several = inspect.signature(function).parameters.values()
+    except (TypeError, ValueError):
+        raise ModelError(
+            f"oscillator = {function!r:.80}: must be a gapsweep.Oscillator, a gapsweep.System, or "
+            "a function that returns one for keywords"
+        ) from None
+    for one in several:
+        if one.default is one.empty:
+            raise ModelError(
+                f"{one.name}: has no default; write functools.partial(function, {one.name}=1.0)"
+            )
+    return {one.name: float(one.default) for one in several if is_number(one.default)}
+
 
 def of_model(
-    oscillator: Oscillator | None = None,
-    law: ContactLaw | None = None,
+    oscillator: Model | Callable[..., Model] | None = None,
+    law: AnyLaw | None = None,
     *,
     approximations: Sequence[str] = DEFAULT_APPROXIMATIONS,
 ) -> Question:
-    """The initial question of the page for an oscillator and a contact law.
+    """The initial question of the page for a model and its contact laws.
 
     Raises
     ------
     ModelError
         If an argument has another type or is out of range.
     """
-    oscillator = paper_oscillator() if oscillator is None else oscillator
+    model = paper_oscillator() if oscillator is None else oscillator
+    example = model if isinstance(model, Oscillator | System) else model(**_defaults(model))
+    if not isinstance(example, Oscillator | System):
+        raise ModelError(f"oscillator = {model!r:.80}: must return a gapsweep.System")
+    if not (example.is_forced and example.contacts):
+        raise ModelError(f"oscillator = {model!r:.80}: {_NOT_SHOWN}")
     law = Piecewise(K_c=1.4e4, gap=Gap(0.4e-3, 0.4e-3)) if law is None else law
-    if not isinstance(oscillator, Oscillator):
-        raise ModelError(f"oscillator = {oscillator!r:.80}: must be a gapsweep.Oscillator")
-    if not isinstance(law, ContactLaw):
-        raise ModelError(f"law = {law!r:.80}: must be a contact law, as gapsweep.Piecewise")
+    several = law if isinstance(law, Mapping) else dict.fromkeys(example.contacts, law)
+    for one in several.values():
+        if not isinstance(one, ContactLaw):
+            raise ModelError(f"law = {one!r:.80}: must be a contact law, as gapsweep.Piecewise")
+    if set(several) != set(example.contacts):
+        raise ModelError(f"law: of {list(several)}: must name {list(example.contacts)}")
+    is_one = len(set(map(id, several.values()))) == 1
+    walls = {
+        contact: {name: name if is_one else f"{name} of {contact}" for name in OF_CONTACT}
+        for contact in example.contacts
+    }
+    values: dict[str, float] = {"omega": _LOOKED_AT * example.slowest}
+    for contact, one in several.items():
+        of = {"K_c": one.K_c, "j_1": one.gap.j_1, "j_2": one.gap.j_2, "K_ratio": one.K_ratio}
+        values |= {str(walls[contact][name]): value for name, value in of.items()}
+    machine = _machine(model, walls, max(one.gap.width for one in several.values()))
+    values |= machine.parameters
+    low, fastest = example.slowest, min(example.fastest, _MODES * example.slowest)
     return Question(
-        oscillator=oscillator,
-        K_c=law.K_c,
-        K_ratio=law.K_ratio,
-        gap=law.gap,
+        machine=machine,
+        values=tuple(values[name] for name in machine.names),
         approximations=labels(" ".join(approximations)),
-        band=(0.4 * oscillator.omega_n, 3.0 * oscillator.omega_n),
-        omega=_LOOKED_AT * oscillator.omega_n,
+        band=(0.4 * low, max(3.0 * low, 1.5 * fastest)),
     )
 
 
-def refuse_systems(tables: Mapping[str, Any], source: object) -> None:
-    """Raise an error for the tables of a study of systems, before its user code is imported.
+_NOT_SHOWN = (
+    "explore needs a forcing and a contact, since its figures are over the forcing frequency; use "
+    "gapsweep.respond, gapsweep.map and gapsweep.basins"
+)
+
+
+def refuse_code(tables: Mapping[str, Any], source: object) -> None:
+    """Raise an error for the tables of a run of systems that user code made.
+
+    The code is not imported, since a folder of results may come from elsewhere.
 
     Raises
     ------
     ModelError
     """
-    if tables.get("system") is not None:
+    function = (tables.get("system") or {}).get("function") or ""
+    if ":" in function:
         raise ModelError(
-            f"{source}: a study of systems; explore accepts oscillators only. For systems use "
-            "the report of 'gapsweep run', ds.gapsweep.bifurcation() and map() of gapsweep.open, "
-            "gapsweep.respond and gapsweep.simulate"
+            f"{source}: the system is made by {function!r}; no code named in a run is executed: "
+            "explore the study file"
         )
 
 
 def of_study(study: Study) -> tuple[Question, dict[str, tuple[float, float]]]:
-    """The initial question of the page for a study of oscillators, and its swept ranges.
+    """The initial question of the page for a study, and its swept ranges.
 
     Raises
     ------
     ModelError
         If a value of the study is out of the range of the page.
     """
-    grid = study.grid
+    grid, spec, example = study.grid, study.spec, study.model.default
+    if not (example.is_forced and example.contacts):
+        raise ModelError(f"{study.source}: {_NOT_SHOWN}")
+    gaps = grid.gaps if {"gap", "j_1"} & grid.axes.keys() else ()
+    machine = _machine_of(study, gaps)
     ranges = {
-        name: (min(axis), max(axis))
-        for name, axis in grid.axes.items()
-        if name in _DIALS and name not in ("j_1", "j_2")
+        name: (min(axis), max(axis)) for name, axis in grid.axes.items() if name in machine.names
     }
-    for name in ("j_1", "j_2"):
-        walls = [getattr(gap, name) for gap in grid.gaps]
+    for name in ("j_1", "j_2") if gaps else ():
+        walls = [getattr(gap, name) for gap in gaps]
         ranges[name] = min(walls), max(walls)
     band = ranges.pop("omega")
     is_one = band[0] == band[1]
@@ -313,16 +542,42 @@ def of_study(study: Study) -> tuple[Question, dict[str, tuple[float, float]]]:
     # The first requested cell: in a union of blocks, other cells may be no points.
     first = np.argwhere(grid.requested)[0]
     point = {name: axis[k] for (name, axis), k in zip(grid.axes.items(), first, strict=True)}
-    gap = point.get("gap") or Gap(point["j_1"], point["j_2"])
-    values = {name: getattr(study.oscillator, name) for name in _OSCILLATOR} | {"K_ratio": 1.0}
-    values |= {name: value for name, value in point.items() if name in _DIALS}
-    values |= {"j_1": gap.j_1, "j_2": gap.j_2}
+    values: dict[str, Any] = {"K_ratio": 1.0, "j_1": 0.0, "j_2": 0.0, **spec.model, **point}
+    if "gap" in point:
+        values |= {"j_1": point["gap"].j_1, "j_2": point["gap"].j_2}
     if not is_one:
-        values["omega"] = min(max(_LOOKED_AT * values["omega_n"], band[0]), band[1])
+        values["omega"] = min(max(_LOOKED_AT * example.slowest, band[0]), band[1])
     ours = [law for law in _plain(grid.representations) if not law.is_own]
     others = [law for law in ours if law != EXACT and not law.is_auto]
-    question = asked(values, band, approximations=tuple(others[:1]), fit_range=study.spec.fit.range)
+    question = Question(
+        machine=machine,
+        values=tuple(float(values[name]) for name in machine.names),
+        band=band,
+        approximations=tuple(others[:1]),
+        fit_range=spec.fit.range,
+    )
     return question, ranges
+
+
+def _machine_of(study: Study, gaps: Sequence[Gap]) -> Machine:
+    """The model of a study; numbers of a contact in [contact] have no slider."""
+    walls: dict[str, dict[str, str | float]] = {}
+    laws, widths = {}, [gap.width for gap in gaps]
+    for contact in study.model.contacts:
+        table = study.spec.contact.get(contact)
+        own = {} if table is None else table.model_dump(exclude_none=True)
+        if law := own.pop("representation", None):
+            laws[contact] = Representation(law).law
+            if laws[contact].is_own:
+                raise ModelError(
+                    f"{study.source}: contact {contact}: {law}: user laws are not computed here"
+                )
+        if "gap" in own:
+            own["j_1"], own["j_2"] = own.pop("gap")
+            widths.append(own["j_1"] + own["j_2"])
+        walls[contact] = {name: own.get(name, name) for name in OF_CONTACT}
+    model = study.model.along(tuple(study.spec.model), {}) or study.model.default
+    return _machine(model, walls, max(widths, default=0.0), laws)
 
 
 def not_computed(study: Study) -> str:

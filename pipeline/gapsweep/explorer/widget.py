@@ -15,22 +15,20 @@ from gapsweep.explorer.question import (
     not_computed,
     of_model,
     of_study,
-    refuse_systems,
 )
 from gapsweep.explorer.server import Explorer
 from gapsweep.explorer.stored import StoredRun
-from gapsweep.model.contact import ContactLaw
+from gapsweep.integrate.problem import Model
+from gapsweep.integrate.simulate import AnyLaw
 from gapsweep.model.doubts import doubts
 from gapsweep.model.labels import EXACT
-from gapsweep.model.oscillator import Oscillator
 from gapsweep.store.artefact import reading
-from gapsweep.study.spec import read
 from gapsweep.study.study import Study
 
 
 def explore(
-    oscillator: Oscillator | None = None,
-    law: ContactLaw | None = None,
+    oscillator: Model | Callable[..., Model] | None = None,
+    law: AnyLaw | None = None,
     *,
     approximations: Sequence[str] = DEFAULT_APPROXIMATIONS,
     port: int = 0,
@@ -42,11 +40,12 @@ def explore(
 
     Parameters
     ----------
-    oscillator : Oscillator, optional
-        Initial values of the sliders; the defaults if None.
-    law : ContactLaw, optional
-        Contact law with the initial stiffness and gap of the sliders; None: 14000 N/m, and 0.4 mm
-        on both sides.
+    oscillator : Oscillator, System, or callable, optional
+        Initial values of the sliders; the defaults if None. A function that returns a forced System
+        has a slider for each of its keywords, whose defaults are the initial values.
+    law : ContactLaw or mapping of str to ContactLaw, optional
+        Contact law with the initial stiffness and gap of the sliders, for each contact if there are
+        several; None: 14000 N/m, and 0.4 mm on both sides.
     approximations : sequence of str
         Labels of up to three laws in addition to the exact one.
     port : int
@@ -81,7 +80,6 @@ def explore_path(path: Path | None, port: int) -> Explorer:
         with reading(path):
             stored = StoredRun(path)
         return opened(stored.question, stored.ranges, stored, stored.note, port=port)
-    refuse_systems(dict(read(path)), path)
     study = Study.load(path)
     return opened(*of_study(study), note=not_computed(study), port=port)
 
@@ -105,10 +103,9 @@ def opened(
             "explore: needs Bokeh, which is not installed: pip install 'gapsweep[explore]'"
         ) from None
 
-    laws, starts = [(question.law(EXACT),)], np.array([question.start])
-    text = ". ".join(
-        [note] * bool(note) + [*doubts([question.oscillator], laws, question.band, starts)]
-    )
+    starts = np.array([question.start])
+    found = doubts([question.model], [question.laws(EXACT)], question.band, starts)
+    text = ". ".join([note] * bool(note) + [*found])
 
     def fill(document: Any) -> Callable[[], None]:
         return Page(document, question, ranges or {}, stored, text).stop

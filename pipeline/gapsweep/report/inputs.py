@@ -7,7 +7,6 @@ from typing import Any
 
 import xarray as xr
 
-from gapsweep.analysis.dimensions import in_metres
 from gapsweep.report.verdicts import Contact, contacts
 
 
@@ -50,10 +49,7 @@ class Inputs:
 
     @cached_property
     def cases(self) -> list[Contact]:
-        """Cases of the study with the verdicts on its laws; empty without the exact law.
-
-        Empty for systems, too: the rules are for one displacement between two walls.
-        """
-        if self.agreement is None or not in_metres(self.responses):
+        """Cases of the study with the verdicts on its laws; empty without the exact law."""
+        if self.agreement is None:
             return []
         return contacts(self.agreement, self.static)

@@ -112,8 +112,8 @@ def caption_of_starts(scene: xr.Dataset) -> str:
 
 def starts_of(responses: xr.Dataset, label: str, at: At) -> str:
     """Range of the number of initial conditions of a law per frequency, as ``1–19``."""
-    status = responses["status"].sel(representation=label).isel(at).transpose("omega", ...)
-    counts = (status.values != Status.NOT_REQUESTED).sum(axis=1)
+    status = responses["status"].sel(representation=label).isel(at)
+    counts = (status != Status.NOT_REQUESTED).sum("initial_condition").values
     several = np.unique(counts[counts > 0]).tolist()
     return "–".join(map(str, dict.fromkeys([*several[:1], *several[-1:]])))
 

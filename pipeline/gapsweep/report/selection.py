@@ -86,6 +86,8 @@ def gap_label(scene: xr.Dataset) -> str:
     """Text of the wall distances of a parameter set [mm], from its gap or from j_1 and j_2."""
     if "gap" in scene.coords:
         return shortened(str(scene["gap"].item()))
+    if "j_1" not in scene.coords:  # of a system in which every contact has its own
+        return ""
     return shortened(Gap(float(scene["j_1"]), float(scene["j_2"])).label)
 
 

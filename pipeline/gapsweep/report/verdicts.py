@@ -44,6 +44,7 @@ from gapsweep.model.labels import NOT_LOCATED, Representation
 from gapsweep.report.scales import NamedValue, plain
 from gapsweep.report.selection import anchor_of, gap_label, other_parameters
 from gapsweep.report.tables import number, percent
+from gapsweep.study.grid import COORDINATE
 
 # The largest error at the 95th percentile and the smallest share found, by verdict.
 LIMITS = {"use": (0.05, 0.95), "with care": (0.2, 0.8)}
@@ -126,8 +127,10 @@ class Judged:
 class Contact:
     """A case: stiffness [N/m] and gap [mm], and the verdict on every law.
 
-    `floors` are the errors of the exact law with other settings, `floor_cost_ratio` its cost ratio,
-    `n_chaotic` its chaotic sweep points, `swept` the values of other swept parameters, `at` the
+    Those of a system are in its units (`in_metres` is False); they are NaN and empty if each of its
+    contacts has its own. `floors` are the errors of the exact law with other settings,
+    `floor_cost_ratio` its cost ratio, `n_chaotic` its chaotic sweep points, `swept` the values of
+    other swept parameters, `at` the
     position in the files, and `unjudged` the reason if no law can be judged.
     """
 
@@ -141,6 +144,7 @@ class Contact:
     at: At = field(default_factory=dict)
     unjudged: str = ""
     n_chaotic: int = 0
+    in_metres: bool = True
 
     @property
     def others(self) -> str:
@@ -150,13 +154,20 @@ class Contact:
     @property
     def stiffness(self) -> str:
         """The stiffness [N/m] as text."""
-        return plain(self.K_c)
+        return "" if np.isnan(self.K_c) else plain(self.K_c)
 
     @property
     def place(self) -> str:
         """The parameters of the case, in words."""
-        others = f", {self.others}" if self.others else ""
-        return f"{self.stiffness} N/m, {self.gap} mm{others}"
+        return ", ".join([*self.walls([self.gap]), *([self.others] if self.others else [])])
+
+    def walls(self, gaps: Sequence[str]) -> list[str]:
+        """The stiffness, and the gaps of cases that differ in them only, in words."""
+        numbers = self.stiffness, ", ".join(gaps)
+        if self.in_metres:
+            return [f"{numbers[0]} N/m", f"{numbers[1]} mm"]
+        named = zip(("K_c", "gap"), numbers, strict=True)
+        return [f"{name} {text}" for name, text in named if text]
 
     @property
     def anchor(self) -> str:
@@ -233,20 +244,23 @@ def contacts(agreement: xr.Dataset, static: xr.Dataset | None = None) -> list[Co
         As stored in the run's folder; without `static`, thresholds of tanh are not known.
     """
     names = [*SHOWN.values(), _COST_RATIO, _CONTACTS]
-    pooled = agreement[[*names, *(f"{n}_ci" for n in names), "n_points"]].sel(regime="all").load()
-    pooled["n_exact"] = agreement["n_attractors_exact"].sum("omega")
+    names += [*(f"{name}_ci" for name in names), "n_points", "n_attractors_exact"]
+    of_all = of_worst(agreement[names].load())
+    pooled = of_all.drop_vars("n_attractors_exact").sel(regime="all")
+    n_exact = of_all["n_attractors_exact"]
+    pooled["n_exact"] = n_exact.sum([dim for dim in n_exact.dims if dim == "omega"])
     exact = str(agreement.attrs["floor_representations"]).split()
     labels = [Representation(label) for label in pooled["representation"].values]
     laws = [n for n in labels if n != agreement.attrs["reference"] and not n.protocol]
     if not laws:
         return []
-    dims = scene_dims(agreement["n_attractors_exact"].dims)
+    dims = scene_dims(n_exact.dims)
     pooled = pooled.transpose("representation", *dims, ...)
     # As arrays: a study may have a thousand cases.
     tables = {str(name): pooled[name].values for name in pooled}
-    periodic = agreement[_COST_RATIO].sel(regime="periodic")
+    periodic = of_all[_COST_RATIO].sel(regime="periodic")
     tables["periodic"] = periodic.transpose("representation", *dims).values
-    chaotic = agreement["n_points"].sel(regime="chaotic")
+    chaotic = of_all["n_points"].sel(regime="chaotic")
     tables["n_chaotic"] = chaotic.transpose("representation", *dims).values
     noise = repeatability(tables[_COST_RATIO][[label in exact for label in labels]])
     found = []
@@ -267,10 +281,22 @@ def contacts(agreement: xr.Dataset, static: xr.Dataset | None = None) -> list[Co
         gap, swept = gap_label(here), [NamedValue.of(here[name]) for name in other_parameters(here)]
         known = _threshold(static, here), swept, _floor_cost_ratio(where, exact), at, unjudged
         n_chaotic = int(reference["n_chaotic"])
-        contact = Contact(float(here["K_c"]), gap, floors, judged, *known, n_chaotic)
-        order = float(np.round(here["j_1"] + here["j_2"], 12)), float(here["j_1"])
-        found.append((contact.K_c, *order, contact))
+        K_c, *walls = (float(here[n]) if n in here else np.nan for n in ("K_c", "j_1", "j_2"))
+        in_metres = "system_json" not in agreement.attrs
+        contact = Contact(K_c, gap, floors, judged, *known, n_chaotic, in_metres)
+        found.append((K_c, float(np.round(sum(walls), 12)), walls[0], contact))
     return [contact for *_, contact in sorted(found, key=lambda one: one[:-1])]
+
+
+def of_worst(agreement: xr.Dataset) -> xr.Dataset:
+    """The numbers of the worst coordinate of a system: the largest errors and the smallest shares.
+
+    Other numbers are the same for all coordinates.
+    """
+    if COORDINATE not in agreement.dims:
+        return agreement
+    shares = [name for name in agreement if str(name).startswith(SHOWN["found"])]
+    return agreement.max(COORDINATE).assign(agreement[shares].min(COORDINATE))
 
 
 def telling(found: Sequence[Contact], most: int = MOST_CONTACTS) -> list[Contact]:
@@ -420,12 +446,13 @@ def _picked(found: Sequence[Contact]) -> str:
 
 
 def _pick(laws: tuple[str, ...], some: Sequence[Contact], is_counted: bool) -> str:
-    gaps: dict[tuple[str, str], list[str]] = {}
+    alike: dict[tuple[str, str], list[Contact]] = {}
     for contact in some:
-        gaps.setdefault((contact.stiffness, contact.others), []).append(contact.gap)
+        alike.setdefault((contact.stiffness, contact.others), []).append(contact)
     places = " and ".join(
-        f"{K_c} N/m with {', '.join(mm)} mm{f' at {others}' if others else ''}"
-        for (K_c, others), mm in gaps.items()
+        " with ".join(several[0].walls([one.gap for one in several]))
+        + (f" at {others}" if others else "")
+        for (_, others), several in alike.items()
     )
     if is_counted:
         places = f"{len(some)} case{'s' * (len(some) > 1)}"

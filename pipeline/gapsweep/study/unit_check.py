@@ -42,8 +42,10 @@ def never_reached(
         Whether the model is an oscillator; the displacements of a system are those at its contacts.
     """
     rows = [labels.index(EXACT)] if EXACT in labels else list(range(len(labels)))
-    peak, trough = ("x_max", "x_min") if in_metres else ("contact_x_max", "contact_x_min")
-    share, x_max, x_min = (np.asarray(values(n)) for n in ("contact_share", peak, trough))
+    names = ["contact_share", "x_max", "x_min"]
+    if not in_metres and np.size(values("contact_x_max")):  # there with several parts only
+        names[1:] = "contact_x_max", "contact_x_min"
+    share, x_max, x_min = (np.asarray(values(name)) for name in names)
     if not share.size:  # the file cannot be read
         return ""
     within = tuple(i for i, dim in enumerate(dims) if dim in _IN_CASE)
@@ -57,23 +59,21 @@ def never_reached(
     never = known.any(within) & ~(share > 0.0).any(within)
     if not never.any():
         return ""
-    largest = reach.max(within, initial=0.0, where=known)[never].max()
+    factor, unit = (1e3, " mm") if in_metres else (1.0, "")
+    largest = factor * reach.max(within, initial=0.0, where=known)[never].max()
     where, gap = f" in {never.sum()} of {n_cases} cases", ""
-    if not in_metres:
-        return (
-            f"the wall is never reached{where * (never.sum() < n_cases)}: displacements at "
-            f"contacts are at most {largest:.3g}; gaps are in the unit of the coordinates, "
-            "frequencies in hertz"
-        )
-    largest *= 1e3
     if never.sum() == n_cases:
-        nearest = 1e3 * min(np.min(values(name)) for name in ("j_1", "j_2"))
-        where, gap = "", f", gap {nearest:.3g} mm"
+        where = ""
+        if in_metres:  # contacts of a system may have other gaps
+            nearest = factor * min(np.min(values(name)) for name in ("j_1", "j_2"))
+            gap = f", gap {nearest:.3g} mm"
     # Few such cases are no sign of wrong units.
-    units = "; gaps are in metres, frequencies in hertz, and zeta = 0.02 is 2 %"
+    units = "metres" if in_metres else "the unit of the coordinates"
+    units = f"; gaps are in {units}, frequencies in hertz, and zeta = 0.02 is 2 %"
     is_doubtful = bool(2 * never.sum() >= n_cases)
     return (
-        f"the wall is never reached{where}: |x| at most {largest:.3g} mm{gap}{units * is_doubtful}"
+        f"the wall is never reached{where}: |x| at most {largest:.3g}{unit}{gap}"
+        f"{units * is_doubtful}"
     )
 
 

@@ -11,7 +11,7 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -42,9 +42,6 @@ from gapsweep.study.spec import WALLS, is_followed
 from gapsweep.study.study import Study
 from gapsweep.user_code.package_digest import numerics_fingerprint
 from gapsweep.variables import POINT, SECTION_POINT, STATUS_FLAGS, Variable
-
-if TYPE_CHECKING:
-    from distributed import Client
 
 FOLDER = "branches"
 _attractor = partial(Variable, dims=(ATTRACTOR,))
@@ -86,7 +83,7 @@ def branches(
     study: Study,
     attractors: xr.Dataset,
     cache: Path,
-    connect: Callable[[], "Client"],
+    connect: Callable[[], Any],
     timeout: float,
     say: Callable[[str], None],
     followed_branches: xr.Dataset | None = None,

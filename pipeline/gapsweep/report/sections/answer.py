@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from gapsweep.analysis.dimensions import REPRESENTATION, SWEPT, in_metres
+from gapsweep.analysis.dimensions import REPRESENTATION, SWEPT, by_coordinate
 from gapsweep.model.labels import EXACT
 from gapsweep.report.backdrop import caption_of_walls
 from gapsweep.report.drawing import caption_of_marks
@@ -41,14 +41,14 @@ _MOST_LISTED = 400  # cases with their numbers on the page
 
 
 def sections(inputs: Inputs) -> Iterator[Part]:
-    """The study's own answer, and verdicts on the laws of an oscillator that has the exact law."""
+    """The study's own answer, and verdicts on the laws of a study that has the exact law."""
     own, found, responses = answer_of(inputs), inputs.cases, inputs.responses
     if not (found or own.sentences or own.tables or own.figures):
         return
     said = in_words(found)
     headline = [*own.sentences] or said[:1]
-    is_compared = inputs.agreement is not None and in_metres(responses)
     is_mostly_free = 2 * sum(bool(one.unjudged) for one in found) >= len(found)
+    is_compared = inputs.agreement is not None
     if is_compared and is_mostly_free and (far := unreached_walls(responses)):
         headline[:1] = [" ".join([far, *headline[:1]])]
     counts = inputs.claims["counts"] if inputs.claims else {}
@@ -76,6 +76,7 @@ def _map(responses: xr.Dataset, found: Sequence[Contact]) -> dict[str, Any]:
         "has_tanh": any(one.least("tanh") for one in listed),
         "groups": GROUPS,
         "n_contacts": len(listed),
+        "units": "stiffness [N/m], gap [mm]" if found[0].in_metres else "K_c, gap",
         "is_many": len(listed) > MANY,
         "stiffnesses": heads(one.stiffness for one in listed),
         "gaps": [(gap.split("/"), n) for (_, gap), n in heads((c.K_c, c.gap) for c in listed)],
@@ -107,7 +108,7 @@ def _numbers(contact: Contact) -> tuple[str, list[list[str]]]:
         return f"{contact.place}: cannot be judged: {contact.unjudged}", rows
     least = contact.least("tanh")
     of_tanh = f"; tanh has one static equilibrium: {contact.threshold}, adequate: {least}"
-    return f"{contact.place}{of_tanh if least else ''}", rows
+    return f"{contact.place}{of_tanh if least and contact.in_metres else ''}", rows
 
 
 def _compared(inputs: Inputs) -> Iterator[Figured]:
@@ -116,7 +117,7 @@ def _compared(inputs: Inputs) -> Iterator[Figured]:
     Of several, the one with most chaos, lost attractors and error.
     """
     responses, found = inputs.responses, inputs.cases
-    if not found or responses.sizes["omega"] < 2:
+    if not found or responses.sizes.get("omega", 1) < 2:
         return
     scenes = Scenes(responses)
 
@@ -127,7 +128,7 @@ def _compared(inputs: Inputs) -> Iterator[Figured]:
         scene = scenes.at(contact.at) if laws else None
         if scene is None:
             return None
-        scene = swept(scene.sel(representation=[EXACT, *laws]))
+        scene, _ = next(by_coordinate(swept(scene.sel(representation=[EXACT, *laws]))))
         return scene, peaks_of_laws(contact.place, scene, EXACT, laws, inputs.branches)
 
     def telling_most(contact: Contact) -> tuple[float, ...]:

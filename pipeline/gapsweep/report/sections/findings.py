@@ -14,18 +14,14 @@ from gapsweep.report.drawing import labels_of
 from gapsweep.report.inputs import Inputs
 from gapsweep.report.parts import Part
 from gapsweep.report.scales import drawn, shown_unit
-from gapsweep.report.tables import condensed, percent, tally
+from gapsweep.report.tables import tally
 from gapsweep.report.verdicts import (
     COLUMNS,
-    SHOWN,
     Contact,
-    consequence,
-    verdict,
-    worst,
 )
 from gapsweep.response.result import ResponseClass
 from gapsweep.status import Status
-from gapsweep.study.grid import CONTACT, COORDINATE, START
+from gapsweep.study.grid import CONTACT, START
 from gapsweep.study.points import FIXED
 from gapsweep.study.spec import check
 from gapsweep.study.study import Study
@@ -43,8 +39,6 @@ def sections(inputs: Inputs) -> Iterator[Part]:
     sentences += _touching(responses)
     if inputs.attractors is not None:
         sentences += _coexisting(inputs.attractors)
-    if inputs.agreement is not None and not in_metres(responses):
-        sentences += _agreeing(inputs.agreement)
     sentences += counted(inputs.cases)
     if inputs.advice is not None:
         sentences.append(_choices(inputs.advice))
@@ -205,34 +199,6 @@ def _coexisting(attractors: xr.Dataset) -> Iterator[str]:
         kind = "parameter sets and frequencies" if "omega" in attractors.dims else "parameter sets"
         places = f"{n_several} of {n_places} {kind}"
         yield f"{label} has coexisting attractors at {places} with a result (up to {n.max()})."
-
-
-def _agreeing(agreement: xr.Dataset) -> Iterator[str]:
-    """Whether every approximation is accurate enough, for the worst coordinate."""
-    exact = str(agreement.attrs["floor_representations"]).split()
-    recall, n = SHOWN["found"], "n_compared"
-    of_scenes = agreement[[*SHOWN.values(), n]].sel(regime="all").load()
-    if COORDINATE in of_scenes.dims:
-        by_coordinate = of_scenes
-        of_scenes = by_coordinate.max(COORDINATE)
-        of_scenes[recall] = by_coordinate[recall].min(COORDINATE)
-    pooled = condensed(of_scenes)
-    numbers: dict[str, dict[str, NDArray[np.float64]]] = {
-        label: {
-            name: np.array([pooled[long].sel(representation=label)]) for name, long in SHOWN.items()
-        }
-        for label in labels_of(pooled)
-    }
-    floors = worst([numbers[label] for label in exact])
-    for label, values in numbers.items():
-        if label in (EXACT, *exact) or np.isnan(values["found"]):
-            continue
-        rows = of_scenes.sel(representation=label)
-        lowest, n_scenes = float(rows[recall].where(rows[n] > 0).min()), int((rows[n] > 0).sum())
-        over = f" Medians over {n_scenes} parameter sets." if n_scenes > 1 else ""
-        over += f" Smallest share found: {percent(lowest)}." if lowest < values["found"] else ""
-        p95, found = (float(values[name][0]) for name in ("p95", "found"))
-        yield consequence(label, verdict(values, floors)[0], p95, found) + over
 
 
 def counted(found: Sequence[Contact]) -> Iterator[str]:
