@@ -8,6 +8,7 @@ demand last: an attractor is followed to its end although no other initial condi
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
@@ -98,6 +99,17 @@ class Choice:
         Value of the parameter at which the demands are violated least, or hold best.
     summary : str
         One line: where the demands hold, or that they hold nowhere.
+
+    Examples
+    --------
+    >>> import gapsweep as gs
+    >>> machine = gs.Oscillator(mass=1.0, omega_n=1.0, zeta=0.05, forcing=1.0)
+    >>> law = gs.Piecewise(10.0, gs.Gap(0.1, 0.1))
+    >>> found = gs.choose(
+    ...     "gap", (0.01, 0.2), machine, law, so_that=gs.no_contact(), omega=0.5
+    ... )
+    >>> [round(each.low, 4) for each in found]
+    [0.0337]
     """
 
     parameter: str
@@ -316,22 +328,32 @@ class _Survey:
     def end(self, holds: float, known: _Slice) -> tuple[_Slice, _Slice]:
         """Return the slice where a demand begins to fail, and one a little away from there.
 
+        The first slice is at `holds` if the demand fails there, too.
+
         Parameters
         ----------
         holds : float
-            Place at which all demands hold.
+            Place at which all demands hold as far as known.
         known : _Slice
             A slice nearby that violates a demand.
         """
-        trail = [known]
-        while abs(holds - trail[-1].place) > LOCATED:
-            middle = 0.5 * (holds + trail[-1].place)
-            found = self.next_slice(middle, trail[-1])
-            if found.holds:
-                holds = middle
-            else:
+        trail, lost = [known], holds
+        towards = LOCATED if holds > known.place else -LOCATED
+        while trail[-1].place != holds:
+            is_located = abs(lost - trail[-1].place) <= LOCATED
+            # A long step may lose an attractor that goes on: a short one beyond the end decides.
+            place = 0.5 * (lost + trail[-1].place)
+            if is_located:
+                place = holds if abs(holds - lost) <= LOCATED else lost + towards
+            found = self.next_slice(place, trail[-1])
+            if not found.holds:
                 trail.append(found)
-        away = [each for each in trail if abs(each.place - holds) > AWAY]
+                lost = holds if is_located else lost
+            elif is_located:
+                break
+            else:
+                lost = place
+        away = [each for each in trail if abs(each.place - trail[-1].place) > AWAY]
         return trail[-1], away[-1] if away else trail[-1]
 
     def shown(self, at: _Slice) -> tuple[str, Response, float, bool]:
@@ -503,52 +525,49 @@ def _surveyed(survey: _Survey) -> list[_Slice]:
 
 def _choice(survey: _Survey, slices: list[_Slice], omega: Any) -> Choice:
     """Intervals of slices that hold, with their ends located."""
-    for order in (1, -1):  # attractors that reach into values which seemed to hold
-        for known, here in pairwise(slices[::order]):
-            if here.holds and not known.holds and survey.follows:
-                found = survey.next_slice(here.place, known)
-                if not found.holds:
-                    here.omega, here.margin, here.state = found.omega, found.margin, found.state
-    holds = [each.holds for each in slices]
-    starts = [i for i, is_in in enumerate(holds) if is_in and not (i and holds[i - 1])]
-    stops = [i for i, is_in in enumerate(holds) if is_in and not all(holds[i + 1 : i + 2])]
-    last = [i for i in stops if i + 1 < len(holds)]
-    if holds[-1]:
-        last.append(len(holds) - 1)
     name, window = survey.window.name, survey.window
-    unit = written(UNITS.get(name, "")) or ""
-    intervals = []
-    for i, j in zip(starts, last, strict=True):
-        values, reasons = [], []
-        for place, outside in ((i, i - 1), (j, j + 1)):
-            if not 0 <= outside < len(slices):
-                values.append(float(window.value(slices[place].place)))
-                reasons.append(("end of the range", float("nan")))
-                continue
-            value, said, frequency = survey.reason(
-                *survey.end(slices[place].place, slices[outside])
-            )
-            values.append(value)
-            reasons.append((said, frequency))
-        (low, low_omega), (high, high_omega) = reasons
-        intervals.append(Interval(values[0], values[1], low, high, low_omega, high_omega))
+    intervals = _intervals(survey, slices)
     words = " and ".join(demand.words for demand in survey.demands)
-    where = f"{window.low:g}..{window.high:g}" + (f" {unit}" if unit else "")
-    at = ""
+    where = f"{window.low:g}..{window.high:g} {written(UNITS.get(name, ''))}".rstrip()
     if omega is not None:
-        at = f", omega {' .. '.join(f'{each:g}' for each in np.ravel(omega))} Hz"
+        where += f", omega {' .. '.join(f'{each:g}' for each in np.ravel(omega))} Hz"
     best = min(slices, key=lambda each: each.worst)
     nearest = float(window.value(best.place))
-    if intervals:
-        n = len(intervals)
-        summary = f"{name}: {words} in {n} interval{'s' * (n > 1)} of {where}{at}"
-    else:
+    n = len(intervals)
+    summary = f"{name}: {words} in {n} interval{'s' * (n > 1)} of {where}"
+    if not intervals:
         shown, _, frequency, _ = survey.shown(best)
         shown += f" at {frequency:.6g} Hz" if len(survey.band) > 1 else ""
-        summary = f"{name}: {words} nowhere in {where}{at}; nearest at {nearest:.6g}: {shown}"
+        summary = f"{name}: {words} nowhere in {where}; nearest at {nearest:.6g}: {shown}"
     return Choice(
         name, (window.low, window.high), tuple(survey.demands), tuple(intervals), nearest, summary
     )
+
+
+def _intervals(survey: _Survey, slices: list[_Slice]) -> list[Interval]:
+    """Intervals between the ends of slices that violate a demand."""
+    ends: dict[tuple[float, float], tuple[_Slice, _Slice]] = {}
+    n = len(slices)
+    for i, j in [*pairwise(range(n)), *pairwise(range(n - 1, -1, -1))]:
+        known, here = slices[i], slices[j]
+        if here.holds and not known.holds:
+            found = ends[known.place, here.place] = survey.end(here.place, known)
+            if found[0].place == here.place:  # an attractor that nothing else leads to
+                slices[j] = found[0]
+    holds = np.array([False, *(each.holds for each in slices), False])
+    first, last = (np.flatnonzero(holds[:-1] != holds[1:])[k::2] - k for k in (0, 1))
+    intervals = []
+    for i, j in zip(first.tolist(), last.tolist(), strict=True):
+        sides: list[tuple[float, str, float]] = []
+        for inside, outside in ((i, i - 1), (j, j + 1)):
+            place = slices[inside].place
+            if 0 <= outside < len(slices):
+                sides.append(survey.reason(*ends[slices[outside].place, place]))
+            else:
+                sides.append((float(survey.window.value(place)), "end of the range", math.nan))
+        (low, below, low_omega), (high, above, high_omega) = sides
+        intervals.append(Interval(low, high, below, above, low_omega, high_omega))
+    return intervals
 
 
 def _band(omega: Any) -> Array:

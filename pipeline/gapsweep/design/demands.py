@@ -69,6 +69,12 @@ def quantity(name: str, found: Responses, model: Model) -> Array:
 class Demand:
     """A demand on a steady response, made by `at_most`, `at_least`, `no_contact`, `no_chaos` or
     `periodic`.
+
+    Examples
+    --------
+    >>> import gapsweep as gs
+    >>> gs.at_least("x_max", "0.3 mm").limit
+    0.0003
     """
 
     words: str

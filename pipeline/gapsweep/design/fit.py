@@ -72,6 +72,15 @@ class Fit:
         Doubts, a sentence each.
     oscillator, law
         The model and its contact laws with the fitted values.
+
+    Examples
+    --------
+    >>> import gapsweep as gs
+    >>> machine = gs.Oscillator(mass=1.0, omega_n=1.0, zeta=0.05, forcing=1.0)
+    >>> table = {"frequency [Hz]": [0.5, 0.6, 0.7], "amplitude [mm]": [33.7, 39.4, 49.2]}
+    >>> found = gs.fit(table, machine, gs.Piecewise(0.0, gs.Gap(1.0, 1.0)), free={"mass": (0.5, 2)})
+    >>> round(found.values["mass"], 2)
+    1.0
     """
 
     values: dict[str, float]
