@@ -111,7 +111,7 @@ def test_toml_blocks_are_valid(page):
     for text in blocks(page, "toml"):
         tables = tomllib.loads(text)
         minimal = {k: v for k, v in MINIMAL.items() if k != "oscillator" or "system" not in tables}
-        check({**minimal, **tables}, page.name)
+        check({**minimal, **tables}, str(page))
 
 
 def test_study_reference_names_every_key():

@@ -50,6 +50,7 @@ if TYPE_CHECKING:
     )
     from gapsweep.model.table import ForceTable
     from gapsweep.model.user_law import UserLaw
+    from gapsweep.model.waves import PeriodicForce, Record, Switched
     from gapsweep.pipeline import plan, query, run
     from gapsweep.report.model_figures import frequency_response
     from gapsweep.report.model_figures import parameter_map as map
@@ -77,6 +78,7 @@ _ON_DEMAND = {
     **dict.fromkeys(("no_chaos", "no_contact", "periodic"), "design.demands"),
     **dict.fromkeys(("Fit", "fit"), "design.fit"),
     "ForceTable": "model.table",
+    **dict.fromkeys(("PeriodicForce", "Record", "Switched"), "model.waves"),
     "UserLaw": "model.user_law",
     "Study": "study.study",
     "advise": "study.least_model",
@@ -99,11 +101,22 @@ _NAMES = {"map": "parameter_map", "open": "read"}
 # Names that users of other software try, and what they find here.
 _ELSEWHERE = {
     "attractors": "gs.basins(...), or attractors.nc of a study with several initial conditions",
+    "basin": "gs.basins(...)",
     "bifurcation": "ds.gapsweep.bifurcation() of a dataset, as from gs.query(...)",
+    "continuation": "gs.branches(...)",
+    "floquet": "gs.respond(...).multipliers",
+    "integrate": "gs.simulate(...)",
+    "load": "gs.open(...)",
     "lyapunov": "gs.respond(...).lyapunov",
+    "phase_portrait": "gs.plot(gs.respond(...))",
     "poincare": "gs.respond(...).section, or gs.plot(gs.simulate(...))",
-    "sweep": "gs.frequency_response(...), or initial_condition = 'sweep_up' of a study",
+    "read_csv": "gs.ForceTable.from_csv(...)",
     "solve": "gs.simulate(...)",
+    "spectrum": "gs.plot(gs.simulate(...)), or [[history]] of a study",
+    "steady": "gs.respond(...)",
+    "sweep": "gs.frequency_response(...), or initial_condition = 'sweep_up' of a study",
+    "time_history": "gs.simulate(...)",
+    "to_csv": "ds.gapsweep.to_csv() of a dataset, or gapsweep query --to csv",
 }
 # Names of modules.
 _MODULES = ("systems",)
@@ -130,9 +143,11 @@ __all__ = [
     "ModelError",
     "Modulation",
     "Oscillator",
+    "PeriodicForce",
     "Piecewise",
     "Polynomial",
     "RationalPolynomial",
+    "Record",
     "Response",
     "ResponseClass",
     "Status",
@@ -140,6 +155,7 @@ __all__ = [
     "StoreError",
     "Study",
     "StudyError",
+    "Switched",
     "System",
     "SystemTrajectory",
     "Tanh",
@@ -185,6 +201,9 @@ def __getattr__(name: str) -> Any:
         return importlib.import_module("importlib.metadata").version("gapsweep")
     if name not in _ON_DEMAND:
         remedy = f"; use {_ELSEWHERE[name]}" if name in _ELSEWHERE else ""
+        if not remedy and not name.startswith("_"):
+            close = importlib.import_module("difflib").get_close_matches(name, __all__, n=1)
+            remedy = f"; did you mean {close[0]}?" if close else ""
         raise AttributeError(f"module 'gapsweep' has no attribute {name!r}{remedy}")
     if name in _RETURN_DATASETS:
         importlib.import_module("gapsweep.report.accessor")

@@ -17,7 +17,8 @@ UNITS = {
     **dict.fromkeys(("visited", "amplitude", "base_amplitude"), "m"),
     **dict.fromkeys(("v_0", "v", "speed"), "m s-1"),
     **dict.fromkeys(("t", "t_0", "t_end", "t_max", "time_limit", "timeout"), "s"),
-    **dict.fromkeys(("forcing", "mean_load", "forcing: amplitude", "F", "noise"), "N"),
+    "forcing: period": "s",
+    **dict.fromkeys(("forcing", "mean_load", "forcing: amplitude", "F", "f", "f(t)", "noise"), "N"),
     **dict.fromkeys(("zeta", "K_ratio", "depth", "rtol", "settle_tol", "error", "ratio"), "1"),
     **dict.fromkeys(("epsilon", "gamma"), "m-1"),
     **dict.fromkeys(("K_c", "stiffness"), "N m-1"),
@@ -39,6 +40,9 @@ _WRITTEN = {
     "N s m-1": "N s/m",
     "s-1": "1/s",
     "m-1": "1/m",
+    "rad s-1": "rad/s",
+    "N m rad-1": "N m/rad",
+    "rad-1": "1/rad",
     "kg m-3": "kg/m³",
 }
 # A number, then a unit, in which no power is raised again: that could take forever.

@@ -1,7 +1,7 @@
 """Variables of datasets, and the datasets and tables of the results of one call."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import IntEnum
 from itertools import permutations
@@ -21,6 +21,21 @@ COORDINATE, CONTACT, LAG = "coordinate", "contact", "lag"
 EXTREMUM, SECTION_POINT, MULTIPLIER = "extremum", "section_point", "multiplier"
 # Units that do not depend on the meaning of a coordinate.
 _OWN_UNITS = {"1", "s", "s-1", "Hz"}
+# Units of the coordinates and contacts of a model, by dimension; those of an oscillator.
+Units = Mapping[str, Sequence[str]]
+METRES: Units = {COORDINATE: ("m",), CONTACT: ("m",)}
+# Units of quantities with coordinates in radians or without dimension, by those in metres.
+_IN = {
+    "rad": {
+        "m": "rad",
+        "mm": "rad",
+        "m s-1": "rad s-1",
+        "N": "N m",
+        "N m-1": "N m rad-1",
+        "m-1": "rad-1",
+    },
+    "1": dict.fromkeys(("m", "mm", "m s-1", "N", "N m-1", "m-1"), "1"),
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,10 +62,30 @@ class Variable:
             attributes["flag_meanings"] = " ".join(names)
         return attributes
 
-    @property
-    def of_systems(self) -> "Variable":
-        """The variable for a system: no units, unless they hold for any kind of coordinate."""
-        return self if self.units in _OWN_UNITS else replace(self, units="")
+    def in_units(self, units: Units, of: str = COORDINATE) -> "Variable":
+        """Return the variable of a model with coordinates and contacts in these units.
+
+        It has no unit if these differ; see `PART_UNITS`.
+
+        Parameters
+        ----------
+        units : mapping of str to sequence of str
+            Units of all coordinates, and of all contacts: of the displacement ``b · q``.
+        of : str
+            Dimension that a variable without dimensions belongs to.
+        """
+        own = {*units[CONTACT if CONTACT in self.dims else of]}
+        return replace(self, units=unit_in(self.units, own.pop() if len(own) == 1 else ""))
+
+
+def unit_in(units: str, own: str) -> str:
+    """Return the unit of a quantity with coordinates in `own`, from its unit with metres.
+
+    Empty if `own` is unknown and matters.
+    """
+    if own == "m" or units in _OWN_UNITS:
+        return units
+    return _IN.get(own, {}).get(units, "")
 
 
 def canonical(value: float) -> float:
@@ -98,6 +133,16 @@ PARTS = {
     CONTACT: Variable("str", "1", "contact of the system"),
     LAG: Variable("str", "1", "first-order state of the system"),
 }
+# The units of coordinates and of contacts, if they differ: a coordinate along either dimension.
+PART_UNITS = {
+    f"{dim}_unit": Variable("str", "1", f"unit of the {dim}", dims=(dim,))
+    for dim in (COORDINATE, CONTACT)
+}
+
+
+def part_units(units: Units) -> dict[str, list[str]]:
+    """Return the values of `PART_UNITS` of a model, without those that are all the same."""
+    return {f"{dim}_unit": list(some) for dim, some in units.items() if len({*some}) > 1}
 
 
 def members(kind: type[IntEnum], numbers: NDArray[np.integer]) -> Any:
@@ -139,7 +184,8 @@ def dataset(
     """
     import xarray as xr  # takes half a second, which no computation needs
 
-    parts, is_system = objects(inputs["oscillator"]).flat[0].parts, "q_0" in inputs
+    model = objects(inputs["oscillator"]).flat[0]
+    parts = model.parts
     is_grid = not any(np.ndim(inputs.get(name, 0)) for name in ("oscillator", "law", "n_periods"))
     states = {
         name.replace("q", "x"): np.reshape(inputs[name], (*shape, -1))
@@ -164,11 +210,13 @@ def dataset(
 
     def variable(name: str, along: tuple[str, ...], values: NDArray[Any]) -> tuple[Any, ...]:
         """Return a variable as for xarray, without dimensions that the model does not have."""
-        form = described[name].of_systems if is_system else described[name]
+        form = described[name].in_units(model.part_units)
         along += tuple(dim for dim in form.dims if dim in parts or dim not in PARTS)
         return along, values.reshape([sizes.get(dim, -1) for dim in along]), form.attributes
 
     found = {name: (name, list(labels), PARTS[name].attributes) for name, labels in parts.items()}
+    for name, some in part_units(model.part_units).items():
+        found[name] = (PART_UNITS[name].dims, some, PART_UNITS[name].attributes)
     if START in dims:
         found[START] = variable(START, (START,), np.arange(sizes[START], dtype="i4"))
     for name, values in (axes | states).items():

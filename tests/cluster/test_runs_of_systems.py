@@ -150,7 +150,7 @@ def test_motions_at_contacts_are_those_of_the_coordinates_along_their_directions
                 expected = dataset[name.removeprefix("contact_")].values @ along.T
                 found = dataset[name].values
                 np.testing.assert_allclose(found.reshape(expected.shape), expected, atol=1e-15)
-                assert "units" not in dataset[name].attrs
+                assert ("units" in dataset[name].attrs) == ("contact_unit" not in dataset)
             ends = abs(dataset[["x_max", "x_min"]]).to_dataarray().max("variable").values
             largest = abs(dataset[["contact_x_max", "contact_x_min"]]).to_dataarray()
             bound = ends @ np.abs(along).T
@@ -182,7 +182,7 @@ def test_datasets_have_the_dimensions_and_names_of_the_system(made):
     assert responses["extrema"].dims == (*study.grid.dims, "extremum", *along)
     assert responses["x_0"].dims == responses["v_0"].dims == ("initial_condition", *along)
     assert {*study.grid.parts} == {"coordinate", "contact", "lag"} & {*responses.dims}
-    assert "units" not in responses["x_max"].attrs  # whether lengths or angles: the user knows
+    assert ("units" in responses["x_max"].attrs) == ("coordinate_unit" not in responses)
     meanings = responses["response_class"].attrs["flag_meanings"].split()
     assert meanings[1:] == [kind.name.lower() for kind in ResponseClass]
     for name, variable in responses.data_vars.items():

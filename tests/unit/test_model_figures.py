@@ -1,7 +1,10 @@
 """`gapsweep.frequency_response`, `gapsweep.map`, and `gapsweep.plot` of a steady response."""
 
+import pickle
+
 import numpy as np
 import pytest
+from matplotlib.image import imread
 from numpy.testing import assert_allclose
 
 import gapsweep as gs
@@ -99,6 +102,24 @@ def test_the_motion_of_a_steady_response_has_its_extrema():
     assert (x.max(), x.min()) == pytest.approx((1e3 * found.x_max, 1e3 * found.x_min), rel=1e-4)
 
 
-def test_names_of_other_software_lead_to_the_call():
-    with pytest.raises(AttributeError, match="respond"):
-        assert gs.lyapunov
+@pytest.mark.parametrize(
+    ("name", "call"),
+    [("lyapunov", "respond"), ("attractors", "basins"), ("Osillator", "did you mean Oscillator")],
+)
+def test_names_of_other_software_lead_to_the_call(name, call):
+    with pytest.raises(AttributeError, match=call):
+        getattr(gs, name)
+    assert not hasattr(gs, "__wrapped__")
+
+
+def test_a_response_leads_to_its_plot():
+    found = gs.respond(OSCILLATOR, LAW, 9.0)
+    with pytest.raises(AttributeError, match=r"gs.plot\(response\)"):
+        found.plot()
+    assert pickle.loads(pickle.dumps(found)).x_max == found.x_max
+
+
+def test_a_picture_is_stored_large_enough_for_a_slide(tmp_path):
+    figure = gs.frequency_response(OSCILLATOR, LAW, [8.0, 9.0], branches=False)
+    figure.savefig(tmp_path / "response.png")
+    assert imread(tmp_path / "response.png").shape[1] >= 1400

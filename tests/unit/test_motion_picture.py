@@ -100,6 +100,7 @@ def test_walls_stand_where_the_coordinate_meets_them():
         contacts={"lever": [0.0, -2.0], "stop": [0.0, 1.0], "between": [1.0, -1.0]},
         forcing=[gs.Harmonic(amplitude=[1.0, 0.0])],
         coordinates=("body", "arm"),
+        units={"body": "1", "arm": "rad", "between": "1"},
     )
     laws = {
         "lever": gs.Piecewise(100.0, gs.Gap(0.1, 0.3)),

@@ -99,8 +99,9 @@ def made(folder, sizes, **more):
 
 
 def in_own_units(responses):
-    """The responses, with a coordinate of unknown unit."""
-    return responses.assign(x_max=responses["x_max"].drop_attrs())
+    """The responses, as of a system with contacts in different units."""
+    plain = responses.assign(force_max=responses["force_max"].drop_attrs())
+    return plain.assign_attrs(system_json="{}")
 
 
 EQUAL = {"piecewise": 1.0, "piecewise@half": 1.001, "tanh-1e4": 1.02, "poly-13": 1.3}
@@ -245,6 +246,7 @@ def test_laws_of_systems_are_judged_by_their_worst_coordinate(tmp_path):
     several = xr.concat([good, bad], "coordinate").assign_attrs(
         compared.attrs, system_json='{"contacts": {}}'
     )
+    several["j_1"].attrs["units"] = "rad"
     (one,), (both,) = contacts(compared), contacts(several)
     assert one.place == "14000 N/m, 0.4/0.4 mm"
     assert both.place.startswith("K_c 14000, gap ")

@@ -109,12 +109,12 @@ def test_dimensions_follow_from_the_inputs(omega, x_0, dims):
         assert value in found["x_end"].where(alike).values
 
 
-def test_systems_have_their_names_and_no_units_of_length():
+def test_systems_without_dimensions_have_their_names_and_no_units_of_length():
     found = RESULTS["systems"]().to_dataset()
     assert found["x_max"].dims == ("omega", "coordinate")
     assert found["coordinate"].values.tolist() == list(TWO[0].coordinates)
     assert found["x_0"].values.tolist() == [0.01, 0.0]
-    assert "units" not in found["x_max"].attrs
+    assert found["x_max"].attrs["units"] == "1"
     assert found["omega"].attrs["units"] == "Hz"
     assert found["section_x"].dims == ("omega", "section_point", "coordinate")
 

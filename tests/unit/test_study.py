@@ -20,7 +20,7 @@ from gapsweep.model.oscillator import OSCILLATOR
 from gapsweep.report.inputs import Inputs
 from gapsweep.report.sections import model as report_model
 from gapsweep.study import points
-from gapsweep.study.axes import OscillatorTable
+from gapsweep.study.oscillator_table import OscillatorTable
 from gapsweep.study.points import canonical
 from gapsweep.study.schema import COORDINATES
 from gapsweep.user_code import package_digest

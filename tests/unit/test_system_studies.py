@@ -164,7 +164,7 @@ REFUSED = {
     "omega": (SECTION, {"sweep__0__omega": 3.0}, "the system is not forced"),
     "sweep": (SECTION, {"sweep__0__initial_condition": "sweep_up"}, "sweeps need omega"),
     "start": (TWO_MASSES, {"sweep__0__initial_condition": [0.1, 0.2]}, "must be 4"),
-    "auto": (SECTION, {"sweep__0__representation": "auto"}, "'auto' needs a forcing"),
+    "auto": (SECTION, {"sweep__0__representation": "auto"}, "'auto' needs a forcing and a contact"),
     "taken by agreement": (SECTION, {"parameters__recall": 1.0}, "choose another name"),
     "parameter without use": (TWO_MASSES, {"parameters": {"k": 1.0}}, "'k': must be in"),
     "scale without value": (TWO_MASSES, {"system__forcing__0__scale": "p"}, "'p': must be in"),
@@ -517,10 +517,39 @@ def test_a_system_that_was_edited_is_checked_anew(tmp_path, monkeypatch, edit, s
         gs.Study.from_dict(tables)
 
 
-def test_gaps_of_systems_are_labelled_in_their_own_unit():
-    study = gs.Study.from_dict(changed(TWO_MASSES, sweep__0__gap=[[1e6, 1.0]]))
-    assert study.grid.labels("gap") == ["1000000/1"]
-    assert study.grid.shape == study.grid.cut(study.select(gap="1000000/1")).shape
+@pytest.mark.parametrize(
+    ("unit", "label"), [("1", "1000/1"), ("rad", "1000/1"), ("m", "1e+06/1000")]
+)
+def test_gaps_of_systems_are_labelled_in_their_own_unit(unit, label):
+    tables = changed(
+        TWO_MASSES, sweep__0__gap=[[1e3, 1.0]], system__units={"q_1": unit, "q_2": unit}
+    )
+    study = gs.Study.from_dict(tables)
+    (found,) = study.grid.labels("gap")
+    assert [*map(float, found.split("/"))] == [*map(float, label.split("/"))]
+    assert study.grid.shape == study.grid.cut(study.select(gap=found)).shape
+
+
+def test_units_of_coordinates_name_columns_and_change_no_number():
+    tables = changed(TWO_MASSES, system__units={"q_1": "rad"})
+    one, other = (gs.Study.from_dict(each) for each in (tables, TWO_MASSES))
+    keys = [points_of(each)[2].keys() for each in (tables, TWO_MASSES)]
+    assert_array_equal(*keys)
+    found, plain = (Layout.of(study.grid, study.steady) for study in (one, other))
+    assert plain.variables["x_max"].units == "m"
+    assert plain.variables["force_max"].units == "N"
+    # Coordinates of different units have no common one, but each its own.
+    assert not found.variables["x_max"].units
+    assert one.grid.coordinates()["coordinate_unit"].tolist() == ["rad", "m"]
+    assert one.grid.coordinates()["contact_unit"].tolist() == ["rad", "m"]
+
+
+@pytest.mark.parametrize(
+    ("units", "said"), [({"q_9": "rad"}, "must be one of q_1"), ({"q_1": "mm"}, "SI units")]
+)
+def test_wrong_units_of_coordinates_are_refused(units, said):
+    with pytest.raises(gs.StudyError, match=said):
+        gs.Study.from_dict(changed(TWO_MASSES, system__units=units))
 
 
 def test_a_system_of_one_coordinate_has_the_variables_and_dimensions_of_an_oscillator():

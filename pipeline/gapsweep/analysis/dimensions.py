@@ -77,12 +77,12 @@ def cells(dims: Iterable[str], at: At) -> tuple[int | slice, ...]:
     return tuple(at.get(dim, slice(None)) for dim in dims)
 
 
-def in_metres(responses: xr.Dataset) -> bool:
-    """Whether displacements are in metres, and so comparable with the gap; true for oscillators.
+def of_oscillator(responses: xr.Dataset) -> bool:
+    """Whether the displacement is that of the contact, and so comparable with the gap.
 
-    Coordinates of systems are in a unit of the user, and a contact acts on a combination of them.
+    A contact of a system acts on a combination of its coordinates.
     """
-    return responses["x_max"].attrs.get("units") == "m"
+    return "system_json" not in responses.attrs
 
 
 def by_coordinate(dataset: xr.Dataset) -> Iterator[tuple[xr.Dataset, str]]:

@@ -11,7 +11,6 @@ from gapsweep.continuation.orbits import Orbit
 from gapsweep.continuation.recognise import Branch
 from gapsweep.continuation.seed import Attractor
 from gapsweep.continuation.special import Special
-from gapsweep.model.oscillator import Oscillator
 from gapsweep.quantities import UNITS
 from gapsweep.variables import COORDINATE, PARTS, POINT, Variable
 
@@ -86,7 +85,6 @@ def dataset(found: Branches) -> "xr.Dataset":
     }
     table = swept | VARIABLES
     is_neutral = family.is_conservative or len(equations.windows) > 1  # as on curves
-    is_system = not isinstance(family.model, Oscillator) and equations.first_gap > 0
     data: dict[str, Any] = {}
     for name, variable in table.items():
         dims = tuple(d for d in variable.dims if d != COORDINATE or model.n > 1)
@@ -94,7 +92,7 @@ def dataset(found: Branches) -> "xr.Dataset":
         for i, branch in enumerate(branches):
             rows = [_value(name, orbit, names, is_neutral=is_neutral) for orbit in branch.orbits]
             values[i, : len(rows)] = np.reshape(rows, (len(rows), *values.shape[2:]))
-        form = variable.of_systems if is_system else variable
+        form = variable.in_units(model.part_units)
         data[name] = ((*_POINT, *dims), values, form.attributes)
     for name, variable in (OF_BRANCH | (OF_CURVE if len(names) > 1 else {})).items():
         rows = [_of_branch(name, branch) for branch in branches]

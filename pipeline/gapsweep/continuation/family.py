@@ -14,10 +14,11 @@ from gapsweep.errors import ModelError
 from gapsweep.integrate.problem import Model, Models
 from gapsweep.integrate.simulate import AnyLaw
 from gapsweep.model.contact import ContactLaw, checked_law
-from gapsweep.model.oscillator import Gap, Oscillator, checked, is_number
+from gapsweep.model.oscillator import OSCILLATOR, Gap, Oscillator, checked, is_number
 from gapsweep.model.structure import general_form
 from gapsweep.model.system import System
 from gapsweep.model.user_law import UserLaw
+from gapsweep.model.waves import check_periodic
 from gapsweep.quantities import without_units
 
 Array = NDArray[np.float64]
@@ -118,6 +119,7 @@ class Family:
                 f"law: {said} {list(self.example.contacts)}, "
                 "as law=gs.Piecewise(1.4e4, gs.Gap(4e-4, 4e-4))"
             )
+        check_periodic(self.example)
         is_forced = self.example.is_forced
         if "omega" in self.names and not is_forced:
             raise ModelError("along = 'omega': this System is not forced; name another parameter")
@@ -154,7 +156,8 @@ class Family:
 
     def _check_free(self) -> None:
         model = self.example
-        if model.is_forced or model.decay_rate:
+        lost = any(law.losses.damping for law in self._laws)
+        if model.is_forced or model.decay_rate or lost:
             raise ModelError(
                 "along = 'amplitude': continues undamped free motions; "
                 "forcing and damping must be 0"
@@ -288,11 +291,13 @@ class Family:
 
 
 def _names(of: Any) -> list[str]:
-    """Numbers and the gap of an oscillator or a law, parameters of a user law; none of a system."""
+    """Numbers of an oscillator or a law, its gap, parameters of a user law; none of a system."""
     if isinstance(of, System):
         return []
     if isinstance(of, UserLaw):
         return [*of.parameters]
+    if isinstance(of, Oscillator):
+        return [*OSCILLATOR]
     names = [field.name for field in fields(of)]
     return [name for name in names if is_number(getattr(of, name)) or name == "gap"]
 

@@ -21,9 +21,9 @@ from gapsweep.continuation.seed import Attractor, started
 from gapsweep.errors import ModelError
 from gapsweep.integrate.problem import Model, Models, Solver
 from gapsweep.integrate.simulate import AnyLaw, simulate
+from gapsweep.model.arrays import numbers
 from gapsweep.model.doubts import doubts, warn_of
 from gapsweep.model.oscillator import called_as, checked, whole
-from gapsweep.model.system import numbers
 from gapsweep.quantities import without_units
 from gapsweep.response.respond import respond_models
 from gapsweep.response.result import Response, ResponseClass, Steady

@@ -115,7 +115,8 @@ def _hex(key: bytes) -> str:
 
 
 def _label(study: Study, cell: int) -> str:
-    grid, in_metres, words = study.grid, study.structure.in_metres, []
+    grid, words = study.grid, []
+    in_metres = grid.in_metres
     for (name, axis), at in zip(grid.axes.items(), np.unravel_index(cell, grid.shape), strict=True):
         value = grid.labels(name)[int(at)]
         if name == "representation":

@@ -21,7 +21,6 @@ from gapsweep.study.schema import (
     VARIABLES,
     Found,
     coordinates,
-    described,
 )
 from gapsweep.variables import EXTREMUM, MULTIPLIER, SECTION_POINT, Variable
 
@@ -76,13 +75,13 @@ class Layout:
 
     def coordinates(self, dims: Collection[str]) -> Found:
         """The coordinates of a dataset with these dimensions."""
-        return coordinates(dims, self.grid.structure)
+        return coordinates(dims, self.grid.structure, self.grid.units)
 
     def _described(self, variables: Mapping[str, Variable]) -> dict[str, Variable]:
         """The variables that exist for the models, with their units where these are known."""
         structure = self.grid.structure
         return {
-            name: described(variable, structure)
+            name: variable.in_units(self.grid.units)
             for name, variable in variables.items()
             if exists(name, structure)
         }

@@ -24,10 +24,11 @@ from gapsweep.integrate.problem import (
     within,
 )
 from gapsweep.integrate.trajectory import SystemTrajectory, Trajectory
+from gapsweep.model.arrays import numbers
 from gapsweep.model.contact import ContactLaw, checked_law
 from gapsweep.model.doubts import doubts, warn_of
 from gapsweep.model.oscillator import LARGEST, SMALLEST, Oscillator, called_as, checked
-from gapsweep.model.system import System, numbers
+from gapsweep.model.system import System
 from gapsweep.variables import objects
 
 Array = NDArray[np.float64]
@@ -296,11 +297,17 @@ def cases(
     else:
         for name, value in (("q_0", q_0), ("z_0", z_0)):
             _zero(name, value, "an Oscillator starts from x_0 and v_0")
-        if omega is None:
+        if omega is None and first.is_forced:
             raise ModelError(
                 "omega: missing; write omega = 9.0, in Hz; a machine without forcing is a gs.System"
             )
-        frequency, x_0, v_0 = broadcast(omega=omega, x_0=x_0, v_0=v_0)
+        if omega is not None and not first.is_forced:
+            raise ModelError(
+                "omega: a gapsweep.Record has no frequency; leave omega out of gs.simulate"
+            )
+        frequency, x_0, v_0 = broadcast(
+            **({"omega": omega} if omega is not None else {"_": 0.0}), x_0=x_0, v_0=v_0
+        )
         start = np.stack([x_0, v_0], axis=-1)
         laws = [(checked_law(each),) for each in given.flat]
     shape = frequency.shape
@@ -333,7 +340,7 @@ def inputs_of(
         n, is_forced = first.n, first.is_forced
         states = {"q_0": start[..., :n], "v_0": start[..., n : 2 * n], "z_0": start[..., 2 * n :]}
     else:
-        is_forced, states = True, {"x_0": start[..., 0], "v_0": start[..., 1]}
+        is_forced, states = first.is_forced, {"x_0": start[..., 0], "v_0": start[..., 1]}
     inputs["omega"] = np.array(models.omega.reshape(shape))[()] if is_forced else None
     return inputs | {name: np.array(each)[()] for name, each in states.items() if each.size}
 

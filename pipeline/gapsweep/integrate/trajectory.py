@@ -11,7 +11,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from gapsweep.errors import ModelError
 from gapsweep.integrate.motions import Counts, Events, Motions
-from gapsweep.model.system import System, numbers
+from gapsweep.model.arrays import numbers
+from gapsweep.model.system import System
 from gapsweep.status import Status
 from gapsweep.variables import (
     COORDINATE,

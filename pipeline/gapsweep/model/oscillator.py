@@ -6,12 +6,13 @@ The equation of motion, with `F_c` the contact force of `gapsweep.model.contact`
         = p_0/m + (p/m + (u/m + a) ω²) cos(ω t) + (1 - s) (2 ζ ω_n + c/m) a ω sin(ω t)
 
 with an unbalance u, and a base that moves by a cos(ω t). The displacement x is relative to the
-base, to which the spring, the walls and a share s of the damping are connected.
+base, to which the spring, the walls and a share s of the damping are connected. A forcing by pieces
+has a wave in place of the cosine of p.
 """
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from functools import wraps
 from inspect import signature
 from operator import index
@@ -19,6 +20,7 @@ from typing import Any, ClassVar, TypeVar, cast
 
 from gapsweep.errors import ModelError
 from gapsweep.quantities import without_units
+from gapsweep.variables import METRES, Units
 
 # Within these bounds no product or quotient of model parameters overflows, not even squared
 # frequencies times ratios; they are far beyond any machine.
@@ -33,7 +35,10 @@ C = TypeVar("C", bound=Callable[..., Any])
 
 
 _LOSSES = frozenset(("damping", "restitution", "friction"))
-NO_LOSS = "contact that loses energy (damping, restitution, friction) is not covered"
+NO_LOSS = (
+    "only gs.Piecewise(K_c, gap, damping=60.0) is a contact that loses energy; restitution and "
+    "friction are not covered"
+)
 
 
 def called_as(example: str) -> Callable[[C], C]:
@@ -136,8 +141,9 @@ class Oscillator:
         spring, such as a gear.
     mass : float
         Mass m [kg], ``> 0``.
-    forcing : float
-        Forcing amplitude p [N].
+    forcing : float, PeriodicForce, Switched or Record
+        Forcing amplitude p [N] of a cosine; or a force by pieces, kept as its `wave` and, as
+        `forcing`, its largest modulus.
     alpha : float
         Cubic stiffness α [N/m³], 0 by default; negative values soften.
     mean_load : float
@@ -153,6 +159,10 @@ class Oscillator:
     base_damping : float
         Share s of the damping that is connected to the base [-], 0 to 1; 1 by default. The rest is
         connected to the ground.
+    wave : Wave, optional
+        Values of the forcing over its amplitude during a period; None, the default: those of a
+        cosine. A force by pieces sets it, and ``dataclasses.replace(oscillator, forcing=2.0)``
+        keeps it.
 
     Examples
     --------
@@ -171,7 +181,7 @@ class Oscillator:
     coordinates: ClassVar[tuple[str, ...]] = ("x",)
     contacts: ClassVar[tuple[str, ...]] = ("x",)
     parts: ClassVar[dict[str, tuple[str, ...]]] = {}
-    is_forced: ClassVar[bool] = True
+    part_units: ClassVar[Units] = METRES
     sizes: ClassVar[tuple[int, ...]] = ()
     directions: ClassVar[tuple[tuple[float, ...], ...]] = ((1.0,),)
     is_modulated: ClassVar[tuple[bool, ...]] = (False,)
@@ -186,22 +196,35 @@ class Oscillator:
     unbalance: float = 0.0
     base_amplitude: float = 0.0
     base_damping: float = 1.0
+    wave: Any = None
 
     def __post_init__(self) -> None:
+        if (wave := getattr(self.forcing, "wave", None)) is not None:
+            force = cast(Any, self.forcing)
+            if force.along is not None:
+                raise ModelError(f"forcing = {force!r}: along is for systems; leave it out")
+            object.__setattr__(self, "wave", wave)
+            object.__setattr__(self, "forcing", force.peak)
         positive = ("zeta", "omega_n", "mass", "c", "base_damping")
-        for field in fields(self):
-            low = 0.0 if field.name in positive else -math.inf
-            value = getattr(self, field.name)
-            value = checked(field.name, value, low=low, strict=field.name == "mass")
-            object.__setattr__(self, field.name, value)
+        for name in OSCILLATOR:
+            low = 0.0 if name in positive else -math.inf
+            value = checked(name, getattr(self, name), low=low, strict=name == "mass")
+            object.__setattr__(self, name, value)
         if 0.0 < self.omega_n < SMALLEST:
             raise ModelError(f"omega_n = {self.omega_n:g}: must be 0 or >= {SMALLEST:g}")
         share("base_damping", self.base_damping)
 
     @property
     def is_classic(self) -> bool:
-        """Whether there is a spring, and all loads are in phase, as classic kernels assume."""
-        return self.omega_n > 0.0 and self.mean_load == 0.0 and not self.damper_load
+        """Whether there is a spring, and all loads are cosines in phase, as in classic kernels."""
+        is_cosine = self.wave is None and not self.damper_load
+        return self.omega_n > 0.0 and self.mean_load == 0.0 and is_cosine
+
+    @property
+    def is_forced(self) -> bool:
+        """Whether there is a forcing frequency, which a record lacks."""
+        moves = self.unbalance or self.base_amplitude
+        return bool(moves) or self.wave is None or not self.wave.in_seconds
 
     @property
     def inertial_load(self) -> float:
@@ -224,14 +247,16 @@ class Oscillator:
     def at(self, omega: float) -> "Oscillator":
         """Return the oscillator with the loads of one frequency [Hz] as its `forcing`.
 
-        Its steady motions have the same amplitudes, and the same phase if it `is_classic`.
+        Its steady motions have the same amplitudes, and the same phase if it `is_classic`. Waves
+        become cosines of the same largest force.
         """
-        if not (self.unbalance or self.base_amplitude):
+        if not (self.unbalance or self.base_amplitude or self.wave):
             return self
         rate = 2.0 * math.pi * checked("omega", omega)
         load, late = self.forcing + self.inertial_load * rate**2, self.damper_load * rate
         amplitude = math.hypot(load, late) if late else load
-        return replace(self, forcing=amplitude, unbalance=0.0, base_amplitude=0.0, base_damping=1.0)
+        none: dict[str, Any] = {"unbalance": 0.0, "base_amplitude": 0.0, "wave": None}
+        return replace(self, forcing=amplitude, base_damping=1.0, **none)
 
     def base(self, omega: float, t: Any) -> Any:
         """Return the displacement of the base [m] at a frequency [Hz] and times [s]."""

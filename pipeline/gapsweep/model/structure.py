@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from gapsweep.model.oscillator import OSCILLATOR, Oscillator
 from gapsweep.model.system import LATE, Cubic, Harmonic, Lags, Modulation, System
+from gapsweep.model.waves import ForceByPieces, Wave
 
 Array = NDArray[np.float64]
 AnyStructure: TypeAlias = "Structure | OscillatorStructure"
@@ -23,7 +24,7 @@ AnyStructure: TypeAlias = "Structure | OscillatorStructure"
 
 def structure_of(model: Oscillator | System) -> AnyStructure:
     """Return the structure of an oscillator or a system."""
-    return Structure.of(model) if isinstance(model, System) else OscillatorStructure()
+    return Structure.of(model) if isinstance(model, System) else OscillatorStructure(model.wave)
 
 
 def general_form(oscillator: Oscillator) -> System:
@@ -36,7 +37,9 @@ def general_form(oscillator: Oscillator) -> System:
         contacts={"x": [1.0]},
         cubic=[Cubic(along=[1.0], alpha=o.alpha)],
         forcing=[
-            Harmonic(amplitude=[o.forcing], k=1),
+            Harmonic(amplitude=[o.forcing], k=1)
+            if o.wave is None
+            else ForceByPieces(o.wave, o.forcing, [1.0]),
             Harmonic(amplitude=[o.mean_load], k=0),
             *(Harmonic(amplitude=[u], power=2) for u in [o.inertial_load] if u),
             *(Harmonic(amplitude=[d], power=1, phase=LATE) for d in [o.damper_load] if d),
@@ -53,15 +56,17 @@ def read_structure(fields: Mapping[str, Any]) -> AnyStructure:
     ValueError, TypeError, KeyError
         If the fields are those of no structure.
     """
-    return Structure.read(fields) if fields else OscillatorStructure()
+    return Structure.read(fields) if "n" in fields else OscillatorStructure.read(fields)
 
 
 @dataclass(frozen=True)
 class OscillatorStructure:
-    """The structure of every `Oscillator`: one coordinate, one harmonic load, one contact.
+    """The structure of every `Oscillator`: one coordinate, one periodic load, one contact.
 
     Attributes
     ----------
+    wave : Wave, optional
+        Values of the forcing over its amplitude; None: a cosine.
     in_metres : bool
         Whether coordinates are known to be lengths in metres.
     is_odd : bool
@@ -70,13 +75,22 @@ class OscillatorStructure:
     """
 
     in_metres: ClassVar[bool] = True
-    is_odd: ClassVar[bool] = True
     n: ClassVar[int] = 1
     m: ClassVar[int] = 0
     n_states: ClassVar[int] = 2
     is_forced: ClassVar[bool] = True
     contacts: ClassVar[tuple[tuple[int, ...], ...]] = ((),)
     names: ClassVar[tuple[str, ...]] = OSCILLATOR
+    wave: Wave | None = None
+
+    @classmethod
+    def read(cls, fields: Mapping[str, Any]) -> "OscillatorStructure":
+        """Return the structure with these fields, read from JSON."""
+        return cls(Wave.read(fields["wave"]) if fields.get("wave") else None)
+
+    @property
+    def is_odd(self) -> bool:
+        return self.wave is None
 
     def row(self, oscillator: Any) -> Array:
         """Return the row of an oscillator: its parameters in the order of `names`."""
@@ -84,7 +98,7 @@ class OscillatorStructure:
 
     def system(self, row: Array) -> Oscillator:
         """Return the oscillator of a row."""
-        return Oscillator(**dict(zip(OSCILLATOR, row.tolist(), strict=True)))
+        return Oscillator(**dict(zip(OSCILLATOR, row.tolist(), strict=True)), wave=self.wave)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -97,8 +111,8 @@ class Structure:
         Coordinates and first-order states.
     n_cubic : int
         Cubic springs.
-    loads : tuple of (int, int)
-        For every load the multiple of the forcing frequency, and its `Harmonic.power`.
+    loads : tuple of (int, int) or Wave
+        For every load the multiple of the forcing frequency and its `Harmonic.power`, or its wave.
     contacts : tuple of tuple of int
         For every contact the multiples of the forcing frequency in its periodic stiffness.
     in_metres, is_odd : bool
@@ -110,7 +124,7 @@ class Structure:
     n: int
     m: int
     n_cubic: int
-    loads: tuple[tuple[int, int], ...]
+    loads: tuple[tuple[int, int] | Wave, ...]
     contacts: tuple[tuple[int, ...], ...]
 
     @classmethod
@@ -119,7 +133,10 @@ class Structure:
             n=system.n,
             m=system.n_lags,
             n_cubic=len(system.cubic),
-            loads=tuple((load.k, load.power) for load in system.forcing),
+            loads=tuple(
+                load.wave if isinstance(load, ForceByPieces) else (load.k, load.power)
+                for load in system.forcing
+            ),
             contacts=tuple(
                 tuple(term.k for term in system.modulation.get(name, ()))
                 for name in system.contacts
@@ -129,7 +146,10 @@ class Structure:
     @classmethod
     def read(cls, fields: Mapping[str, Any]) -> "Structure":
         """Return the structure with these fields, read from JSON."""
-        loads = tuple((int(k), int(power)) for k, power in fields["loads"])
+        loads = tuple(
+            Wave.read(load) if isinstance(load, Mapping) else (int(load[0]), int(load[1]))
+            for load in fields["loads"]
+        )
         contacts = tuple(tuple(map(int, each)) for each in fields["contacts"])
         sizes = {name: int(fields[name]) for name in ("n", "m", "n_cubic")}
         return cls(**sizes, loads=loads, contacts=contacts)
@@ -142,7 +162,10 @@ class Structure:
     @property
     def is_forced(self) -> bool:
         """Whether a load or a contact stiffness varies with the forcing frequency."""
-        return any(k for k, _ in self.loads) or any(self.contacts)
+        periodic = (
+            not load.in_seconds if isinstance(load, Wave) else load[0] for load in self.loads
+        )
+        return any(periodic) or any(self.contacts)
 
     @cached_property
     def shapes(self) -> dict[str, tuple[int, ...]]:
@@ -201,8 +224,10 @@ class Structure:
                 for along, alpha in zip(parts["cubic"], parts["alpha"].tolist(), strict=True)
             ],
             forcing=[
-                Harmonic(amplitude=amplitude, k=k, phase=phase, power=power)
-                for (k, power), amplitude, phase in zip(
+                ForceByPieces(load, 1.0, amplitude)
+                if isinstance(load, Wave)
+                else Harmonic(amplitude=amplitude, k=load[0], phase=phase, power=load[1])
+                for load, amplitude, phase in zip(
                     self.loads, parts["load"], parts["load_phase"].tolist(), strict=True
                 )
             ],

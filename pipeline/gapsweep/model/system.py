@@ -3,8 +3,10 @@
 The equation of motion, with `F_j` the contact law of contact j::
 
     M q'' + C q' + K q + sum_i alpha_i (a_i.q)^3 a_i + sum_j s_j(t) b_j F_j(b_j.q) + D z
-        = sum_k p_k cos(2 pi k omega t + phi_k)
+        = sum_k p_k cos(2 pi k omega t + phi_k) + sum_l p_l w_l(omega t)
     z' = E q' + G q + H z
+
+with waves w_l by pieces (`gapsweep.model.waves`).
 
 Only the arrays of a system enter the results computed for it.
 """
@@ -18,50 +20,17 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gapsweep.errors import ModelError
-from gapsweep.model.oscillator import (
-    LARGEST,
-    SMALLEST,
-    called_as,
-    checked,
-    is_number,
-    share,
-    whole,
-)
-from gapsweep.quantities import without_units
-from gapsweep.variables import CONTACT, COORDINATE, LAG
+from gapsweep.model.arrays import array, numbers
+from gapsweep.model.oscillator import SMALLEST, called_as, checked, share, whole
+from gapsweep.model.waves import ForceByPieces
+from gapsweep.variables import CONTACT, COORDINATE, LAG, Units
 
 Array = NDArray[np.float64]
 
+_UNITS = ("m", "rad", "1")  # of coordinates and contacts
 MAX_COORDINATES, MAX_LAGS, MAX_CONTACTS, MAX_HARMONIC = 16, 16, 8, 1000
 _STILL = 1e-12  # of the fastest rate: slower rates count as zero
 LATE = -0.5 * math.pi  # phase of a load a quarter period after another
-
-
-def array(name: str, value: ArrayLike, shape: tuple[int, ...]) -> Array:
-    """Return `value` as a read-only array of this shape; raise a `ModelError` that names it."""
-    found = numbers(name, value)
-    if found.shape != shape:
-        raise ModelError(f"{name}: has the shape {found.shape}, must have {shape}")
-    if not np.all(np.abs(found) <= LARGEST):
-        raise ModelError(f"{name}: must be finite numbers within -{LARGEST:g}..{LARGEST:g}")
-    found.setflags(write=False)
-    return found
-
-
-def numbers(name: str, value: Any, words: str = "an array of numbers") -> Array:
-    """Return a copy of `value` as an array of floats; raise a `ModelError` that names it.
-
-    Quantities of pint become numbers in the unit of the parameter. Text and booleans, which numpy
-    would accept, are no numbers. `words` say in the message which value is allowed.
-    """
-    given = without_units(name, value)
-    is_plain = getattr(getattr(given, "dtype", None), "kind", "O") != "O"  # one kind for all
-    try:
-        if all(map(is_number, [given] if is_plain else np.asarray(given, dtype=object).flat)):
-            return np.array(given, dtype=float)
-    except (TypeError, ValueError, OverflowError):
-        pass
-    raise ModelError(f"{name} = {value!r}: must be {words}")
 
 
 def _all_of(name: str, value: Any, *kinds: type) -> tuple[Any, ...]:
@@ -117,6 +86,11 @@ class Harmonic:
     def harmonics(self, mass: Array, damping: Array) -> tuple["Harmonic", ...]:
         """Return the load itself, as the other kinds of loads return their harmonics."""
         return (self,)
+
+    @property
+    def start(self) -> float:
+        """Factor of the amplitude at phase zero of the forcing."""
+        return math.cos(self.phase)
 
     def growth(self, omega_rad: Any) -> Any:
         """Return the factor of the amplitude at an angular frequency [rad/s], or several."""
@@ -297,6 +271,9 @@ class Lags:
     of_lags: Any
 
 
+_LOADS = Harmonic, Unbalance, BaseMotion, ForceByPieces
+
+
 @called_as("gs.System(mass=M, stiffness=K, contacts={'stop': [1.0, 0.0]})")
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True, repr=False)
 class System:
@@ -311,14 +288,18 @@ class System:
     contacts : mapping of str to array_like, shape (n,)
         Direction b of every contact, by name: the contact has the displacement ``b·q``.
     cubic : sequence of Cubic
-    forcing : sequence of Harmonic, Unbalance or BaseMotion
-        Loads, kept as harmonics; a system without loads of ``k >= 1`` and without `modulation` is
-        unforced.
+    forcing : sequence of Harmonic, Unbalance, BaseMotion, PeriodicForce, Switched or Record
+        Loads, kept as harmonics and waves. A system is unforced if it has no periodic load, only
+        constant ones and records, and no `modulation`.
     modulation : mapping of str to sequence of Modulation
         Periodic stiffness of contacts, by name.
     lags : Lags, optional
     coordinates : sequence of str, optional
         Names; ``q_1``, ``q_2``, ... by default.
+    units : mapping of str to str
+        Units of coordinates and of contacts, by name: ``"m"``, the default, ``"rad"``, or ``"1"``
+        of a nondimensional model. A contact has the unit of the coordinates in its direction, or
+        metres if these differ. They name axes and columns and change no number.
 
     Raises
     ------
@@ -348,6 +329,7 @@ class System:
     modulation: Mapping[str, Sequence[Modulation]] = field(default_factory=dict)
     lags: Lags | None = None
     coordinates: Sequence[str] = ()
+    units: Mapping[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         mass = numbers("mass", self.mass)
@@ -368,9 +350,7 @@ class System:
                 raise ModelError(f"contact {name!r}: its direction must not be zero")
         self._set("contacts", directions)
         self._set("cubic", tuple(_along(each, n) for each in _all_of("cubic", self.cubic, Cubic)))
-        loads = _all_of("forcing", self.forcing, Harmonic, Unbalance, BaseMotion)
-        several = (load.harmonics(self.mass, self.damping) for load in loads)
-        self._set("forcing", tuple(_loaded(load, n) for some in several for load in some))
+        self._set("forcing", self._loads(_all_of("forcing", self.forcing, *_LOADS)))
         terms = {
             k: _all_of(f"modulation of {k!r}", each, Modulation)
             for k, each in _named("modulation", self.modulation).items()
@@ -382,6 +362,24 @@ class System:
         if self.lags is not None:
             self._set("lags", _lags(self.lags, n))
         self._set("coordinates", _names(self.coordinates, n))
+        units = _named("units", self.units)
+        for name, unit in units.items():
+            if name not in (*self.coordinates, *directions):
+                known = ", ".join((*self.coordinates, *directions))
+                raise ModelError(f"units of {name!r}: must be one of {known}")
+            if unit not in _UNITS:
+                raise ModelError(
+                    f"units of {name!r}: {unit!r} must be one of {', '.join(map(repr, _UNITS))}; "
+                    "all numbers are in SI units"
+                )
+        self._set("units", units)
+
+    def _loads(self, given: Sequence[Any]) -> tuple[Any, ...]:
+        several = (load.harmonics(self.mass, self.damping) for load in given)
+        loads = tuple(_loaded(load, self.n) for some in several for load in some)
+        if len({load.wave.in_seconds for load in loads if isinstance(load, ForceByPieces)}) > 1:
+            raise ModelError("forcing: has a gapsweep.Record and a periodic wave: give one of them")
+        return loads
 
     def _set(self, name: str, value: Any) -> None:
         object.__setattr__(self, name, value)
@@ -397,6 +395,16 @@ class System:
         lags = tuple(f"z_{i + 1}" for i in range(self.n_lags))
         found = {COORDINATE: tuple(self.coordinates), CONTACT: tuple(self.contacts), LAG: lags}
         return {name: labels for name, labels in found.items() if len(labels) > 1}
+
+    @property
+    def part_units(self) -> Units:
+        """Units of all coordinates, and of the displacements of all contacts."""
+        of_coordinates = [self.units.get(name, "m") for name in self.coordinates]
+        of_contacts = []
+        for name, direction in self.contacts.items():
+            own = {unit for unit, b in zip(of_coordinates, direction, strict=True) if b}
+            of_contacts.append(self.units.get(name, own.pop() if len(own) == 1 else "m"))
+        return {COORDINATE: of_coordinates, CONTACT: of_contacts}
 
     @property
     def n(self) -> int:
@@ -421,7 +429,7 @@ class System:
     @property
     def sizes(self) -> Hashable:
         """Sizes and load harmonics of the system; systems integrated together share them."""
-        harmonics = tuple((load.k, load.phase) for load in self.forcing)
+        harmonics = tuple((load.k, load.phase, hasattr(load, "wave")) for load in self.forcing)
         terms = tuple(map(len, self.modulation.values()))
         return self.n, self.n_lags, len(self.contacts), len(self.cubic), harmonics, terms
 
@@ -548,7 +556,9 @@ def _along(cubic: Cubic, n: int) -> Cubic:
     return Cubic(along=along, alpha=cubic.alpha)
 
 
-def _loaded(load: Harmonic, n: int) -> Harmonic:
+def _loaded(load: Harmonic | ForceByPieces, n: int) -> Harmonic | ForceByPieces:
+    if isinstance(load, ForceByPieces):
+        return load
     name = f"forcing: amplitude at power {load.power}" if load.power else "forcing: amplitude"
     amplitude = array(name, load.amplitude, (n,))
     return replace(load, amplitude=amplitude)

@@ -194,6 +194,7 @@ def typical_section(speed: float, copy: str = "darabseh", density: float = 1.225
             of_lags=np.diag(-rates),
         ),
         coordinates=("h", "alpha", "beta"),
+        units={"alpha": "rad", "beta": "rad"},
     )
 
 
@@ -318,6 +319,7 @@ def two_masses() -> System:
         contacts={"stop": [1.0, 0.0]},
         forcing=[Harmonic(amplitude=[0.0, 0.1])],
         coordinates=("x_1", "x_2"),
+        units={"x_1": "1", "x_2": "1"},
     )
 
 
@@ -386,6 +388,7 @@ def gear_pair(
         forcing=loads,
         modulation={"mesh": [Modulation(depth=depth, k=k) for k, depth in enumerate(depths, 1)]},
         coordinates=("x",),
+        units={"x": "1"},
     )
 
 
@@ -440,6 +443,7 @@ def soft_impact_oscillator(zeta: float = 0.01, load: float = 0.9 * 0.8**2 / 1.26
         contacts={"stop": [1.0]},
         forcing=[Harmonic(amplitude=[checked("load", load)])],
         coordinates=("x",),
+        units={"x": "1"},
     )
 
 

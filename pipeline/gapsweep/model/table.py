@@ -1,26 +1,23 @@
 """Contact law from measured forces at displacements, interpolated by a curve."""
 
-import re
 from dataclasses import dataclass
 from functools import cached_property
 from os import PathLike
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gapsweep.errors import ModelError
+from gapsweep.model.arrays import numbers, read_columns
 from gapsweep.model.contact import ContactLaw, checked_gap
 from gapsweep.model.oscillator import LARGEST, Gap, called_as, checked
-from gapsweep.model.system import numbers
 
 Array = NDArray[np.float64]
 
 MAX_POINTS = 10_000
 _LENGTHS = {"m": 1.0, "mm": 1e-3, "um": 1e-6}
 _FORCES = {"N": 1.0, "mN": 1e-3, "kN": 1e3}
-_DECIMAL_COMMA = r"\s*[-+]?\d+,\d+[;\s]+[-+.\d]"  # at the beginning of a line
 _NO_WALL = 1e-12  # of the other chord's slope: the ratio of two needs both
 
 
@@ -109,24 +106,8 @@ class ForceTable(ContactLaw):
         for name, unit, known in (("x", x, _LENGTHS), ("force", force, _FORCES)):
             if not isinstance(unit, str) or unit not in known:
                 raise ModelError(f"{name} = {unit!r}: must be a unit: {', '.join(known)}")
-        try:
-            lines = Path(path).read_text(encoding="utf-8-sig").splitlines()
-        except (OSError, TypeError, ValueError) as error:
-            raise ModelError(f"{path!s:.200}: cannot be read: {error}") from None
-        rows: list[tuple[float, float]] = []
-        for number, line in enumerate(lines, 1):
-            where = f"{path}: line {number}: {line:.60}: must be two numbers"
-            if re.match(_DECIMAL_COMMA, line):
-                raise ModelError(f"{where} with decimal points, as -0.4; 12.5")
-            first, *others = re.split(r"[,;\s]+", line.strip())
-            try:
-                rows.append((float(first) * _LENGTHS[x], float(others[0]) * _FORCES[force]))
-            except (ValueError, IndexError):
-                if rows and first[:1] not in ("", "#"):
-                    raise ModelError(where) from None
-        if not rows:
-            raise ModelError(f"{path}: no line of two numbers, as -0.4, 12.5")
-        places, forces = np.reshape(rows, (-1, 2)).T
+        _, rows = read_columns(path)
+        places, forces = (rows * (_LENGTHS[x], _FORCES[force])).T
         return cls(places, forces, gap, noise)
 
     def __repr__(self) -> str:
@@ -174,7 +155,7 @@ class ForceTable(ContactLaw):
         rises = np.sign(np.diff(self.F))
         return tuple(self._places[1:-1][rises[1:] != rises[:-1]].tolist())
 
-    def force(self, x: ArrayLike) -> Array:
+    def force(self, x: ArrayLike, v: ArrayLike = 0.0) -> Array:
         d, c_3, c_2, c_1, c_0 = self._piece(x)
         return np.asarray(((c_3 * d + c_2) * d + c_1) * d + c_0)
 

@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gapsweep.errors import ModelError, described
+from gapsweep.model.arrays import numbers
 from gapsweep.model.contact import ContactLaw
 from gapsweep.model.oscillator import NO_LOSS, called_as, checked
-from gapsweep.model.system import numbers
 from gapsweep.quantities import without_units
 from gapsweep.user_code.load import blame, plain
 
@@ -141,7 +141,7 @@ class UserLaw(ContactLaw):
     def __str__(self) -> str:
         return self.name
 
-    def force(self, x: ArrayLike) -> Array:
+    def force(self, x: ArrayLike, v: ArrayLike = 0.0) -> Array:
         x = numbers("x", x)
         return np.reshape([self._as_compiled(float(v)) for v in x.ravel()], x.shape)
 

@@ -71,6 +71,8 @@ def _one(name: str, scene: xr.Dataset, own: Mapping[str, float]) -> float:
 def _contacts(scene: xr.Dataset) -> Iterator[tuple[float, dict[str, float]]]:
     """Contacts on the drawn coordinate: each with the coordinate's factor, and separate settings.
 
+    Gaps are in drawn units.
+
     The factors hold at the values in ``[parameters]``; files have no others.
     """
     if _SYSTEM not in scene.attrs:
@@ -83,11 +85,12 @@ def _contacts(scene: xr.Dataset) -> Iterator[tuple[float, dict[str, float]]]:
     if len(shown) > 1:
         return
     number = names.index(*shown)
+    scale = 1e3 if system["units"].get(names[number], "m") == "m" else 1.0
     for name, direction in system["contacts"].items():
         factor, table = float(direction[number]), own.get(name, {})
         if not factor or np.count_nonzero(direction) > 1:
             continue  # not a contact on this coordinate only
-        gap = dict(zip(_WALLS, table.get("gap") or (), strict=False))
+        gap = {wall: scale * j for wall, j in zip(_WALLS, table.get("gap") or (), strict=False)}
         ratio = table.get("K_ratio")
         yield factor, gap | ({} if ratio is None else {"K_ratio": ratio})
 

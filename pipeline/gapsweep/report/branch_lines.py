@@ -218,6 +218,8 @@ def orbits(
             yield marks.line(x=part[:, 0], y=part[:, 1], colour=own, **about, **style)
     for entry, own in {entry: own for own, entry in look if entry}.items():
         yield marks.key(entry=entry, kind=marks.LINE, colour=own, **style)
+    if shade and (branches["stable"] == 1).any():
+        yield marks.key(entry=f"{BRANCH} stable", kind=marks.LINE, colour=shade, **style)
     if (branches["stable"] == 0).any():
         name = f"{BRANCH} unstable" if shade else "unstable"
         yield marks.key(entry=name, kind=marks.LINE, colour=shade or GREY, dashes="--", **style)

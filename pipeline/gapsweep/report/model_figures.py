@@ -15,9 +15,9 @@ from gapsweep.continuation.follow import branches as continued
 from gapsweep.errors import ModelError
 from gapsweep.integrate.problem import TIME_LIMIT, Model, Models, Solver, within
 from gapsweep.integrate.simulate import AnyLaw
+from gapsweep.model.arrays import numbers
 from gapsweep.model.doubts import doubts, warn_of
 from gapsweep.model.oscillator import Oscillator, called_as, checked
-from gapsweep.model.system import numbers
 from gapsweep.report import branch_lines, maps, marks
 from gapsweep.report.motion import Picture, walls
 from gapsweep.report.scales import axis_label, drawn
@@ -57,7 +57,8 @@ def frequency_response(
 
     A sweep starts from rest, and each of its points where the one before ended. Hollow symbols are
     responses that are not periodic. Lines are periodic orbits, dashed where unstable, with their
-    special points. The dashed horizontal line is the upper wall; the area above it, contact.
+    special points. The dashed horizontal line is the upper wall; the area above it, contact with
+    it: a response below may still touch a nearer lower wall.
 
     Parameters
     ----------
@@ -79,7 +80,7 @@ def frequency_response(
     Returns
     -------
     matplotlib.figure.Figure
-        ``.savefig("response.png", dpi=200)`` stores it; a notebook shows it.
+        ``.savefig("response.png")`` stores it; a notebook shows it.
 
     Raises
     ------
@@ -175,7 +176,7 @@ def _dots(axes: Axes, x: Array, y: Array, found: Responses, name: str) -> None:
 def _upper_walls(axes: Axes, model: Model, laws: Sequence[Any], along: Array) -> None:
     """Draw the walls above zero within the axis, and the area of contact above the lowest."""
     low, high = axes.get_ylim()
-    unit = 1e3 if isinstance(model, Oscillator) else 1.0
+    unit = 1e3 if model.part_units[COORDINATE][int(along.argmax())] == "m" else 1.0
     heights = [unit * wall for wall in walls(model, laws, along)]
     heights = [height for height in heights if 0.0 <= height < high]
     if heights:
@@ -296,7 +297,7 @@ def _part(
     variable, values = RESPONSE[name], found.columns[name]
     if isinstance(model, Oscillator):
         return xr.DataArray(values.reshape(shape), {}, dims, name, variable.attributes)
-    coordinates = {}
+    coordinates, units = {}, dict[str, Sequence[str]](model.part_units)
     for dim in variable.dims:
         labels = [*(model.coordinates if dim == COORDINATE else model.contacts)]
         label = labels[0] if part is None else part
@@ -304,7 +305,8 @@ def _part(
             raise ModelError(f"part = {part!r}: must be one of {', '.join(labels)}")
         values = values[:, labels.index(label)] if dim in model.parts else values
         coordinates[dim] = label
-    attributes = variable.of_systems.attributes
+        units[dim] = [units[dim][labels.index(label)]]
+    attributes = variable.in_units(units).attributes
     return xr.DataArray(values.reshape(shape), coordinates, dims, name, attributes)
 
 

@@ -17,10 +17,11 @@ from gapsweep.integrate.problem import Model
 from gapsweep.integrate.simulate import simulate
 from gapsweep.integrate.trajectory import SystemTrajectory, Trajectory
 from gapsweep.model.contact import ContactLaw
+from gapsweep.quantities import written
 from gapsweep.report import marks
 from gapsweep.report.style import MATPLOTLIB, NOT_PERIODIC, WALL
 from gapsweep.response.result import Response
-from gapsweep.variables import objects
+from gapsweep.variables import CONTACT, COORDINATE, objects
 
 _PER_PERIOD = 512  # samples per period: resolves harmonics up to the 256th
 _MOST_PERIODS = 256
@@ -35,11 +36,17 @@ _SECTIONS = {True: "Stroboscopic section", False: "Section at maxima of the firs
 
 
 class Picture(Figure):
-    """A figure that a notebook shows without pyplot, which would show it twice."""
+    """A figure that a notebook shows without pyplot, which would show it twice.
+
+    ``savefig`` stores a picture with 200 dots per inch, for a slide.
+    """
+
+    def __init__(self, figsize: tuple[float, float]) -> None:
+        super().__init__(figsize, dpi=200)
 
     def _repr_png_(self) -> bytes:
         file = BytesIO()
-        self.savefig(file, format="png")
+        self.savefig(file, format="png", dpi=100)
         return file.getvalue()
 
 
@@ -172,8 +179,11 @@ def _quantity(run: Trajectory, coordinate: str | None) -> tuple[Array, str, floa
     if name not in known:
         names = f"coordinates {', '.join(own)}, contacts {', '.join(run.system.contacts) or 'none'}"
         raise ModelError(f"coordinate = {coordinate!r}: must be one of {names}")
-    # Only the user knows whether it is a length or an angle.
-    return np.asarray(known[name]), name, 1.0, f" [unit of {name}]"
+    parts = run.system.part_units
+    units = dict(zip(run.system.contacts, parts[CONTACT], strict=True))
+    units |= dict(zip(own, parts[COORDINATE], strict=True))
+    scale, unit = (_MM, "mm") if units[name] == "m" else (1.0, written(units[name]))
+    return np.asarray(known[name]), name, scale, f" [{unit}]" if unit else ""
 
 
 def walls(model: Model, laws: Sequence[ContactLaw], along: Array) -> list[float]:
@@ -193,7 +203,7 @@ def _both(factor: float, law: ContactLaw) -> list[float]:
 
 
 def _is_forced(run: Trajectory) -> bool:
-    return not isinstance(run, SystemTrajectory) or run.system.is_forced
+    return run.inputs["omega"] is not None
 
 
 def _section(run: Trajectory, start: float, along: Array) -> tuple[Array, Array]:

@@ -8,7 +8,7 @@ import xarray as xr
 
 from gapsweep.errors import DatasetError
 from gapsweep.report.scales import shown_unit
-from gapsweep.variables import to_dataframe
+from gapsweep.variables import PARTS, to_dataframe
 
 # Columns of a CSV file next to the dimensions by default, of those that the responses have.
 OF_CSV = (
@@ -60,7 +60,7 @@ def rows(
         frame = frame[list(dict.fromkeys([*dims, *chosen(columns, frame.columns)]))]
     if not in_metres:
         for name in frame.select_dtypes("floating").columns:
-            frame[name] *= shown_unit(responses[base(name)])[0]
+            frame[name] *= shown_unit(_column(responses, name))[0]
     if digits is not None:
         floats = frame.select_dtypes("floating").columns.difference(responses["status"].dims)
         frame[floats] = frame[floats].map(lambda value: float(f"{value:.{digits}g}"))
@@ -89,8 +89,15 @@ def chosen(wanted: Sequence[str], known: Sequence[str]) -> list[str]:
 
 def unit_of(responses: xr.Dataset, name: str, form: str = " {}") -> str:
     """Return the unit in which tables show a column, in a text; empty if it has none."""
-    unit = shown_unit(responses[base(name)])[1]
+    unit = shown_unit(_column(responses, name))[1]
     return form.format(unit) if unit else ""
+
+
+def _column(responses: xr.Dataset, name: str) -> xr.DataArray:
+    """The variable of a column, of its coordinate or contact."""
+    variable, part = responses[base(name)], name.partition("[")[2].removesuffix("]")
+    own = {dim: part for dim in PARTS if dim in variable.dims and part}
+    return variable.sel(own)
 
 
 def base(name: str) -> str:

@@ -14,6 +14,7 @@ from gapsweep.quantities import written
 from gapsweep.study.axis_selection import is_numeric
 from gapsweep.study.grid import CONTACT, COORDINATE
 from gapsweep.study.schema import PARAMETER, VARIABLES, parts_of
+from gapsweep.variables import INPUTS, unit_in
 
 _WIDE = 30.0  # smallest ratio of largest to smallest value for a logarithmic axis
 _APART = 1.05  # smallest ratio of neighbouring values in a geometric series
@@ -31,27 +32,15 @@ def long_name(variable: xr.DataArray) -> str:
     return str(variable.attrs.get("long_name", variable.name)).removeprefix(f"{PARAMETER} ")
 
 
-# Characters of a label with such a unit in one line: a panel is as low as 4 cm.
-_LONGEST = 24
-
-
 def axis_label(variable: xr.DataArray, words: str = "") -> str:
     """Label of an axis: `words` or else the variable's long name, and its drawn unit.
 
-    The name of a selected coordinate or contact of a system comes first. Only the user knows
-    whether it is a length or an angle: its unit is "unit of" that name, or "unit of displacement"
-    if none is selected; that of a force is "unit of force".
+    The name of a selected coordinate or contact of a system comes first.
     """
-    words, unit, own = words or long_name(variable), shown_unit(variable)[1], "displacement"
+    words, unit = words or long_name(variable), shown_unit(variable)[1]
     for part in (COORDINATE, CONTACT):
         if part in variable.coords and parts_of(str(variable.name), [part]):
-            own = str(variable[part].item())
-            words = f"{own}: {words}"
-    if "units" not in variable.attrs and variable.name in VARIABLES:
-        known = {"m": f"unit of {own}", "m s-1": f"unit of {own}/s", "N": "unit of force"}
-        unit = known.get(VARIABLES[str(variable.name)].units, "")
-        if len(words) + len(unit) > _LONGEST:
-            return f"{words}\n[{unit}]"
+            words = f"{variable[part].item()}: {words}"
     return f"{words} [{unit}]" if unit else words
 
 
@@ -126,6 +115,16 @@ def _is_geometric(values: NDArray[np.float64]) -> bool:
 
 def shown_unit(variable: xr.DataArray) -> tuple[float, str]:
     """Factor from stored to drawn values (1000 for lengths in metres), and the drawn unit."""
-    units = str(variable.attrs.get("units", "1"))
+    units = str(variable.attrs.get("units") or _of_part(variable))
     is_length = units in _IN_MILLIMETRES
     return (1e3, _IN_MILLIMETRES[units]) if is_length else (1.0, written(units))
+
+
+def _of_part(variable: xr.DataArray) -> str:
+    """The unit of a variable of the selected coordinate or contact; 1 if that is not known."""
+    described, name = {**VARIABLES, **INPUTS}, str(variable.name)
+    for part in (CONTACT, COORDINATE):
+        own = variable.coords.get(f"{part}_unit")
+        if own is not None and own.ndim == 0 and parts_of(name, [part]):
+            return unit_in(described[name].units, str(own.item())) or "1"
+    return "1"

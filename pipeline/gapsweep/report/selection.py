@@ -83,12 +83,13 @@ def other_parameters(scene: xr.Dataset) -> list[str]:
 
 
 def gap_label(scene: xr.Dataset) -> str:
-    """Text of the wall distances of a parameter set [mm], from its gap or from j_1 and j_2."""
+    """Text of the wall distances of a parameter set, in mm if they are lengths."""
     if "gap" in scene.coords:
         return shortened(str(scene["gap"].item()))
     if "j_1" not in scene.coords:  # of a system in which every contact has its own
         return ""
-    return shortened(Gap(float(scene["j_1"]), float(scene["j_2"])).label)
+    scale = 1.0 if scene["j_1"].attrs.get("units", "m") == "m" else 1e-3
+    return shortened(Gap(scale * float(scene["j_1"]), scale * float(scene["j_2"])).label)
 
 
 def anchor_of(at: Mapping[str, int]) -> str:

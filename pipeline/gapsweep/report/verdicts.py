@@ -127,11 +127,11 @@ class Judged:
 class Contact:
     """A case: stiffness [N/m] and gap [mm], and the verdict on every law.
 
-    Those of a system are in its units (`in_metres` is False); they are NaN and empty if each of its
-    contacts has its own. `floors` are the errors of the exact law with other settings,
-    `floor_cost_ratio` its cost ratio, `n_chaotic` its chaotic sweep points, `swept` the values of
-    other swept parameters, `at` the
-    position in the files, and `unjudged` the reason if no law can be judged.
+    Those of a contact that is no length are in its unit (`in_metres` is False); they are NaN and
+    empty if each contact of a system has its own. `floors` are the errors of the exact law with
+    other settings, `floor_cost_ratio` its cost ratio, `n_chaotic` its chaotic sweep points, `swept`
+    the values of other swept parameters, `at` the position in the files, and `unjudged` the reason
+    if no law can be judged.
     """
 
     K_c: float
@@ -282,7 +282,7 @@ def contacts(agreement: xr.Dataset, static: xr.Dataset | None = None) -> list[Co
         known = _threshold(static, here), swept, _floor_cost_ratio(where, exact), at, unjudged
         n_chaotic = int(reference["n_chaotic"])
         K_c, *walls = (float(here[n]) if n in here else np.nan for n in ("K_c", "j_1", "j_2"))
-        in_metres = "system_json" not in agreement.attrs
+        in_metres = "j_1" in here and here["j_1"].attrs.get("units") == "m"
         contact = Contact(K_c, gap, floors, judged, *known, n_chaotic, in_metres)
         found.append((K_c, float(np.round(sum(walls), 12)), walls[0], contact))
     return [contact for *_, contact in sorted(found, key=lambda one: one[:-1])]

@@ -27,6 +27,7 @@ from gapsweep.model.contact import ContactLaw
 from gapsweep.model.oscillator import Oscillator
 from gapsweep.model.structure import structure_of
 from gapsweep.model.user_law import UserLaw
+from gapsweep.model.waves import check_periodic
 from gapsweep.response.scene import TANGENT_RTOL, Forces, located
 from gapsweep.response.window_call import Call, arrived
 from gapsweep.status import Status
@@ -87,6 +88,8 @@ class Ensemble:
     def __init__(self, models: Models, solver: Solver) -> None:
         self.models, self.solver, self.atol = models, solver, models.absolute(solver)
         n, n_contacts, system = len(models), len(models.laws[0]), models.systems[0]
+        for each in models.systems:
+            check_periodic(each)
         self.structure = structure_of(system)
         self.n_coordinates = system.n
         self.first_gap = 0 if isinstance(system, Oscillator) else system.n

@@ -399,6 +399,12 @@ class Response:
         made = dataset(self.inputs, shape, RESPONSE | _MESSAGE, arrays)
         return made.assign_attrs(touched_a_wall=f"{self._n_touching} of {n} responses")
 
+    def __getattr__(self, name: str) -> Any:
+        remedy = "; use gs.plot(response)" if name == "plot" else ""
+        if name == "to_csv":
+            remedy = "; use response.to_dataframe().to_csv(...)"
+        raise AttributeError(f"'Response' object has no attribute {name!r}{remedy}")
+
     @property
     def _n_touching(self) -> int:
         """Number of steady responses with time in contact."""

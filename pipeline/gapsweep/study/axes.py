@@ -55,21 +55,6 @@ class TomlTable(BaseModel):
     model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False, frozen=True)
 
 
-class OscillatorTable(TomlTable):
-    """Parameters of the oscillator, in the units of `Oscillator`; each may be swept."""
-
-    zeta: NonNegative
-    omega_n: NonNegative
-    mass: Positive
-    alpha: Number = 0.0
-    forcing: Number
-    mean_load: Number = 0.0
-    c: NonNegative = 0.0
-    unbalance: Number = 0.0
-    base_amplitude: Number = 0.0
-    base_damping: Annotated[float, Field(ge=0, le=1)] = 1.0
-
-
 def _parsed(label: str) -> Representation:
     try:
         return Representation.parsed(label)

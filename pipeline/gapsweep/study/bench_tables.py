@@ -8,12 +8,12 @@ from gapsweep.integrate.problem import LARGEST_RTOL, SMALLEST_RTOL
 from gapsweep.study.axes import (
     Label,
     NonNegative,
-    OscillatorTable,
     Pair,
     Positive,
     Range,
     TomlTable,
 )
+from gapsweep.study.oscillator_table import OscillatorTable, WaveTable
 
 # Longest motion that is compared with its reference, in forcing periods.
 MAX_BENCH_PERIODS = 100_000
@@ -60,6 +60,8 @@ class BenchSceneTable(TomlTable):
     def contradictions(self, oscillator: OscillatorTable) -> list[str]:
         """Problems that exclude the expected solution, for the oscillator of the study."""
         own, touching = self.merged(oscillator), self.gap == [0.0, 0.0]
+        if isinstance(own.forcing, WaveTable):
+            return ["forcing: must be the amplitude of a cosine, as 4.0"]
         needs = {
             "energy": ("zeta = 0 and forcing = 0", own.zeta == 0.0 and own.forcing == 0.0),
             "linear": (

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, ClassVar
 
@@ -16,6 +16,7 @@ from gapsweep.study.points import FIXED, SWEEPS, canonical
 from gapsweep.variables import CONTACT as CONTACT
 from gapsweep.variables import COORDINATE as COORDINATE
 from gapsweep.variables import LAG as LAG
+from gapsweep.variables import METRES, Units, part_units
 from gapsweep.variables import START as START
 
 Axes = Mapping[str, Sequence[Any]]
@@ -108,12 +109,15 @@ class Grid:
         Structure of the models of all points.
     parts : mapping of str to tuple of str
         Dimensions within a point, those with several entries: names of coordinates, contacts, lags.
+    units : mapping of str to sequence of str
+        Units of all coordinates and contacts.
     """
 
     axes: Axes
     requested: NDArray[np.bool_]
     structure: AnyStructure
     parts: Mapping[str, tuple[str, ...]]
+    units: Units = field(default_factory=lambda: METRES)
 
     @property
     def dims(self) -> tuple[str, ...]:
@@ -159,8 +163,13 @@ class Grid:
         return axis.number.tolist() if isinstance(axis, Starts) else axis
 
     def label(self, gap: Gap) -> str:
-        """Return wall distances as text: in mm, or for a system in the unit of the study."""
-        return gap.label if self.structure.in_metres else f"{gap.j_1:.12g}/{gap.j_2:.12g}"
+        """Return wall distances as text: in mm, or in the unit of contacts that is no length."""
+        return gap.label if self.in_metres else f"{gap.j_1:.12g}/{gap.j_2:.12g}"
+
+    @property
+    def in_metres(self) -> bool:
+        """Whether the displacements of all contacts are lengths."""
+        return {*self.units[CONTACT]} <= {"m"}
 
     def coordinates(self) -> dict[str, NDArray[Any]]:
         """Return the values of all coordinates of the dataset; states of sweeps are NaN."""
@@ -175,6 +184,7 @@ class Grid:
             if size:
                 found[name] = states[:, first] if size == 1 else states[:, first : first + size]
         found |= {name: np.array(names) for name, names in self.parts.items()}
+        found |= {name: np.array(some) for name, some in part_units(self.units).items()}
         return found | {"start": np.array(Starts.KINDS)[starts.kind]}
 
     def cut(self, selection: Selection) -> "Grid":
@@ -183,7 +193,9 @@ class Grid:
             name: axis.take(some) if isinstance(axis, Starts) else tuple(axis[i] for i in some)
             for (name, axis), some in zip(self.axes.items(), selection, strict=True)
         }
-        return Grid(axes, self.requested[np.ix_(*selection)], self.structure, self.parts)
+        return Grid(
+            axes, self.requested[np.ix_(*selection)], self.structure, self.parts, self.units
+        )
 
     @property
     def n_omega(self) -> int:

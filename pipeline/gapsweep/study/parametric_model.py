@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gapsweep.errors import ModelError, StudyError
-from gapsweep.model.labels import Representation
+from gapsweep.model.contact import OF_WALLS
+from gapsweep.model.labels import EXACT, Representation
 from gapsweep.model.oscillator import Oscillator
 from gapsweep.model.structure import AnyStructure, structure_of
 from gapsweep.model.system import System
@@ -100,7 +101,7 @@ class ParametricModel:
 
     def _oscillator(self, values: Mapping[str, float]) -> Oscillator:
         try:
-            return Oscillator(**values)
+            return Oscillator(**values, wave=self.spec.oscillator and self.spec.oscillator.wave)
         except ModelError as error:
             raise StudyError(f"{self.source}: oscillator: {error}") from None
 
@@ -270,20 +271,32 @@ class ParametricModel:
             words = f"missing; write {EXAMPLES['omega']}"
             surplus = "the system is not forced; leave omega out, or add forcing to [system]"
             found.append(f"omega: {surplus if block.omega else words}")
-        if not self.default.is_forced and any(one.is_auto for one in block.representation):
-            found.append("representation: 'auto' needs a forcing; write 'piecewise'")
+        is_bounded = self.default.is_forced and bool(self.contacts)
+        if not is_bounded and any(one.is_auto for one in block.representation):
+            found.append("representation: 'auto' needs a forcing and a contact; write 'piecewise'")
         starts = [] if block.initial_condition is None else forms(block.initial_condition)
         if not self.default.is_forced and any(form in SWEEPS for form in starts):
             found.append("initial_condition: sweeps need omega, and this system is not forced")
-        axes = {"representation": block.representation, "K_ratio": block.K_ratio}
+        axes: dict[str, Any] = {"representation": block.representation}
+        axes |= {name: getattr(block, name) for name in OF_WALLS}
         for name, axis in axes.items():
             takes = [c for c in self.contacts if self._own(c, name) is None]
             if axis is not None and count(axis) > 1 and not takes:
                 found.append(f"{name}: unused, [contact] sets it for all contacts; keep one value")
+        found += self._problems_of_damping(block)
         if self.is_oscillator:
             swept = block.parameter.items()
             found += [x for each in swept for x in _out_of_range(self.spec.model, *each)]
         return found
+
+    def _problems_of_damping(self, block: SweepTable) -> Iterator[str]:
+        """Yield a problem for every representation that cannot have the damping of a contact."""
+        swept = 0.0 if block.damping is None else max(values(block.damping))
+        for contact in self.contacts:
+            damping, own = self._own(contact, "damping"), self._own(contact, "representation")
+            for one in block.representation if own is None else [own]:
+                if (swept if damping is None else damping) > 0.0 and one.law != EXACT:
+                    yield f"damping: {one} has none; write damping in a [[sweep]] of 'piecewise'"
 
     def _own(self, contact: str, name: str) -> Any:
         table = self.spec.contact.get(contact)
@@ -291,8 +304,8 @@ class ParametricModel:
 
     def _walls(self, axes: Axes, places: Places, n: int) -> Array:
         """Return the columns of every contact: stiffness, distances and ratio of its walls."""
-        swept: dict[str, Any] = {"K_ratio": 1.0, "K_c": 0.0, "j_1": 0.0, "j_2": 0.0}
-        for name in ("K_c", "j_1", "j_2", "K_ratio"):
+        swept: dict[str, Any] = {"K_c": 0.0, "j_1": 0.0, "j_2": 0.0, **OF_WALLS}
+        for name in OF_CONTACT:
             if name in axes:
                 swept[name] = np.asarray(axes[name])[places[name]]
         if "gap" in axes:
@@ -300,7 +313,7 @@ class ParametricModel:
             swept["j_1"], swept["j_2"] = gaps.T
         columns = []
         for contact in self.contacts:
-            own = {name: self._own(contact, name) for name in ("K_c", "K_ratio")}
+            own = {name: self._own(contact, name) for name in ("K_c", *OF_WALLS)}
             own["j_1"], own["j_2"] = self._own(contact, "gap") or (None, None)
             columns += [swept[n] if own[n] is None else canonical(own[n]) for n in OF_CONTACT]
         table = [np.broadcast_to(np.asarray(column, float), n) for column in columns]

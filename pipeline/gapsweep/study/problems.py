@@ -70,7 +70,8 @@ _SHAPES = ("list_type", "dict_type", "model_type", "too_short", "too_long")
 # For alternatives, by the one that the discriminator assumes if none is given.
 _EITHER = {"step": "give step or num", "sobol": "give sobol or grid"}
 # Tags of unions, which are no keys of a file.
-_TAGS = {"list", "step", "num", "sobol", "grid", "sweep", "several"}
+_OF_FORCING = {"number", "wave"}
+_TAGS = {"list", "step", "num", "sobol", "grid", "sweep", "several", *_OF_FORCING}
 # The field with the model's parameters in a block, and its alias in locations.
 _PARAMETERS, _APART = "parameter", "[parameters]"
 
@@ -198,7 +199,7 @@ def _path(loc: Loc) -> str:
     """``("sweep", 0, "omega", "step", "step")`` as ``sweep[0].omega.step``."""
     text, was_tag = "", False
     for i, part in enumerate(part for part in loc if part != _APART):
-        was_tag = part in _TAGS and not was_tag and i > 2
+        was_tag = part in _TAGS and not was_tag and i > (1 if part in _OF_FORCING else 2)
         if not was_tag:
             text += f"[{part}]" if isinstance(part, int) else f".{part}"
     return text.lstrip(".")

@@ -9,7 +9,19 @@ from gapsweep.model.structure import AnyStructure
 from gapsweep.quantities import UNITS
 from gapsweep.response.result import RESPONSE, exists, part_sizes
 from gapsweep.study.grid import START
-from gapsweep.variables import EXTREMUM, INPUTS, MULTIPLIER, PARTS, SECTION_POINT, Variable
+from gapsweep.variables import (
+    CONTACT,
+    COORDINATE,
+    EXTREMUM,
+    INPUTS,
+    MULTIPLIER,
+    PART_UNITS,
+    PARTS,
+    SECTION_POINT,
+    Units,
+    Variable,
+    part_units,
+)
 
 # Dimensions of a study without further swept numbers, which have dimensions after omega.
 POINT_DIMS = ("representation", "K_c", "gap", "omega", "initial_condition")
@@ -44,6 +56,7 @@ COORDINATES: dict[str, tuple[str, Variable]] = {
         "K_ratio",
         Variable("f8", UNITS["K_ratio"], "stiffness ratio, lower wall over upper wall"),
     ),
+    "damping": ("damping", Variable("f8", UNITS["damping"], "damping of both walls")),
     "initial_condition": (START, INPUTS[START]),
     "x_0": (START, INPUTS["x_0"]),
     "v_0": (START, INPUTS["v_0"]),
@@ -54,13 +67,14 @@ COORDINATES: dict[str, tuple[str, Variable]] = {
 
 # Numbers of an oscillator whose names parameters of a system may have, too.
 SHARED = ("mean_load", "c", "unbalance", "base_amplitude", "base_damping")
+_OF_CONTACTS = ("K_c", "gap", "j_1", "j_2")
 PARAMETER = "parameter"  # beginning of the long name of a system parameter's coordinate
 
 
 Found = dict[str, tuple[tuple[str, ...], Variable]]
 
 
-def coordinates(dims: Collection[str], structure: AnyStructure) -> Found:
+def coordinates(dims: Collection[str], structure: AnyStructure, units: Units) -> Found:
     """Return dimensions and description of every coordinate of a dataset with these dimensions.
 
     Parameters
@@ -68,6 +82,8 @@ def coordinates(dims: Collection[str], structure: AnyStructure) -> Found:
     dims : collection of str
     structure : Structure or OscillatorStructure
         Structure of the models; it adds the dimensions within a point.
+    units : mapping of str to sequence of str
+        Units of their coordinates and contacts.
     """
     parts = part_sizes(structure)
     own = () if structure.in_metres else SHARED  # parameters of a user's system, of any meaning
@@ -82,16 +98,15 @@ def coordinates(dims: Collection[str], structure: AnyStructure) -> Found:
         if name not in known
     }
     found: Found = {
-        name: ((dim, *parts_of(name, parts)), described(variable, structure))
+        name: (
+            (dim, *parts_of(name, parts)),
+            variable.in_units(units, CONTACT if name in _OF_CONTACTS else COORDINATE),
+        )
         for name, (dim, variable) in (known | parameters).items()
         if dim in dims and exists(name, structure)
     }
-    return found | {name: ((name,), PARTS[name]) for name in parts}
-
-
-def described(variable: Variable, structure: AnyStructure) -> Variable:
-    """Return a variable, for systems without its unit if that depends on the coordinates."""
-    return variable if structure.in_metres else variable.of_systems
+    found |= {name: ((name,), PARTS[name]) for name in parts}
+    return found | {name: (PART_UNITS[name].dims, PART_UNITS[name]) for name in part_units(units)}
 
 
 def parts_of(name: str, parts: Collection[str]) -> tuple[str, ...]:
@@ -141,6 +156,7 @@ TAKEN = {
     *VARIABLES,
     *ATTRACTOR_VARIABLES,
     *PARTS,
+    *PART_UNITS,
     *(EXTREMUM, SECTION_POINT, ATTRACTOR, MULTIPLIER, "n_attractors"),
     # of branches.nc and curves.nc
     *("branch", "step", "state", "match", "stable", "special", "n_orbits", "n_lost"),

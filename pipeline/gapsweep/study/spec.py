@@ -23,7 +23,7 @@ from pydantic import (
 
 from gapsweep.errors import StudyError
 from gapsweep.integrate.problem import LARGEST_RTOL, SMALLEST_RTOL
-from gapsweep.model.contact import FIT_RANGE
+from gapsweep.model.contact import FIT_RANGE, OF_WALLS
 from gapsweep.model.labels import NOT_LOCATED, Representation
 from gapsweep.response.result import Steady
 from gapsweep.study.axes import (
@@ -33,7 +33,6 @@ from gapsweep.study.axes import (
     NonNegative,
     NonNegativeAxis,
     Number,
-    OscillatorTable,
     Pair,
     Pairs,
     Positive,
@@ -48,6 +47,7 @@ from gapsweep.study.axes import (
 from gapsweep.study.bench_tables import BenchTable
 from gapsweep.study.grid import START, Axes
 from gapsweep.study.least_model import DEFAULT_ERROR, LARGEST_ERROR, SMALLEST_ERROR
+from gapsweep.study.oscillator_table import OscillatorTable, with_points
 from gapsweep.study.problems import EXAMPLES, problems
 from gapsweep.study.schema import TAKEN
 from gapsweep.study.system_tables import ContactTable, SystemTable, wrong_matrices
@@ -79,6 +79,7 @@ class SweepTable(TomlTable):
     j_2: NonNegativeAxis | None = None
     omega: PositiveAxis | None = None
     K_ratio: NonNegativeAxis | None = None
+    damping: NonNegativeAxis | None = None
     parameter: dict[str, AnyAxis] = Field({}, alias="[parameters]")
     initial_condition: Starts | None = None  # None: at rest
 
@@ -91,9 +92,8 @@ class SweepTable(TomlTable):
 
     @property
     def parameters(self) -> dict[str, Any]:
-        """Axes of model parameters, and of the walls' stiffness ratio, that this block sweeps."""
-        ratio = {} if self.K_ratio is None else {"K_ratio": self.K_ratio}
-        return {**self.parameter, **ratio}
+        """Axes of model parameters, and of those of both walls, that this block sweeps."""
+        return {**self.parameter, **_of_walls(self)}
 
     @property
     def count(self) -> int:
@@ -104,6 +104,12 @@ class SweepTable(TomlTable):
         starts = self.initial_condition
         n_all_starts = 1 if starts is None else n_starts(starts)
         return math.prod((*sizes, len(self.representation), n_gaps, n_all_starts))
+
+
+def _of_walls(table: TomlTable) -> dict[str, Any]:
+    """Parameters of both walls that a table sets."""
+    found = {name: getattr(table, name) for name in OF_WALLS}
+    return {name: value for name, value in found.items() if value is not None}
 
 
 class SolverTable(TomlTable):
@@ -155,6 +161,7 @@ class HistoryTable(TomlTable):
     K_c: NonNegative
     gap: Pair
     K_ratio: NonNegative | None = None
+    damping: NonNegative | None = None
     parameter: dict[str, Number] = Field({}, alias="[parameters]")
     omega: Positive
     t_end: Positive
@@ -172,13 +179,12 @@ class HistoryTable(TomlTable):
 
     @property
     def parameters(self) -> dict[str, float]:
-        """Parameters, and the stiffness ratio of the walls, that this history sets."""
-        ratio = {} if self.K_ratio is None else {"K_ratio": self.K_ratio}
-        return {**self.parameter, **ratio}
+        """Parameters of the model and of both walls that this history sets."""
+        return {**self.parameter, **_of_walls(self)}
 
     def undecided(self, where: str, known: Mapping[str, float], axes: Axes) -> Iterator[str]:
         """Yield a problem for every parameter that the study sweeps and this history lacks."""
-        for name in (*known, "K_ratio"):
+        for name in (*known, *OF_WALLS):
             axis = axes.get(name, ())
             if len(axis) > 1 and name not in self.parameters:
                 remedy = f"choose one value, as {name} = {axis[0]:g}"
@@ -238,14 +244,15 @@ class BranchesTable(TomlTable):
                 yield "branches: give both or neither, as second = 'K_c' and range = [1.0, 2.0]"
             return
         others = {"representation", START, along, *(["gap"] if along in WALLS else [])}
-        allowed = [x for x in dict.fromkeys([*axes, *known, "K_ratio", *WALLS]) if x not in others]
+        every = dict.fromkeys([*axes, *known, *OF_WALLS, *WALLS])
+        allowed = [x for x in every if x not in others]
         if name not in allowed:
             yield f"branches.second = {name!r}: must be one of {', '.join(allowed)}"
             return
         (low, high), of_name = self.range, {*WALLS} if name in WALLS else {name}
         if any(len(axes[x]) > 1 for x in {*axes} & of_name - {along}):
             yield f"branches.second = {name!r}: must have one value in [[sweep]]; range varies it"
-        value = axes[name][0] if name in axes else {"K_ratio": 1.0, **known}.get(name)
+        value = axes[name][0] if name in axes else {**OF_WALLS, **known}.get(name)
         if name in WALLS and "gap" in axes:
             value = axes["gap"][0].j_2 if name == "j_2" else axes["gap"][0].j_1
         if not low < high:
@@ -353,7 +360,7 @@ class StudySpec(TomlTable):
     @property
     def model(self) -> dict[str, float]:
         """Default values of all parameters of the model."""
-        return self.oscillator.model_dump() if self.oscillator else self.parameters
+        return self.oscillator.numbers if self.oscillator else self.parameters
 
     @property
     def tables(self) -> dict[str, Any]:
@@ -505,7 +512,7 @@ def _line(text: str, error: ValueError) -> str:
 
 def check(tables: dict[str, Any], source: str = "study") -> StudySpec:
     """Check the tables of a study; see `parse`."""
-    tables = with_numbers(tables)
+    tables = with_numbers(with_points(tables, source))
     try:
         return StudySpec.model_validate(tables)
     except ValidationError as error:

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from gapsweep.errors import ModelError, StudyError
 from gapsweep.integrate.problem import Solver
-from gapsweep.model.contact import ContactLaw, Piecewise
+from gapsweep.model.contact import OF_WALLS, ContactLaw, Piecewise
 from gapsweep.model.labels import EXACT, Representation, contact_law
 from gapsweep.model.oscillator import Gap, Oscillator
 from gapsweep.model.own_law import OwnLaw, checked
@@ -205,6 +205,8 @@ class Study:
                         Piecewise(value, Gap(0.0, 0.0))
                     case "K_ratio":
                         Piecewise(1.0, Gap(0.0, 0.0), K_ratio=value)
+                    case "damping":
+                        Piecewise(1.0, Gap(0.0, 0.0), damping=value)
                     case str(name) if self.model.is_oscillator and name in self.spec.model:
                         replace(self.oscillator, **{name: value})
             except ModelError as error:
@@ -317,7 +319,9 @@ class Study:
         named = {**self.spec.parameters, **parameters}
         return replace(self._known_laws[name], parameters=tuple(named.items()))
 
-    def law(self, label: str, K_c: float, gap: Gap, K_ratio: float = 1.0) -> ContactLaw:
+    def law(
+        self, label: str, K_c: float, gap: Gap, K_ratio: float = 1.0, damping: float = 0.0
+    ) -> ContactLaw:
         """Return the contact law of a label; the label may name a user law.
 
         Raises
@@ -329,7 +333,8 @@ class Study:
         if own is not None:
             return own.law(K_c, gap, K_ratio)
         law = Representation(label).law
-        return contact_law(law, K_c, gap, self.spec.fit.range, K_ratio=K_ratio)
+        of_walls = {"K_ratio": K_ratio, "damping": damping}
+        return contact_law(law, K_c, gap, self.spec.fit.range, **of_walls)
 
     @property
     def own_laws(self) -> tuple[Representation, ...]:
@@ -365,7 +370,7 @@ class Study:
     @cached_property
     def _blocks(self) -> list[Axes]:
         swept = {name for block in self.spec.sweep for name in block.parameters}
-        known = {**self.spec.model, **self.spec.parameters, "K_ratio": 1.0}
+        known = {**self.spec.model, **self.spec.parameters, **OF_WALLS}
         default = {n: x for n, x in known.items() if n in swept}
         return [
             expanded(block, default) | {START: self._starts(block.initial_condition, i)}
@@ -393,7 +398,8 @@ class Study:
     def grid(self) -> Grid:
         """The grid of sweep points: the union of all blocks."""
         requested = requested_of(self._blocks, self._axes)
-        return Grid(self._axes, requested, self.structure, self.model.parts)
+        units = self.model.default.part_units
+        return Grid(self._axes, requested, self.structure, self.model.parts, units)
 
     def select(self, /, **wanted: Any) -> Selection:
         """Return the points with the selected values.
@@ -508,7 +514,7 @@ class Study:
 
         Values of the history come first, then the single values of sweep axes, then the model's.
         """
-        given = {**self.spec.model, **self.spec.parameters, "K_ratio": 1.0}
+        given = {**self.spec.model, **self.spec.parameters, **OF_WALLS}
         given |= {name: self._axes[name][0] for name in given if name in self._axes}
         walls = {"K_c": table.K_c, "gap": Gap(*map(canonical, table.gap)), "omega": table.omega}
         values = given | table.parameters | walls

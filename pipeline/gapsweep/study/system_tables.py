@@ -14,7 +14,9 @@ from gapsweep.model import systems
 from gapsweep.model.labels import FUNCTION
 from gapsweep.model.own_law import OwnLaw
 from gapsweep.model.system import BaseMotion, Cubic, Harmonic, Lags, Modulation, System, Unbalance
+from gapsweep.model.waves import PeriodicForce, Switched
 from gapsweep.study.axes import Label, NonNegative, Pair, TomlTable
+from gapsweep.study.oscillator_table import Points
 from gapsweep.user_code.load import blame
 
 Vector = Annotated[list[float], Field(min_length=1)]
@@ -42,6 +44,8 @@ _LOADS: dict[str, Any] = {
     "amplitude": Harmonic,
     "unbalance": Unbalance,
     "base_amplitude": BaseMotion,
+    "f": PeriodicForce,
+    "levels": Switched,
 }
 
 
@@ -51,15 +55,18 @@ class CubicTable(ScaledTable):
 
 
 class LoadTable(ScaledTable):
-    """A harmonic with an amplitude, an unbalance, or a base motion."""
+    """A harmonic with an amplitude, an unbalance, a base motion, or a force by pieces."""
 
     amplitude: Vector | None = None
     unbalance: float | None = None
     base_amplitude: float | None = None
     base_damping: float | None = None
+    t: Points | None = None
+    f: Points | None = None
+    levels: Points | None = None
     along: Vector | None = None
-    k: int = 1
-    phase: float = 0.0
+    k: int | None = None
+    phase: float | None = None
     power: int | None = None
 
     @model_validator(mode="after")
@@ -67,17 +74,18 @@ class LoadTable(ScaledTable):
         given = [name for name in _LOADS if getattr(self, name) is not None]
         if len(given) != 1 or (self.along is None) == (given != ["amplitude"]):
             raise ValueError(
-                "give amplitude = [1.0, 0.0]; or along = [1.0, 0.0] and unbalance or base_amplitude"
+                "give amplitude = [1.0, 0.0]; or along = [1.0, 0.0] and one of unbalance, "
+                "base_amplitude, f or levels (with t), or table"
             )
         return self
 
-    def load(self, parameters: Mapping[str, float]) -> Harmonic | Unbalance | BaseMotion:
+    def load(self, parameters: Mapping[str, float]) -> Any:
         """Return the load at some values of the parameters."""
         (name,) = (name for name in _LOADS if getattr(self, name) is not None)
         values = self.values(name, parameters)
-        given = {key: value for key, value in values.items() if value is not None}
-        load: Harmonic | Unbalance | BaseMotion = _LOADS[name](**given)
-        return load
+        if name == "levels":
+            values["f"] = values.pop("levels")
+        return _LOADS[name](**{key: value for key, value in values.items() if value is not None})
 
 
 class ModulationTable(ScaledTable):
@@ -106,6 +114,7 @@ class SystemTable(TomlTable):
     modulation: dict[str, list[ModulationTable]] = Field({})
     lags: LagsTable | None = None
     coordinates: list[str] = Field([])
+    units: dict[str, str] = Field({})
 
     @property
     def user_function(self) -> str:
@@ -142,6 +151,7 @@ class ContactTable(TomlTable):
     K_c: NonNegative | None = None
     gap: Pair | None = None
     K_ratio: NonNegative | None = None
+    damping: NonNegative | None = None
 
     @model_validator(mode="after")
     def _no_code(self) -> "ContactTable":
@@ -269,4 +279,5 @@ def _of_matrices(table: SystemTable, parameters: Mapping[str, float]) -> System:
         },
         lags=None if table.lags is None else Lags(**table.lags.model_dump()),
         coordinates=table.coordinates,
+        units=table.units,
     )

@@ -26,7 +26,7 @@ from gapsweep.analysis.dimensions import (
     At,
     by_coordinate,
     cells,
-    in_metres,
+    of_oscillator,
     of_study,
     over,
     point_dims,
@@ -100,7 +100,7 @@ def _agreement(responses: xr.Dataset, attractors: xr.Dataset) -> xr.Dataset:
         walls = responses[[name for name in _WALLS if name in responses.coords]]
         walls = walls.isel(at, missing_dims="ignore")
         width, is_symmetric = length_scale(0.0, exact), False
-        if in_metres(responses):  # then the walls bound the displacement
+        if of_oscillator(responses):  # then the walls bound the displacement
             j_1, j_2 = float(walls["j_1"]), float(walls["j_2"])
             is_symmetric = j_1 == j_2 and float(walls.get("K_ratio", 1.0)) == 1.0
             is_symmetric &= float(walls.get("mean_load", mean_load)) == 0.0

@@ -15,9 +15,10 @@ from gapsweep.errors import ModelError
 from gapsweep.execution.cluster import check_workers
 from gapsweep.integrate.problem import DEFAULT_ENGINE, Model, Models, Solver
 from gapsweep.integrate.simulate import AnyLaw, cases
+from gapsweep.model.arrays import numbers
 from gapsweep.model.doubts import doubts, warn_of
 from gapsweep.model.oscillator import Oscillator, called_as
-from gapsweep.model.system import System, numbers
+from gapsweep.model.system import System
 from gapsweep.model.user_law import UserLaw
 from gapsweep.response.attractors import Attractors, Grouping
 from gapsweep.response.respond import check_steady, respond_models
@@ -110,7 +111,7 @@ def basins(
     for number, values in zip(axes, np.meshgrid(*axes.values(), indexing="ij"), strict=True):
         states[..., number] = values
     law = {} if law is None else law
-    models, start, _ = cases(oscillator, law, omega, **_arguments(oscillator, states))
+    models, start, _ = cases(oscillator, law, omega, **arguments(oscillator, states))
     (laws,) = models.laws
     if client is not None:
         check_workers(client)
@@ -143,8 +144,8 @@ def _states(model: Model) -> list[str]:
     return [*names, *(f"v_{name}" for name in names), *(f"z_{i + 1}" for i in range(model.n_lags))]
 
 
-def _arguments(model: Model, states: Array) -> dict[str, Any]:
-    """Initial states as arguments of `simulate`."""
+def arguments(model: Model, states: Array) -> dict[str, Any]:
+    """Initial states, shape (..., n_states), as arguments of `simulate`."""
     n = model.n
     q, v, z = np.split(states, [n, 2 * n], axis=-1)
     if isinstance(model, Oscillator):
@@ -162,7 +163,7 @@ def _dataset(found: Attractors, model: Model, axes: Mapping[str, Array]) -> xr.D
         data[name] = ((_NUMBER, COORDINATE)[: values.ndim], values)
     dataset = xr.Dataset(data)
     for name, variable in _ATTRIBUTES.items():
-        described = variable.of_systems if is_system else variable
+        described = variable.in_units(model.part_units)
         dataset[name].attrs.update(described.attributes)
     for name, values in axes.items():
         known = {"long_name": f"initial {name}"} if is_system else INPUTS[name].attributes

@@ -226,7 +226,7 @@ def _assembled(study: Study, parts: list[_SceneBranches], *, is_curves: bool) ->
     made["attractor_on_branch"][:] = on_branch
     for name, form in OF_STUDY.items():
         made[name] = (form.dims, np.array(columns[name], form.dtype), form.attributes)
-    described, values = coordinates(grid.dims, grid.structure), grid.coordinates()
+    described, values = coordinates(grid.dims, grid.structure, grid.units), grid.coordinates()
     others = {"second", "range"}
     if is_curves:  # the second parameter is a variable; attractors are there for their statuses
         swept, others = {*WALLS} if table.second in WALLS else {table.second}, set()

@@ -29,7 +29,7 @@ from gapsweep.model.laws import LAWS
 from gapsweep.model.oscillator import OSCILLATOR, Gap, Oscillator
 from gapsweep.study.grid import CONTACT, START
 from gapsweep.study.least_model import Model
-from gapsweep.study.schema import coordinates, described
+from gapsweep.study.schema import coordinates
 from gapsweep.study.study import Study
 from gapsweep.variables import Variable
 
@@ -79,8 +79,9 @@ def advice(study: Study, error: float | None = None, share: float = 0.95) -> xr.
         study's smooth laws and, per family, the one with the smallest adequate parameter, in the
         displacements of `expected_range`. Attributes `error`, `share` and `allowed_force_error`.
     """
-    if not study.model.default.is_forced:
-        raise StudyError(f"{study.source}: system: advice needs a forcing; this system has none")
+    model = study.model.default
+    if not (model.is_forced and model.contacts):
+        raise StudyError(f"{study.source}: system: advice needs a forcing and a contact")
     grid = study.grid
     error = study.spec.auto.error if error is None else error
     asked = grid.requested.any(axis=0)
@@ -102,7 +103,7 @@ def advice(study: Study, error: float | None = None, share: float = 0.95) -> xr.
         name: (
             (*grid.dims[1:], *(dim for dim in VARIABLES[name].dims if dim in parts)),
             array,
-            described(VARIABLES[name], grid.structure).attributes,
+            VARIABLES[name].in_units(grid.units).attributes,
         )
         for name, array in values.items()
     }
@@ -120,7 +121,9 @@ def advice(study: Study, error: float | None = None, share: float = 0.95) -> xr.
             ),
             **{
                 name: (along, coords[name], variable.attributes)
-                for name, (along, variable) in coordinates(grid.dims[1:], grid.structure).items()
+                for name, (along, variable) in coordinates(
+                    grid.dims[1:], grid.structure, grid.units
+                ).items()
             },
         },
         {
@@ -281,7 +284,7 @@ def _ranges(some: xr.Dataset) -> list[dict[str, Any]]:
 
 
 def _in_metres(some: xr.Dataset) -> bool:
-    return "units" in some["bound"].attrs
+    return some["bound"].attrs.get("units") == "m"
 
 
 def _length(some: xr.Dataset, length: float) -> str:

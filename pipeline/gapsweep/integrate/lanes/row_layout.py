@@ -75,6 +75,8 @@ class RowLayout:
     contacts, cubics, harmonics, modulations : int
         Contacts, cubic springs, harmonics of the forcing (a constant load is one), and of the
         contacts' stiffness.
+    pieces : int
+        Coefficients of a piece if a load is given by pieces, else 0.
     is_plain : bool
         Whether the system is an oscillator: one coordinate with one contact, one cubic spring and
         one harmonic with the frequency and the phase of the clock.
@@ -84,6 +86,10 @@ class RowLayout:
         Whether the system is unforced: its section is then at the maxima of the first coordinate.
     is_located : bool
         Whether steps end where a contact passes a wall.
+    is_damped : bool
+        Whether located contacts lose energy.
+    has_slack : bool
+        Whether some of them never pull: they have the mode `contact_modes.SLACK`.
     laws : tuple of (int, int, int)
         Of a Taylor series the law of every contact: its place in `LAWS`, numbers of coefficients of
         numerator and denominator. Empty if contacts are located.
@@ -101,10 +107,13 @@ class RowLayout:
     cubics: int = 1
     harmonics: int = 1
     modulations: int = 0
+    pieces: int = 0
     is_plain: bool = True
     is_tanh: bool = False
     is_free: bool = False
     is_located: bool = True
+    is_damped: bool = False
+    has_slack: bool = False
     is_taylor: bool = True
     laws: tuple[tuple[int, int, int], ...] = ()
     order: int = 12
@@ -252,6 +261,13 @@ class RowLayout:
             # contact was left less those at which it was made
             **{"mode": k, "mode_0": k, "side": k, "gap": k * several},
             **{"lower": k, "upper": k, "lower_stiffness": k, "upper_stiffness": k},
+            # damping of both walls, the largest force while it was recorded, and the integral of
+            # the rate at which contacts shrink volumes in state space
+            **{name: k * self.is_damped for name in ("contact_damping", "contact_force")},
+            "contact_loss": 1 * self.is_damped,
+            # damping of contacts that never pull, 0 for others; whether the force was zero when
+            # the present mode began
+            **{name: k * self.has_slack for name in ("slack_damping", "switched")},
             # smoothing: 2 epsilon [1/m], half-width of the layers [m], whether one is near, longest
             # step [s], and what to add to the time of the contact that ended the last step [s]
             **dict.fromkeys(("sharpness", "layer", "is_near", "longest", "lag"), 1 * self.is_tanh),
@@ -266,6 +282,7 @@ class RowLayout:
             # [1/s], sizes of lags relative to a metre
             **{"mass_root": n * n * several, "spring_root": n * n * several},
             **{"fastest": 1 * several, "decay": 1 * several, "slow": 1 * several, "lag_floor": m},
+            **self._piece_blocks(),
             # parameters of the contacts' laws, whether the motion has left the range of a fit,
             # coefficients of fits
             "law": k * N_PARAMETERS * self.has_laws,
@@ -273,6 +290,21 @@ class RowLayout:
             "fit": sum(top + bottom for _, top, bottom in self.laws),
             **self._runge_kutta_blocks(),
             **self._item_blocks(),
+        }
+
+    def _piece_blocks(self) -> dict[str, int]:
+        """Number of rows of every block of loads by pieces, see `pieces`."""
+        has_pieces = int(self.pieces > 0)
+        return {
+            # the present piece: accelerations, by coordinate and by powers of the time [s] since
+            # the knot at its end; the clock there
+            "piece": self.n * self.pieces,
+            **dict.fromkeys(("knot_cycle", "knot_tau"), has_pieces),
+            # the end of the motion, of which `end_cycle` and `end_tau` are that of the piece
+            **dict.fromkeys(("last_cycle", "last_tau"), has_pieces),
+            # rows of the table of pieces: the first, behind the last, the present one; whether
+            # they are in seconds
+            **dict.fromkeys(("first_piece", "no_piece", "this_piece", "is_record"), has_pieces),
         }
 
     def _item_blocks(self) -> dict[str, int]:

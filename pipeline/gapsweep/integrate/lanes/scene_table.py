@@ -2,11 +2,13 @@
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
+
+from gapsweep.model.contact_modes import ON
 
 from .row_layout import RowLayout, oscillator_layout
 from .start_rows import FLOOR_SHARE
@@ -34,11 +36,14 @@ class SceneTable:
         motion that the forcing maintains against all springs.
     rtol : float
         As in `scenes`.
+    pieces : ndarray, shape (n_pieces, 1 + at.n * at.pieces)
+        Loads by pieces of all systems, see `lanes.pieces`; without columns if there are none.
     """
 
     at: RowLayout
     table: Array
     rtol: float
+    pieces: Array = field(default_factory=partial(np.empty, (0, 0)))
 
 
 def scenes(
@@ -198,9 +203,12 @@ def _slopes(at: RowLayout, points: Array, contact: int) -> Iterator[Array]:
     mode = matrix("mode", c).copy()
     mode[:, contact] = 0.0
     # finite: a wall at infinity is never touched
-    wall = np.select([mode > 0.0, mode < 0.0], [matrix("upper", c), matrix("lower", c)], 0.0)
+    is_on = [mode == ON, mode == -ON]
+    wall = np.select(is_on, [matrix("upper", c), matrix("lower", c)], 0.0)
     stiffnesses = [matrix("upper_stiffness", c), matrix("lower_stiffness", c)]
-    spring = np.select([mode > 0.0, mode < 0.0], stiffnesses, 0.0)
+    spring = np.select(is_on, stiffnesses, 0.0)
+    damper = np.abs(mode) == ON
+    damper = damper * matrix("contact_damping", c) if at.is_damped else 0.0 * damper
     q, z = [matrix("q", n), matrix("v", n)], [matrix("z", m)]
     yield _along(direction, q[1])[:, contact]
     depths, bends, rates = [], [], []
@@ -212,17 +220,30 @@ def _slopes(at: RowLayout, points: Array, contact: int) -> Iterator[Array]:
             if at.modulations:
                 rates[k] += series("depth", c, "depth_multiple", "depth_phase", k)
             force = series("push", n, "multiple", "phase", k) if at.harmonics else 0.0
+            force = force + (_of_pieces(at, points, k) if at.pieces else 0.0)
             force = force - _along(matrix("damping", n, n), (k + 1) * q[k + 1])
             force = force - _along(matrix("stiffness", n, n), q[k])
             force = force - _along(matrix("lag_force", n, m), z[k])
             cubes = _convolved(_convolved(bends, bends, k, whole=True), bends, k)
             force = force - np.einsum("pji,pj->pi", matrix("cubic", at.cubics, n), cubes[0])
-            force = force - _along(pull, spring * _convolved(rates, depths, k)[0])
+            pressed = spring * _convolved(rates, depths, k)[0]
+            pressed = pressed + damper * (k + 1) * _along(direction, q[k + 1])
+            force = force - _along(pull, pressed)
             q.append(force / ((k + 1) * (k + 2)))
             yield _along(direction, q[-1])[:, contact]
             new = _along(matrix("of_speed", m, n), (k + 1) * q[k + 1])
             new = new + _along(matrix("of_place", m, n), q[k])
             z.append((new + _along(matrix("of_lag", m, m), z[k])) / (k + 1))
+
+
+def _of_pieces(at: RowLayout, points: Array, k: int) -> Array:
+    """Taylor coefficient k of the loads by pieces at the beginning of motions, by coordinate."""
+    turns = points[:, [at.tau]] - points[:, [at.knot_tau]] - points[:, [at.knot_cycle]]
+    since, found = turns * points[:, [at.period]], np.zeros((len(points), at.n))
+    for j in range(k, at.pieces):
+        terms = points[:, at.piece + j : at.piece + at.n * at.pieces : at.pieces]
+        found += math.comb(j, k) * since ** (j - k) * terms
+    return found
 
 
 def _convolved(a: list[Array], b: list[Array], k: int, *, whole: bool = False) -> list[Array]:
@@ -253,4 +274,8 @@ def _set_idle(at: RowLayout, point: Array) -> None:
         point[at.slow] = 1.0
     if at.is_tanh:
         point[at.sharpness], point[at.longest] = 1.0, np.inf
-    point[[at.end_cycle, at.record_clock, at.event_clock]] = np.inf
+    point[[at.record_clock, at.event_clock]] = np.inf
+    # No motion gets there. It is finite, so that its products with zeros of pieces are zero.
+    point[at.end_cycle] = 1e300
+    if at.pieces:
+        point[[at.last_cycle, at.knot_cycle]] = 1e300

@@ -9,8 +9,10 @@ from math import isfinite
 import numpy as np
 
 from gapsweep.integrate.jit import entry, internal
+from gapsweep.model.contact_modes import ON, SLACK
 
 from .outcome import CLOCK_SLACK
+from .pieces import set_first_piece
 
 # The absolute part of a step's tolerance never exceeds rtol times this part of the motion's
 # natural size: a step at high order costs so little more that a generous atol buys nothing, and
@@ -25,7 +27,7 @@ PRODUCT_ROUNDING = 1.5 * np.finfo(float).eps  # of the rounded product of two ro
 
 @entry
 def set_starts(
-    numbers, points, table, which, start, follows, t_0, t_end, record_from, section_only,
+    numbers, points, table, pieces, which, start, follows, t_0, t_end, record_from, section_only,
     sections, rtol,
 ):  # fmt: skip
     """Copy rows of a table of models and write initial states and times into the copies.
@@ -38,6 +40,8 @@ def set_starts(
         Receives the points, and the table's last row, the idle point, as its last one.
     table : array, shape (n_scenes + 1, n_rows)
         Rows of `scenes.SceneTable`.
+    pieces : array, shape (n_pieces, n_columns)
+        Loads by pieces, see `SceneTable`.
     which : int array, shape (n,)
         Row of the model of each point.
     start : array, shape (n, n_states)
@@ -85,6 +89,8 @@ def set_starts(
             is_placed = not at.is_free and n_sections + max(n_due, 0.0) <= MOST_PLACED
             n_sections = n_sections + int(max(n_due, 0.0)) if is_placed else -1
             sections[i, 1] = n_sections
+        if at.pieces:
+            set_first_piece(at, point, pieces)
         if follows[i]:
             continue
         for j in range(at.n_states):
@@ -106,7 +112,7 @@ def first_section(record_clock):
 @internal
 def _set_contact_time(at, point, contact):
     """Begin the sum of a contact's time: the initial time is subtracted if it is closed."""
-    is_touching = point[at.mode + contact] != 0.0
+    is_touching = abs(point[at.mode + contact]) == ON
     point[at.contact_time + contact] = -point[at.t_start] if is_touching else 0.0
 
 
@@ -210,8 +216,27 @@ def _set_modes(at, point):
             point[at.gap + contact] = gap
         lower, upper = point[at.lower + contact], point[at.upper + contact]
         is_on_wall |= gap in (upper, lower)
-        point[at.mode + contact] = 1.0 if gap > upper else -1.0 if gap < lower else 0.0
+        mode = 1.0 if gap > upper else -1.0 if gap < lower else 0.0
+        if at.has_slack and mode * _force(at, point, contact, gap, mode) < 0.0:
+            mode *= SLACK
+        point[at.mode + contact] = mode
     return is_on_wall
+
+
+@internal
+def _force(at, point, contact, gap, side):
+    """Force of a contact that never pulls, as if it pulled; 0 of other contacts and in the gap."""
+    damping = point[at.slack_damping + contact]
+    if side == 0.0 or damping == 0.0:
+        return 0.0
+    stiffness = point[(at.upper_stiffness if side > 0.0 else at.lower_stiffness) + contact]
+    wall = point[(at.upper if side > 0.0 else at.lower) + contact]
+    speed = point[at.v]
+    if not at.is_plain:
+        speed = 0.0
+        for i in range(at.n):
+            speed += point[at.direction + contact * at.n + i] * point[at.v + i]
+    return stiffness * (gap - wall) + damping * speed
 
 
 @internal

@@ -6,7 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from gapsweep.model.system import System, fraction
+from gapsweep.model.system import Harmonic, System, fraction
+from gapsweep.model.waves import N_TERMS, ForceByPieces
 
 from .row_layout import RowLayout
 from .scene_table import (
@@ -52,8 +53,9 @@ def layout_of(system: System) -> RowLayout:
         m=system.n_lags,
         contacts=len(system.contacts),
         cubics=len(system.cubic),
-        harmonics=len(system.forcing),
+        harmonics=sum(isinstance(load, Harmonic) for load in system.forcing),
         modulations=terms,
+        pieces=N_TERMS if _waves(system) else 0,
         is_plain=False,
         is_free=not system.is_forced,
     )
@@ -86,15 +88,58 @@ def system_scenes(
     at = layout.with_degree(rtol)
     points, table = empty_table(at, len(which))
     stiffnesses = walls.K_ratio * walls.K_c, walls.K_c
+    pieces, n_pieces = [], 0
     for number, system in enumerate(systems):
         here = np.flatnonzero(which == number)
-        stiffest = np.maximum(*stiffnesses)[here]
-        _fill(at, points, here, _Linear(system), stiffest, omega[here])
+        stiffest, linear = np.maximum(*stiffnesses)[here], _Linear(system)
+        _fill(at, points, here, linear, stiffest, omega[here])
+        if at.pieces:
+            pieces.append(pieces_of(system, linear.inverse))
+            rows = n_pieces, n_pieces + len(pieces[-1]), any(not load.k for load in _waves(system))
+            points[here[:, None], [at.first_piece, at.no_piece, at.is_record]] = rows
+            n_pieces = rows[1]
     blocks = at.lower, at.upper, at.lower_stiffness, at.upper_stiffness
     for block, values in zip(blocks, (-walls.j_1, walls.j_2, *stiffnesses), strict=True):
         table[block : block + at.contacts] = values.T
     table[at.atol] = atol
+    if pieces:
+        return SceneTable(at, points, rtol, np.concatenate(pieces))
     return SceneTable(at, points, rtol)
+
+
+def _waves(system: System) -> list[ForceByPieces]:
+    return [load for load in system.forcing if isinstance(load, ForceByPieces)]
+
+
+def pieces_of(system: System, inverse: Array) -> Array:
+    """Return the loads by pieces of a system, per unit mass, as rows of `SceneTable.pieces`.
+
+    Loads with different knots are joined: the pieces end at the knots of all.
+    """
+    loads = _waves(system)
+    ends = np.unique(np.concatenate([load.wave.table[0] for load in loads]))
+    found = np.zeros((len(ends), 1 + system.n * N_TERMS))
+    found[:, 0] = ends
+    for load in loads:
+        own_ends, coefficients = load.wave.table
+        piece = np.searchsorted(own_ends, ends)
+        shift = (
+            np.where(np.isfinite(ends), ends, 0.0)
+            - np.where(np.isfinite(own_ends), own_ends, 0.0)[piece]
+        )
+        terms = _shifted(coefficients[piece], shift)
+        along = inverse @ load.amplitude
+        found[:, 1:] += (along[:, None] * terms[:, None, :]).reshape(len(ends), -1)
+    return found
+
+
+def _shifted(coefficients: Array, shift: Array) -> Array:
+    """Coefficients of polynomials, shape (n, N_TERMS), by powers of a time that begins later."""
+    terms = coefficients.copy()
+    for low in range(N_TERMS - 1):
+        for k in range(N_TERMS - 2, low - 1, -1):
+            terms[:, k] += terms[:, k + 1] * shift
+    return terms
 
 
 class _Linear:
@@ -189,13 +234,15 @@ def _put_loads(at: RowLayout, table: Array, put: Put, linear: _Linear) -> None:
     omega_rad, speed, push = table[at.omega_rad], np.zeros(table.shape[1]), []
     for load in system.forcing:
         growth = load.growth(omega_rad)
-        push.append(np.outer(linear.inverse @ load.amplitude, growth))
+        if isinstance(load, Harmonic):
+            push.append(np.outer(linear.inverse @ load.amplitude, growth))
         force = float(np.linalg.norm(linear.unroot.T @ load.amplitude))
         speed += force * growth / (load.k * omega_rad + linear.slowest)
     put("push", np.array(push))
     table[at.floor] = speed
-    put("multiple", np.array([float(load.k) for load in system.forcing]))
-    put("phase", np.array([fraction(load.phase) for load in system.forcing]))
+    harmonics = [load for load in system.forcing if isinstance(load, Harmonic)]
+    put("multiple", np.array([float(load.k) for load in harmonics]))
+    put("phase", np.array([fraction(load.phase) for load in harmonics]))
     names = list(system.contacts)
     terms = [(names.index(name), m) for name, ms in system.modulation.items() for m in ms]
     for i, (contact, term) in enumerate(terms):

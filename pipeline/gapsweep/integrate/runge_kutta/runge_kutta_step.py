@@ -535,6 +535,8 @@ def runge_kutta_step(at, method, lane, coefficients, limits):
         error = maximum(_tangent_error(at, method, lane, h, rtol), error)
     accepted = (error <= 1.0) & ~fresh
     h_next = _next_step(method, error, h, failed == _FAILED, accepted)
+    if at.pieces:  # a step that is cut at a knot does not shorten the next one
+        h_next = select(to_end & accepted, maximum(h_next, h_wanted), h_next)
     contacts = _contacts(at, method, q, lane, accepted, h)
     layers = contacts.layers
     unclear = accepted & contacts.leaves_mode

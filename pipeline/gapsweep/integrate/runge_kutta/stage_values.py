@@ -182,6 +182,8 @@ def _system_stage(at, kinds, q, lane, tableau, k, h, stage):
         place = _along(at, lane, i)
         store(lane, at.cube + i, place * place * place)
     _derivative(at, lane, at.harmonics, k, stage * at.n_rates)
+    if at.pieces:
+        _add_piece(at, lane, tableau.c[stage], h, k, stage * at.n_rates)
 
 
 @inlined
@@ -270,6 +272,20 @@ def _dot(lane, first, second, n, total):
     for i in range(n):
         total = fma(load(lane, first + i), load(lane, second + i), total)
     return total
+
+
+@inlined
+def _add_piece(at, lane, c, h, out, row):
+    """Add the loads by pieces to the accelerations of a stage."""
+    turns = (load(lane, at.tau) - load(lane, at.knot_tau)) + load(lane, at.tau_low)
+    turns = (load(lane, at.cycle) - load(lane, at.knot_cycle)) + turns
+    since = fma(h, c, turns * load(lane, at.period))
+    for i in range(at.n):
+        total = simd.splat(0.0)
+        for k in range(at.pieces):
+            term = load(lane, at.piece + (i + 1) * at.pieces - 1 - k)
+            total = fma(total, since, term)
+        store(out, row + i, load(out, row + i) + total)
 
 
 @inlined

@@ -11,10 +11,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from gapsweep.errors import ModelError
 from gapsweep.model.arithmetic import fma, splat
+from gapsweep.model.arrays import numbers
 from gapsweep.model.contact import FIT_RANGE, ContactLaw, Formulas
 from gapsweep.model.fit import MAX_DEGREE, MAX_RATIONAL_DEGREE, Fit, polynomial_fit, rational_fit
 from gapsweep.model.oscillator import called_as, checked
-from gapsweep.model.system import numbers
 
 Array = NDArray[np.float64]
 
@@ -164,7 +164,7 @@ class Fitted(ContactLaw):
         """Coefficient of determination over the fit points [-]; independent of `K_c`."""
         return self.fit.r_squared
 
-    def force(self, x: ArrayLike) -> Array:
+    def force(self, x: ArrayLike, v: ArrayLike = 0.0) -> Array:
         u = numbers("x", x) / self.fit_range
         top, bottom = self.coefficients
         return np.asarray(chebyshev.chebval(u, top) / chebyshev.chebval(u, bottom))

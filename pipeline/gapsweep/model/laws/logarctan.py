@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gapsweep.model.arithmetic import fma, is_any
+from gapsweep.model.arrays import numbers
 from gapsweep.model.contact import Formulas, penetrations
 from gapsweep.model.laws.sharpened import ARCTAN_LAYER, INVERSE_PI, Sharpened
 from gapsweep.model.oscillator import called_as
-from gapsweep.model.system import numbers
 
 Array = NDArray[np.float64]
 
@@ -88,7 +88,7 @@ class LogArctan(Sharpened):
         logs = (self.K_ratio * np.log1p(a * a) - np.log1p(b * b)) / (2.0 * self.gamma)
         return np.asarray(above * np.arctan(b) - self.K_ratio * below * np.arctan(a) + logs)
 
-    def force(self, x: ArrayLike) -> Array:
+    def force(self, x: ArrayLike, v: ArrayLike = 0.0) -> Array:
         x = numbers("x", x)
         anchored = self._integral(x) - self._integral(np.zeros(()))
         return np.asarray(self.K_c * (0.5 * (1.0 + self.K_ratio) * x + anchored / math.pi))

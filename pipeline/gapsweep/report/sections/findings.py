@@ -8,7 +8,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from gapsweep.analysis.dimensions import REPRESENTATION, in_metres
+from gapsweep.analysis.dimensions import REPRESENTATION, of_oscillator
 from gapsweep.model.labels import EXACT
 from gapsweep.report.drawing import labels_of
 from gapsweep.report.inputs import Inputs
@@ -66,7 +66,7 @@ _LISTED = 3  # intervals of it that are listed
 
 def unreached_walls(responses: xr.Dataset) -> str:
     """Sentence on cases or contacts in which no motion reaches a wall; empty if all do."""
-    if in_metres(responses):
+    if of_oscillator(responses):
         dims = [str(dim) for dim in responses["status"].dims]
         sentence = never_reached(lambda name: responses[name].values, dims, labels_of(responses))
         return f"{sentence[0].upper()}{sentence[1:]}." if sentence else ""

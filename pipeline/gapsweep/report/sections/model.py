@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from gapsweep.analysis.dimensions import in_metres
 from gapsweep.report.drawing import labels_of
 from gapsweep.report.inputs import Inputs
 from gapsweep.report.parts import Part
@@ -32,11 +31,12 @@ _NUMBERS = {
     "base_damping": ("s", "(share of the damping at the base)"),
     "K_c": ("K_c", "N/m"),
     "K_ratio": ("r", "(stiffness of the lower wall / K_c)"),
+    "damping": ("c_c", "N s/m (of both walls)"),
     "omega": ("ω", "Hz"),
 }
 _RATIO = _NUMBERS["K_ratio"]
 # Settings that a contact may have separately.
-_OWN = {"representation": "", "K_c": "K_c", "gap": "j₁/j₂", "K_ratio": "r"}
+_OWN = {"representation": "", "K_c": "K_c", "gap": "j₁/j₂", "K_ratio": "r", "damping": "c_c"}
 _EQUATION_OF_SYSTEMS = "M q̈ + C q̇ + K q + Σ α (a·q)³ a + Σ F(b·q) b = loads"
 _EQUATION_OF_LAGS = " − D z, ż = E q̇ + G q + H z"
 _MATRICES = {"mass": "M", "damping": "C", "stiffness": "K"}
@@ -53,13 +53,17 @@ def sections(inputs: Inputs) -> Iterator[Part]:
 def _oscillator(responses: xr.Dataset) -> list[tuple[str, str]]:
     """Equation, numbers and contact laws of an oscillator."""
     study = json.loads(responses.attrs["study_json"])
-    fixed = {"K_ratio": 1.0} | study["oscillator"]
+    fixed, wave = {"K_ratio": 1.0, "damping": 0.0} | study["oscillator"], []
+    if isinstance(points := fixed["forcing"], dict):
+        forces = points.get("f") or points["levels"]
+        fixed["forcing"] = max(map(abs, forces))
+        wave = [("Wave", f"in place of the cosine of p: {len(forces)} points in a period")]
     held = {n: responses[n].values if n in responses else fixed[n] for n in _NUMBERS}
     is_moving = bool(np.any(held["unbalance"]) or np.any(held["base_amplitude"]))
     numbers = [
         f"{symbol} {_text(held[name])} {unit}".strip()
         for name, (symbol, unit) in _NUMBERS.items()
-        if is_moving or name not in _OF_MOVING
+        if (is_moving or name not in _OF_MOVING) and (name != "damping" or np.any(held[name]))
     ]
     numbers.append(_walls(responses))
     if any(label.is_fitted for label in labels_of(responses)):
@@ -67,6 +71,7 @@ def _oscillator(responses: xr.Dataset) -> list[tuple[str, str]]:
     return [
         ("Equation", _EQUATION + _MOVING * is_moving + _RATES),
         ("Numbers", ", ".join(numbers)),
+        *wave,
         *_laws(responses),
     ]
 
@@ -86,6 +91,11 @@ def _system(responses: xr.Dataset) -> list[tuple[str, str]]:
     rows += [(f"b of {name}", _rows(along)) for name, along in held["contacts"].items()]
     rows += [("a, α", f"{_rows(each['along'])}, {plain(each['alpha'])}") for each in held["cubic"]]
     for load in held["forcing"]:
+        if wave := load.get("wave"):
+            amplitude = np.multiply(load["peak"], load["along"])
+            pieces = f"{len(wave['ends'])} pieces in a period"
+            rows.append(("Load", f"{_rows(amplitude.tolist())} times {pieces}"))
+            continue
         growth = f" ({_rate(load)}){'²' * (load['power'] == 2)}" if load["power"] else ""
         rows.append(("Load", f"{_rows(load['amplitude'])}{growth}{_turning(load)}"))
     for name, terms in held["modulation"].items():
@@ -114,6 +124,9 @@ def _numbers_of_contacts(
         ratios = np.ravel(responses["K_ratio"].values) if "K_ratio" in responses else np.ones(1)
         none = "" if ratios.all() else "; 0: no lower wall"
         yield _RATIO[0], f"{_text(ratios)} {_RATIO[1]}{none}"
+    if "damping" in responses:
+        symbol, unit = _NUMBERS["damping"]
+        yield symbol, f"{_text(np.ravel(responses['damping'].values))} {unit}"
     for contact, table in own.items():
         settings = (
             f"{symbol} {_written(table[name])}".strip()
@@ -169,9 +182,10 @@ def _listed(texts: Sequence[str]) -> str:
 def _laws(responses: xr.Dataset) -> list[tuple[str, str]]:
     """Name and formula of the force of each law; user laws are named by their label."""
     tables = json.loads(responses.attrs.get("tables_json", "{}"))
-    is_length = in_metres(responses)
-    # The length unit of a system is the user's choice.
-    unit = "[1/m]" if is_length else "[1/unit of x]"
+    # Contacts of a system may have no common unit.
+    force = responses["force_max"].attrs.get("units", "") if "force_max" in responses else ""
+    is_length = force == "N"
+    unit = {"N": "[1/m]", "N m": "[1/rad]", "1": "[-]"}.get(force, "[1/unit of x]")
     found = {}
     for label in labels_of(responses):
         if label.law_type is not None:

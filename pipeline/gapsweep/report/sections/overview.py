@@ -17,7 +17,7 @@ from gapsweep.analysis.dimensions import (
     SWEPT,
     At,
     by_coordinate,
-    in_metres,
+    of_oscillator,
     scene_dims,
     scenes,
     swept,
@@ -52,7 +52,7 @@ def is_wide(responses: xr.Dataset) -> bool:
     asked = responses["status"].load() != Status.NOT_REQUESTED
     dims = scene_dims(asked.dims)
     return (
-        not in_metres(responses)
+        not of_oscillator(responses)
         or any(asked.sizes[dim] > 1 for dim in dims if dim not in _SEPARATE)
         or int(asked.any(swept(asked)).sum(dims).max()) > MOST_SCENES
         or int(asked.sum([*dims, *swept(asked)]).max()) > MOST_POINTS
