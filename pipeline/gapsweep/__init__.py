@@ -21,6 +21,16 @@ if TYPE_CHECKING:
     from gapsweep.continuation.follow import branches
     from gapsweep.continuation.gradient import gradient
     from gapsweep.continuation.special_gradient import special_gradient
+    from gapsweep.design.choose import Choice, choose
+    from gapsweep.design.demands import (
+        Demand,
+        at_least,
+        at_most,
+        no_chaos,
+        no_contact,
+        periodic,
+    )
+    from gapsweep.design.fit import Fit, fit
     from gapsweep.explorer.widget import explore
     from gapsweep.integrate.simulate import simulate
     from gapsweep.integrate.trajectory import SystemTrajectory, Trajectory
@@ -65,6 +75,10 @@ _ON_DEMAND = {
     **dict.fromkeys(("Modulation", "System", "Unbalance"), "model.system"),
     **dict.fromkeys(("SystemTrajectory", "Trajectory"), "integrate.trajectory"),
     **dict.fromkeys(("plan", "query", "risk", "run"), "pipeline"),
+    **dict.fromkeys(("Choice", "choose"), "design.choose"),
+    **dict.fromkeys(("Demand", "at_least", "at_most"), "design.demands"),
+    **dict.fromkeys(("no_chaos", "no_contact", "periodic"), "design.demands"),
+    **dict.fromkeys(("Fit", "fit"), "design.fit"),
     "ForceTable": "model.table",
     **dict.fromkeys(("PeriodicForce", "Record", "Switched"), "model.waves"),
     "UserLaw": "model.user_law",
@@ -117,10 +131,13 @@ _RETURN_DATASETS = ("basins", "branches", "open", "query", "risk", "run", "speci
 __all__ = [
     "Arctan",
     "BaseMotion",
+    "Choice",
     "ClusterError",
     "ContactLaw",
     "Cubic",
     "DatasetError",
+    "Demand",
+    "Fit",
     "ForceTable",
     "Gap",
     "GapsweepError",
@@ -151,16 +168,23 @@ __all__ = [
     "UserLaw",
     "absolute_range",
     "advise",
+    "at_least",
+    "at_most",
     "basins",
     "branches",
     "canonical_label",
+    "choose",
     "contact_law",
     "explore",
+    "fit",
     "frequency_response",
     "gradient",
     "law",
     "map",
+    "no_chaos",
+    "no_contact",
     "open",
+    "periodic",
     "plan",
     "plot",
     "query",
