@@ -59,6 +59,40 @@ def test_the_side_of_a_graze_counts():
     assert of(free, "x_min")["forcing"] == pytest.approx(-0.1745 / graze, rel=1e-9)
 
 
+@pytest.mark.parametrize(
+    ("pulls", "x_max", "derivatives"),
+    [
+        (
+            True,
+            0.1808062719684468,
+            [
+                *(0.06482514250587, -0.02342116007001, -0.07290717976166, 0.4325884337687),
+                *(0.1350946061898, 0.9617685900022, -0.0001792603312902, -0.000116125939974),
+            ],
+        ),
+        (
+            False,
+            0.1806356044368126,
+            [
+                *(0.06414550572019, -0.02268819796644, -0.0720810935183, 0.4271992420521),
+                *(0.1333886472027, 0.9617170611762, -0.0001654296432795, -0.000364488916286),
+            ],
+        ),
+    ],
+)
+def test_derivatives_with_contact_damping(pulls, x_max, derivatives):
+    law = gs.Piecewise(20.0, gs.Gap(10.0, 0.1745), K_ratio=0.0, damping=1.2, pulls=pulls)
+    names = ["mass", "c", "omega_n", "forcing", "omega", "j_2", "K_c", "damping"]
+    found = gs.gradient(machine(), law, names, omega=0.95 / HZ)
+    assert found["value"].sel(quantity="x_max").item() == pytest.approx(x_max, abs=1e-13)
+    by = of(found, "x_max")
+    by_spring = by.pop("omega_n") / (2.0 * HZ)
+    by["omega"] /= HZ
+    mass, c, *others = by.values()
+    got = [mass - by_spring, c, by_spring, *others]
+    assert_allclose(got, derivatives, rtol=0, atol=1e-11)
+
+
 def _drawn(n, seed):
     rng = np.random.default_rng(seed)
     m, k, force = 10 ** rng.uniform((-0.5, -0.5, -1.0), (0.5, 0.5, 1.0), (n, 3)).T

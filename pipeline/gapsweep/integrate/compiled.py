@@ -46,10 +46,6 @@ def prepared(models: Models, solver: Solver, shifts: Shifts | None = None) -> In
     method: Method = Taylor()
     is_located = is_taylor and (scenes.at.is_tanh or _is_located(models))
     mass = models.of_systems(attrgetter("mass")) if _is_oscillator(models) else None
-    if any(law.losses.damping for laws in models.laws for law in laws):
-        damping, never_pulls = np.moveaxis(models.of_laws(attrgetter("losses")), -1, 0)
-        scale = 1.0 if mass is None else mass[:, None]
-        scenes = with_losses(scenes, damping / scale, never_pulls > 0.0)
     if shifts is not None:
         scenes = _with_columns(scenes, models, solver, shifts)
     if not is_located:
@@ -112,8 +108,6 @@ def _forces(found: Array | None, mass: Array | None, which: NDArray[np.intp]) ->
 
 def _with_columns(scenes: SceneTable, models: Models, solver: Solver, shifts: Shifts) -> SceneTable:
     """Return a table with a column for every parameter; refuse what has none."""
-    if any(law.losses.damping for laws in models.laws for law in laws):
-        raise ModelError("gradients need contacts without damping; write damping=0.0")
     if not _is_located(models) or scenes.at.is_tanh:
         raise ModelError(
             f"law = {models.laws[0][0]}: gradients need located contacts, as gs.Piecewise(1.4e4, "
@@ -201,9 +195,15 @@ def _scenes(models: Models, solver: Solver, is_taylor: bool) -> SceneTable:
         of_contact = {name: column[:, 0] for name, column in walls.items()}
         if is_taylor and _crosses_layers(models, solver):
             of_contact["epsilon"] = models.of_laws(attrgetter("epsilon"))[:, 0]
-        return scenes(**of_contact, **_oscillators(models), **tolerances)
-    of_contacts = Walls(**walls)
-    return system_scenes(models.systems, models.system, of_contacts, models.omega, **tolerances)
+        found = scenes(**of_contact, **_oscillators(models), **tolerances)
+    else:
+        of_all = models.systems, models.system, Walls(**walls), models.omega
+        found = system_scenes(*of_all, **tolerances)
+    if not any(law.losses.damping for laws in models.laws for law in laws):
+        return found
+    damping, never_pulls = np.moveaxis(models.of_laws(attrgetter("losses")), -1, 0)
+    mass = models.of_systems(attrgetter("mass"))[:, None] if _is_oscillator(models) else 1.0
+    return with_losses(found, damping / mass, never_pulls > 0.0)
 
 
 def _events(n: int, run: batch.Batch) -> Events:

@@ -119,8 +119,8 @@ def merged(parts: Sequence[Motions], rows: Sequence[NDArray[np.intp]]) -> Motion
         return parts[0]
     order = np.argsort(np.concatenate(rows))
     columns: dict[str, Any] = {}
-    of_motions = "state", "reach", "monodromy", "contact_time", "contact_loss", "contact_force"
-    for name in (*SCALARS, *of_motions, "columns"):
+    of_motions = "state", "reach", "monodromy", "columns", "contact_time", "contact_loss"
+    for name in (*SCALARS, *of_motions, "contact_force"):
         values = [getattr(part, name) for part in parts]
         columns[name] = None if values[0] is None else np.concatenate(values)[order]
 

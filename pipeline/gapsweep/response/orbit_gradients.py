@@ -341,7 +341,7 @@ class _Reading:
             ends = low(self.first_gap + k), high(self.first_gap + k)
             if self.is_system:
                 found[f"contact_x_max{label}"], found[f"contact_x_min{label}"] = ends[::-1]
-            found[f"force_max{label}"] = self.walls.largest_force(k, *ends)
+            found[f"force_max{label}"] = self._largest_force(k, ends)
             found[f"contact_share{label}"] = self._share(k)
         if self.model.contacts:
             found["graze"] = self._graze()
@@ -385,7 +385,17 @@ class _Reading:
         start = self.orbits.y[:, :n] @ b
         time += np.where((start < low) | (start > high), 1.0, 0.0)[:, None] * self.longer
         time[low == high] = np.nan
+        if any(laws[contact].losses.never_pulls for laws in self.orbits.models.laws):
+            time[:] = np.nan  # it ends where its force is zero, at no wall
         return share, (time - share[:, None] * self.longer) / period[:, None]
+
+    def _largest_force(
+        self, contact: int, ends: tuple[tuple[Array, Array], tuple[Array, Array]]
+    ) -> tuple[Array, Array]:
+        """Largest force of a contact [N]; without derivatives if the contact is damped."""
+        if self.found.contact_force is None:
+            return self.walls.largest_force(contact, *ends)
+        return self.found.contact_force[:, contact], np.full_like(ends[0][1], np.nan)
 
     def _turning_points(self) -> tuple[Numbers, Array, Array, Numbers]:
         """Orbits, times [s], values [m] and numbers of the quantities of all turning points."""

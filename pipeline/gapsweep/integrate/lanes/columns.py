@@ -16,7 +16,9 @@ _POWERS = {
     **dict.fromkeys(("stiffness", "lag_force", "pull", "cubic", "push"), 2.0),
     **dict.fromkeys(("damping", "of_place", "of_lag"), 1.0),
 }
-_OF_PLAIN = "lower_stiffness", "upper_stiffness"  # per unit mass, as there is no `pull`
+# Those of contacts, of a plain oscillator per unit mass, and of others times a row of `pull`.
+_OF_PLAIN = {"lower_stiffness": 2.0, "upper_stiffness": 2.0, "contact_damping": 1.0}
+_OF_OTHERS = {"contact_damping": -1.0}
 # Blocks that have no derivative in a column: a parameter that changes them is refused.
 FIXED = ("direction", "along", "multiple", "phase", "depth", "depth_multiple", "depth_phase")
 
@@ -50,7 +52,7 @@ def with_columns(
     with np.errstate(invalid="ignore"):  # walls at infinity
         changes = np.einsum("csp,cspr->pcr", weights, rows[..., places])
     changes[~np.isfinite(changes)] = 0.0
-    of_blocks = _POWERS | dict.fromkeys(_OF_PLAIN if at.is_plain else (), 2.0)
+    of_blocks = _POWERS | (_OF_PLAIN if at.is_plain else _OF_OTHERS)
     powers = np.concatenate([np.full(at.blocks[x], of_blocks.get(x, 0.0)) for x in SOURCES])
     models, omega = table.table[:-1], table.table[:-1, at.omega]
     scaled = np.where(powers, models[:, places], 0.0) * powers / omega[:, None]

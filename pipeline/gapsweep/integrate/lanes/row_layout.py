@@ -46,7 +46,8 @@ _COUNTS = ("harmonics", "cubics", "modulations")
 # rows for every cubic spring or load are last.
 SOURCES = (
     *("stiffness", "damping", "lag_force", "of_speed", "of_place", "of_lag", "pull"),
-    *("lower", "upper", "lower_stiffness", "upper_stiffness", "cubic", "push"),
+    *("lower", "upper", "lower_stiffness", "upper_stiffness", "contact_damping"),
+    *("cubic", "push"),
 )
 # Names of the blocks of rows and, by the counts of a `RowLayout`, how many rows each has.
 _ONE = (
@@ -131,6 +132,7 @@ class RowLayout:
     derived: ClassVar[tuple[str, ...]] = (
         *("n_states", "all_lanes", "n_terms", "n_series", "first_gap", "n_turning", "n_rows"),
         *("n_rates", "width", "gap_end", "spring_series", "column_size"),
+        *("lower_source", "upper_source"),
     )
 
     @property
@@ -254,6 +256,16 @@ class RowLayout:
         """First row within a parameter column of the derivative of every block in `SOURCES`."""
         sizes = [self.blocks[name] for name in SOURCES]
         return dict(zip(SOURCES, accumulate(sizes, initial=self.n_states), strict=False))
+
+    @property
+    def lower_source(self) -> int:
+        """First row within a parameter column of the derivatives of the lower walls' places."""
+        return self.sources["lower"]
+
+    @property
+    def upper_source(self) -> int:
+        """First row within a parameter column of the derivatives of the upper walls' places."""
+        return self.sources["upper"]
 
     @property
     def push_source(self) -> int:

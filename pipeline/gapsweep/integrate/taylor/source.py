@@ -12,7 +12,7 @@ are in the column's own rows (`lanes.columns`). One piece of code hence serves a
 from llvmlite import ir
 
 from gapsweep.integrate.lanes.rows import dot
-from gapsweep.integrate.vectors import I64, where
+from gapsweep.integrate.vectors import I64, fma, where
 
 from .series import Spring
 from .terms import product_term
@@ -66,6 +66,7 @@ class Source:
         above = [mode > 0.0 for mode in lanes.rows("mode_0")]
         changes = [self._rows(each) for each in ("lower", "upper")]
         stiffer = [self._rows(f"{each}_stiffness") for each in ("lower", "upper")]
+        self._moving = changes
         self._contacts = [
             (
                 where(modes.touching[i], where(above[i], stiffer[1][i], stiffer[0][i]), 0.0),
@@ -74,6 +75,11 @@ class Source:
                 modes.wall[i],
             )
             for i in range(k)
+        ]
+        damped = zip(modes.touching, self._rows("contact_damping"), strict=False)
+        self._losses = [
+            (where(here, change, 0.0), damping)
+            for (here, change), damping in zip(damped, modes.damping, strict=True)
         ]
         self._push = one.harmonics(self._amplitudes)
 
@@ -103,6 +109,11 @@ class Source:
         speeds = [x * float(n + 1) for x in self._terms(0, layout.n, n + 1)]
         return speeds, self._terms(0, layout.n, n), self._terms(layout.n, layout.m, n)
 
+    def moving(self, contact, above):
+        """Derivative of the place of a contact's upper wall where `above`, else of its lower."""
+        lower, upper = self._moving
+        return where(above, upper[contact], lower[contact])
+
     def accelerations(self, n):
         """Coefficient n of the source of every coordinate's acceleration."""
         layout, one = self._lanes.layout, self._one
@@ -114,6 +125,10 @@ class Source:
             force = stiffer * depth
             forces.append(force - stiffness * moved if n == 0 else force)
             depths.append(stiffness * depth)
+        rates = self._terms(layout.first_gap, layout.contacts, n + 1)
+        for k, (change, damping) in enumerate(self._losses):
+            rate = rates[k] * float(n + 1)
+            forces[k], depths[k] = fma(change, rate, forces[k]), fma(damping, rate, depths[k])
         totals = []
         for i, push in enumerate(self._push):
             total = dot(self._stiffness[i], places, one.zero)

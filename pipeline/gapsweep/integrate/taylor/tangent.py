@@ -143,11 +143,12 @@ def commit_solution(lanes, coefficients, solution, step, keeps, jump=None):
         lanes[layout.tangent_state + i] = where(keeps, start, end)
 
 
-def _jump(lanes, one):
+def _jump(lanes, one, source=None):
     """Return a function of an end state that returns the state after changes of contact modes.
 
     The speed changes by ``-c (b.y) M^-1 b`` where damping c begins at a wall, and by the opposite
-    where it ends at a wall; the force of a contact that never pulls ends and begins at zero.
+    where it ends at a wall; the force of a contact that never pulls ends and begins at zero. A
+    parameter column, with a `Source`, has ``b.y`` less the derivative of the wall's place.
     """
     layout, changes = lanes.layout, []
     rows = map(lanes.rows, ("mode", "mode_0", "contact_damping"))
@@ -155,12 +156,13 @@ def _jump(lanes, one):
         is_on, was_on = (absolute(each).equals(ON) for each in (mode, before))
         is_at_zero = mode.equals(before * 2.0) | before.equals(mode * 2.0)
         change = where(is_on, damping, 0.0) - where(was_on, damping, 0.0)
-        changes.append(where(is_at_zero, 0.0, change))
+        changes.append((where(is_at_zero, 0.0, change), mode + before > 0.0))
 
     def jump(*state):
         ends, n = list(state), layout.n
-        for k, change in enumerate(changes):
+        for k, (change, is_above) in enumerate(changes):
             along = ends[0] if one.is_plain else dot(one.direction[k], ends[:n], one.zero)
+            along = along - source.moving(k, is_above) if source else along
             for i in range(n):
                 pull = change if one.is_plain else change * one.pull[i][k]
                 ends[n + i] = fma(-pull, along, ends[n + i])
@@ -211,7 +213,8 @@ def _tangent_step(typingctx, at, lanes, coefficients, rtol, unclear):
                 column, kept = column_rows(rows, series, loop.index)
                 source = Source(rows, series, one, modes, square, column)
                 found = _variation(column, one, square, slopes, source)
-                commit_solution(column, kept, found, step, keeps)
+                jump = _jump(rows, one, source) if layout.is_damped else None
+                commit_solution(column, kept, found, step, keeps, jump)
         return context.get_dummy_value()
 
     return signature, codegen
