@@ -465,9 +465,11 @@ def test_every_state_has_its_scale():
         force=[[1.0], [0.0]], of_speed=[[0.0, 1.0]], of_place=[[0.0, 0.0]], of_lags=[[-5.0]]
     )
     small = {name: gs.Piecewise(1.0, gs.Gap(1e-3, 1e-3)) for name in PAIR_LAWS}
-    machine = of_model(replace(pair(), lags=lags), small).machine
+    model = replace(pair(), lags=lags, units={"q_2": "rad", "between": "1"})
+    machine = of_model(model, small).machine
     found = [machine.state(name).label for name in machine.states]
-    assert found == ["q_1 [10⁻³]", "q_2 [10⁻³]", "v_q_1 [10⁻³]", "v_q_2 [10⁻³]", "z_1"]
+    assert found == ["q_1 [mm]", "q_2 [10⁻³ rad]", "v_q_1 [mm/s]", "v_q_2 [10⁻³ rad/s]", "z_1"]
+    assert machine.length("between").label == "between [10⁻³]"
 
 
 def test_a_page_of_a_system_offers_displacements_and_states():
