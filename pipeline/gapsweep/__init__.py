@@ -41,7 +41,7 @@ if TYPE_CHECKING:
     from gapsweep.model.table import ForceTable
     from gapsweep.model.user_law import UserLaw
     from gapsweep.model.waves import PeriodicForce, Record, Switched
-    from gapsweep.pipeline import plan, query, run
+    from gapsweep.pipeline import plan, query, risk, run
     from gapsweep.report.model_figures import frequency_response
     from gapsweep.report.model_figures import parameter_map as map
     from gapsweep.report.motion import plot
@@ -62,7 +62,7 @@ _ON_DEMAND = {
     **dict.fromkeys(("BaseMotion", "Cubic", "Harmonic", "Lags"), "model.system"),
     **dict.fromkeys(("Modulation", "System", "Unbalance"), "model.system"),
     **dict.fromkeys(("SystemTrajectory", "Trajectory"), "integrate.trajectory"),
-    **dict.fromkeys(("plan", "query", "run"), "pipeline"),
+    **dict.fromkeys(("plan", "query", "risk", "run"), "pipeline"),
     "ForceTable": "model.table",
     **dict.fromkeys(("PeriodicForce", "Record", "Switched"), "model.waves"),
     "UserLaw": "model.user_law",
@@ -108,7 +108,7 @@ _ELSEWHERE = {
 _MODULES = ("systems",)
 
 # These return datasets; importing one of them registers the accessor ``ds.gapsweep``.
-_RETURN_DATASETS = ("basins", "branches", "open", "query", "run", "special_curve")
+_RETURN_DATASETS = ("basins", "branches", "open", "query", "risk", "run", "special_curve")
 
 __all__ = [
     "Arctan",
@@ -160,6 +160,7 @@ __all__ = [
     "plot",
     "query",
     "respond",
+    "risk",
     "run",
     "simulate",
     "special_curve",

@@ -1,7 +1,7 @@
 """Public cases: what people asked of other tools, solved here, against closed forms and oracles.
 
 Two more stand elsewhere: trajectories between processes in `test_simulate`, scripts without a guard
-in `test_queries`. This package does not express contact damping, restitution, dry friction, radial
+in `test_queries`. This package does not express restitution, dry friction, radial
 gaps, contacts on first-order states, and more than 16 coordinates.
 """
 

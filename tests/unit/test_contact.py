@@ -293,7 +293,7 @@ def test_a_steep_continuous_force_is_taken(force, gap):
         (lambda: gs.law(lambda x, v=0.0: x, SOFT, SYMMETRIC), r"\(x, v\).*loses energy"),
         (lambda: gs.law(lambda x, *, v: x, SOFT, SYMMETRIC), r"\(x, v\).*loses energy"),
         (lambda: gs.law(soft_spring, SOFT, SYMMETRIC, damping=2.0), r"damping.*loses energy"),
-        (lambda: gs.Piecewise(SOFT, SYMMETRIC, damping=2.0), r"'damping'.*loses energy"),
+        (lambda: gs.Piecewise(SOFT, SYMMETRIC, friction=0.3), r"'friction'.*loses energy"),
         (lambda: gs.Tanh(SOFT, SYMMETRIC, 1e4, restitution=0.3), r"'restitution'.*loses energy"),
         (lambda: gs.law(hertz, SOFT, SYMMETRIC, n="1.5"), r"n = '1.5': must be a number"),
         (lambda: gs.law(hertz, SOFT, SYMMETRIC, m=1.5), r"\(x, n\) with \{'m': 1.5\}.*n=1.5"),

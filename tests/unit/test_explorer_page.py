@@ -451,6 +451,16 @@ def test_basins_of_a_system_vary_the_chosen_states(monkeypatch):
     np.testing.assert_allclose(plane.x_max, peaks, rtol=1e-3)
 
 
+def test_every_state_has_its_scale():
+    lags = gs.Lags(
+        force=[[1.0], [0.0]], of_speed=[[0.0, 1.0]], of_place=[[0.0, 0.0]], of_lags=[[-5.0]]
+    )
+    small = {name: gs.Piecewise(1.0, gs.Gap(1e-3, 1e-3)) for name in PAIR_LAWS}
+    machine = of_model(replace(pair(), lags=lags), small).machine
+    found = [machine.state(name).label for name in machine.states]
+    assert found == ["q_1 [10⁻³]", "q_2 [10⁻³]", "v_q_1 [10⁻³]", "v_q_2 [10⁻³]", "z_1"]
+
+
 def test_a_page_of_a_system_offers_displacements_and_states():
     document = Document()
     page = Page(document, of_model(pair, PAIR_LAWS), {}, None)

@@ -239,21 +239,20 @@ def test_where_a_curve_is_chaotic_is_told(tmp_path, starts, some):
 
 
 def test_laws_of_systems_are_judged_by_their_worst_coordinate(tmp_path):
-    """The verdict of an oscillator, and of two coordinates that of the one with larger errors."""
+    """The verdicts of an oscillator with the errors of the coordinate that has larger ones."""
     _, compared = made(tmp_path, {**EQUAL, "poly-13": 1.3})
-    good, bad = (compared.load().sel(representation=[*LABELS]) for _ in range(2))
-    good = good.assign({name: 0.5 * good[name] for name in good if "error" in str(name)})
+    good = compared.load()
+    errors = [name for name in good if "error" in str(name)]
+    bad = good.assign({name: 5.0 * good[name] for name in errors})
     several = xr.concat([good, bad], "coordinate").assign_attrs(
         compared.attrs, system_json='{"contacts": {}}'
     )
     several["j_1"].attrs["units"] = "rad"
-    (one,), (both,) = contacts(compared), contacts(several)
+    (one,), (both,), (worse,) = map(contacts, (good, several, bad))
     assert one.place == "14000 N/m, 0.4/0.4 mm"
     assert both.place.startswith("K_c 14000, gap ")
-    assert [(law.law, law.verdict) for law in both.laws] == [
-        (law.law, law.verdict) for law in one.laws
-    ]
-    assert [law.verdict for law in one.laws] == ["use", "no"]
+    verdicts = [[law.verdict for law in each.laws] for each in (one, both, worse)]
+    assert verdicts == [["use", "no"], ["with care", "no"], ["with care", "no"]]
 
 
 def test_left_fit_ranges_are_told_from_missing_responses(tmp_path):

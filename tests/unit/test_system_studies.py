@@ -164,7 +164,7 @@ REFUSED = {
     "omega": (SECTION, {"sweep__0__omega": 3.0}, "the system is not forced"),
     "sweep": (SECTION, {"sweep__0__initial_condition": "sweep_up"}, "sweeps need omega"),
     "start": (TWO_MASSES, {"sweep__0__initial_condition": [0.1, 0.2]}, "must be 4"),
-    "auto": (SECTION, {"sweep__0__representation": "auto"}, "'auto' needs a forcing"),
+    "auto": (SECTION, {"sweep__0__representation": "auto"}, "'auto' needs a forcing and a contact"),
     "taken by agreement": (SECTION, {"parameters__recall": 1.0}, "choose another name"),
     "parameter without use": (TWO_MASSES, {"parameters": {"k": 1.0}}, "'k': must be in"),
     "scale without value": (TWO_MASSES, {"system__forcing__0__scale": "p"}, "'p': must be in"),

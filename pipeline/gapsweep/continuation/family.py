@@ -156,7 +156,8 @@ class Family:
 
     def _check_free(self) -> None:
         model = self.example
-        if model.is_forced or model.decay_rate:
+        lost = any(law.losses.damping for law in self._laws)
+        if model.is_forced or model.decay_rate or lost:
             raise ModelError(
                 "along = 'amplitude': continues undamped free motions; "
                 "forcing and damping must be 0"

@@ -219,7 +219,7 @@ class OrbitEquations:
         if not self.has_period:
             models, period = self.family.models(self.windows, self.places(unknowns)), motions.t
             rate = n * models.of_systems(lambda system: system.decay_rate)
-            determinant = np.exp(-rate * period[rows])
+            determinant = np.exp(-rate * period[rows] - motions.contact_loss[rows])
         multipliers = floquet_multipliers(scaled, determinant)[:, : n - self.has_period]
         equations = np.concatenate([found.jacobian[rows], tangents[:, None, :]], axis=1)
         branching = np.zeros(len(rows))

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from gapsweep.analysis.datasets.basins import arguments
 from gapsweep.analysis.spectra import repetition, spectrum
 from gapsweep.explorer.question import Question
 from gapsweep.integrate.problem import Laws, Model, Models, Solver
@@ -215,19 +216,17 @@ def _moved(
     model: Model, laws: Laws, omega: float, state: Array, t_end: float, *, dense: bool = False
 ) -> Trajectory:
     """The motion from an initial state."""
-    n = model.n
-    how: dict[str, Any] = {
-        "t_end": t_end,
-        "rtol": RTOL,
-        "atol": _atol(model),
-        "dense_output": dense,
-    }
-    if isinstance(model, Oscillator):
-        return simulate(model, laws[0], omega, *state.tolist(), **how)
-    named = dict(zip(model.contacts, laws, strict=True))
-    how |= {"q_0": state[:n], "v_0": state[n : 2 * n]}
-    how |= {"z_0": state[2 * n :]} if model.n_lags else {}
-    return simulate(model, named, omega, **how)
+    is_one = isinstance(model, Oscillator)
+    return simulate(
+        model,
+        laws[0] if is_one else dict(zip(model.contacts, laws, strict=True)),
+        omega,
+        **arguments(model, state),
+        t_end=t_end,
+        rtol=RTOL,
+        atol=_atol(model),
+        dense_output=dense,
+    )
 
 
 def _end(run: Trajectory) -> Array:

@@ -18,7 +18,6 @@ from gapsweep.model.labels import EXACT, Representation, canonical_label, contac
 from gapsweep.model.oscillator import Gap, Oscillator, checked, is_number
 from gapsweep.model.system import System
 from gapsweep.model.systems import paper_oscillator
-from gapsweep.study.points import OF_CONTACT
 from gapsweep.study.study import Study
 
 Array = NDArray[np.float64]
@@ -55,7 +54,7 @@ class Machine:
     parameters : mapping of str to float
         Initial values of the model's parameters.
     walls : mapping of str to mapping of str to (str or float)
-        For every contact its `OF_CONTACT`: each the name of a slider, or a number.
+        For every contact its `_WALLS`: each the name of a slider, or a number.
     laws : mapping of str to str
         Labels of the laws of contacts that do not follow the page's.
     factor : float
@@ -90,7 +89,7 @@ class Machine:
         """Names of the states."""
         q = self.example.coordinates
         lags = (f"z_{i + 1}" for i in range(self.example.n_lags))
-        return (*q, *(f"v_{name}" for name in q), *lags)
+        return (*q, *("v" if self.is_oscillator else f"v_{name}" for name in q), *lags)
 
     @cached_property
     def displacements(self) -> dict[str, Array]:
@@ -117,8 +116,10 @@ class Machine:
 
     def state(self, name: str) -> Scale:
         """Scale of a state."""
-        is_rate = self.states.index(name) >= self.example.n
-        return self.speed(name.removeprefix("v_")) if is_rate else self.length(name)
+        number, q = self.states.index(name), self.example.coordinates
+        if number < 2 * len(q):
+            return (self.length, self.speed)[number // len(q)](q[number % len(q)])
+        return Scale(name)
 
 
 def _power(factor: float) -> str:
@@ -467,11 +468,12 @@ def of_model(
     for one in several.values():
         if not isinstance(one, ContactLaw):
             raise ModelError(f"law = {one!r:.80}: must be a contact law, as gapsweep.Piecewise")
+        _refuse_damping(one.losses.damping)
     if set(several) != set(example.contacts):
         raise ModelError(f"law: of {list(several)}: must name {list(example.contacts)}")
     is_one = len(set(map(id, several.values()))) == 1
     walls = {
-        contact: {name: name if is_one else f"{name} of {contact}" for name in OF_CONTACT}
+        contact: {name: name if is_one else f"{name} of {contact}" for name in _WALLS}
         for contact in example.contacts
     }
     values: dict[str, float] = {"omega": _LOOKED_AT * example.slowest}
@@ -523,6 +525,7 @@ def of_study(study: Study) -> tuple[Question, dict[str, tuple[float, float]]]:
     grid, spec, example = study.grid, study.spec, study.model.default
     if not (example.is_forced and example.contacts):
         raise ModelError(f"{study.source}: {_NOT_SHOWN}")
+    _refuse_damping(max(grid.axes.get("damping", (0.0,))))
     gaps = grid.gaps if {"gap", "j_1"} & grid.axes.keys() else ()
     machine = _machine_of(study, gaps)
     ranges = {
@@ -555,6 +558,11 @@ def of_study(study: Study) -> tuple[Question, dict[str, tuple[float, float]]]:
     return question, ranges
 
 
+def _refuse_damping(damping: float) -> None:
+    if damping:
+        raise ModelError(f"damping = {damping:g}: explore has elastic walls; use gapsweep.respond")
+
+
 def _machine_of(study: Study, gaps: Sequence[Gap]) -> Machine:
     """The model of a study; numbers of a contact in [contact] have no slider."""
     walls: dict[str, dict[str, str | float]] = {}
@@ -568,10 +576,11 @@ def _machine_of(study: Study, gaps: Sequence[Gap]) -> Machine:
                 raise ModelError(
                     f"{study.source}: contact {contact}: {law}: user laws are not computed here"
                 )
+        _refuse_damping(own.pop("damping", 0.0))
         if "gap" in own:
             own["j_1"], own["j_2"] = own.pop("gap")
             widths.append(own["j_1"] + own["j_2"])
-        walls[contact] = {name: own.get(name, name) for name in OF_CONTACT}
+        walls[contact] = {name: own.get(name, name) for name in _WALLS}
     model = study.model.along(tuple(study.spec.model), {}) or study.model.default
     return _machine(model, walls, max(widths, default=0.0), laws)
 

@@ -8,6 +8,7 @@ from numba.core.errors import NumbaError
 from numpy.typing import NDArray
 
 from gapsweep.errors import ModelError
+from gapsweep.integrate.lanes.law_rows import with_losses
 from gapsweep.integrate.lanes.method import Method
 from gapsweep.integrate.lanes.scene_table import SceneTable, scenes
 from gapsweep.integrate.lanes.system_rows import Walls, system_scenes
@@ -40,11 +41,14 @@ def prepared(models: Models, solver: Solver) -> Integrate:
     scenes = _scenes(models, solver, is_taylor)
     method: Method = Taylor()
     is_located = is_taylor and (scenes.at.is_tanh or _is_located(models))
+    mass = models.of_systems(attrgetter("mass")) if _is_oscillator(models) else None
+    if any(law.losses.damping for laws in models.laws for law in laws):
+        damping, never_pulls = np.moveaxis(models.of_laws(attrgetter("losses")), -1, 0)
+        scale = 1.0 if mass is None else mass[:, None]
+        scenes = with_losses(scenes, damping / scale, never_pulls > 0.0)
     if not is_located:
         laws = [_kernel_law(models, contact) for contact in range(len(models.laws[0]))]
-        mass = np.ones(len(models))
-        if _is_oscillator(models):
-            mass = models.of_systems(attrgetter("mass"))
+        mass = np.ones(len(models)) if mass is None else mass
         if is_taylor:
             rows = [law.rows(mass, len(models)) for law in laws]
             pushes = np.abs(models.of_laws(lambda law: law.force(0.0).item())).T / mass
@@ -87,15 +91,23 @@ def prepared(models: Models, solver: Solver) -> Integrate:
             sampler=run.sample,
             monodromy=run.monodromy,
             contact_time=run.contact_time if problems.contact_time and is_located else None,
+            contact_loss=run.contact_loss,
+            contact_force=_forces(run.contact_force, mass, problems.which),
         )
 
     return integrate
+
+
+def _forces(found: Array | None, mass: Array | None, which: NDArray[np.intp]) -> Array | None:
+    """Return largest forces [N], of oscillators from those per unit mass."""
+    return found if found is None or mass is None else found * mass[which, None]
 
 
 def _by_taylor(models: Models, solver: Solver) -> bool:
     """Whether the Taylor method integrates the models; refuse models that no method integrates."""
     laws, n_located = models.laws[0], models.n_located
     solver.check_located(n_located, len(laws), is_oscillator=_is_oscillator(models))
+    models.check_losses(solver)
     if solver.controller != "native" or (n_located and solver.runge_kutta_setting):
         return not laws
     if _is_located(models) or _crosses_layers(models, solver):

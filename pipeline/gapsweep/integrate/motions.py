@@ -78,7 +78,13 @@ class Motions:
     reach : ndarray, shape (n, n_coordinates)
         Largest modulus of every coordinate initially and at the ends of steps [m].
     contact_time : ndarray, shape (n, n_contacts), or None
-        Time spent beyond the walls of every contact [s]; None: to be computed from the events.
+        Time in which every contact's force acts [s]; None: to be computed from the events.
+    contact_loss : ndarray, shape (n,)
+        Integral of the rate at which contacts shrink volumes in state space [-]: the sum over all
+        contacts of damping times b'M⁻¹b times time in contact; 0 for elastic contacts.
+    contact_force : ndarray, shape (n, n_contacts), or None
+        Largest contact forces [N] of motions recorded from their beginning, for contacts that lose
+        energy; None: to be computed from displacements.
     events : callable
         Function that returns the `Events` of all motions; motions not recorded have none.
     sampler : callable
@@ -99,6 +105,8 @@ class Motions:
     sampler: Callable[[Array], Array]
     monodromy: Array | None = None
     contact_time: Array | None = None
+    contact_loss: Array
+    contact_force: Array | None = None
 
 
 def merged(parts: Sequence[Motions], rows: Sequence[NDArray[np.intp]]) -> Motions:
@@ -107,7 +115,8 @@ def merged(parts: Sequence[Motions], rows: Sequence[NDArray[np.intp]]) -> Motion
         return parts[0]
     order = np.argsort(np.concatenate(rows))
     columns: dict[str, Any] = {}
-    for name in (*SCALARS, "state", "reach", "monodromy", "contact_time"):
+    of_motions = "state", "reach", "monodromy", "contact_time", "contact_loss", "contact_force"
+    for name in (*SCALARS, *of_motions):
         values = [getattr(part, name) for part in parts]
         columns[name] = None if values[0] is None else np.concatenate(values)[order]
 

@@ -173,6 +173,27 @@ class Models:
                 length = np.where(length > 0.0, length, other)
         return np.asarray(solver.rtol * np.where(length > 0.0, length, _NO_LENGTH))
 
+    def check_losses(self, solver: "Solver") -> None:
+        """Raise a `ModelError` if contacts lose energy in a way that the solver cannot integrate.
+
+        Steps that pass a wall before they are cut there would see the jump of the force.
+        """
+        losses = [law.losses for laws in self.laws for law in laws if law.losses.damping]
+        if not losses:
+            return
+        setting = solver.runge_kutta_setting
+        if setting and (solver.engine == "compiled" or solver.contact_force == "as_written"):
+            raise ModelError(
+                f"damping = {losses[0].damping:g}: not with {setting}; leave that setting out"
+            )
+        for system, law in {*zip(self.system.tolist(), self.law.tolist(), strict=True)}:
+            modulated, laws = self.systems[system].is_modulated, self.laws[law]
+            if any(m and each.losses.never_pulls for m, each in zip(modulated, laws, strict=True)):
+                raise ModelError(
+                    f"damping = {losses[0].damping:g}: a contact with periodic stiffness must "
+                    "pull; write pulls=True"
+                )
+
     def with_laws(self, value: Callable[[Laws], Laws]) -> "Models":
         """Return the rows with their laws replaced by a function of them."""
         return replace(self, laws=[value(laws) for laws in self.laws])
@@ -228,7 +249,7 @@ def law_kind(law: ContactLaw) -> Hashable:
         return law.function
     if checked_law(law).is_numbers:
         is_thin = isinstance(law, Tanh) and law.has_thin_layers
-        return type(law), is_thin, isinstance(law, Piecewise) and law.located
+        return type(law), is_thin, isinstance(law, Piecewise) and law.located, law.losses.kind
     return law
 
 

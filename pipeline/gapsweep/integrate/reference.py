@@ -39,10 +39,13 @@ from gapsweep.integrate.reference_motion import (
 )
 from gapsweep.integrate.reference_scenes import (
     Modes,
+    Pressure,
     ReferenceScene,
     State,
+    Watched,
     scene_of,
 )
+from gapsweep.model.contact_modes import MODES
 from gapsweep.model.user_law import UserLaw
 from gapsweep.status import DIVERGED_AT, Status
 
@@ -92,23 +95,26 @@ _METHODS = {"RK45": _RK45, "DOP853": _DOP853}
 
 @dataclass(frozen=True, slots=True)
 class _Segment:
-    """A part of the motion in constant contact modes, and the contact and wall at its end."""
+    """A part of the motion in constant contact modes, and what has ended it."""
 
     t: float
     y: State
     motion: PPoly
-    hit: tuple[int, float] | None = None
+    hit: Watched | None = None
 
 
 @dataclass(slots=True)
 class _Record:
     """Contacts, counts and pieces of motion, accumulated over the segments of a run."""
 
+    time: list[float]  # in which each contact acts, if located
+    force: list[float]  # the largest one of each
     contacts: list[tuple[float, int]] = field(default_factory=list)  # time, contact
     n_steps: int = 0
     n_rejected: int = 0
     nfev: int = 0
     pieces: list[PPoly] = field(default_factory=list)
+    loss: float = 0.0
     status: Status = Status.OK
 
     def count(self, scene: ReferenceScene, nfev: int, n_steps: int) -> None:
@@ -125,6 +131,8 @@ def prepared(models: Models, solver: Solver) -> Integrate:
     RK45 for ``rtol >= 1e-6``, DOP853 below; the absolute tolerance holds for both m and m/s.
     """
     solver.check_located(models.n_located, len(models.laws[0]), is_oscillator=False)
+    models.check_losses(solver)
+    is_lossy = any(law.losses.damping for laws in models.laws for law in laws)
     atol = models.absolute(solver)
 
     def integrate(problems: Problems) -> Motions:
@@ -152,6 +160,9 @@ def prepared(models: Models, solver: Solver) -> Integrate:
             events=lambda: _events(runs),
             sampler=sampler,
             monodromy=monodromy,
+            contact_loss=np.array([run.loss for run in runs]),
+            contact_time=np.array([run.time for run in runs]) if is_lossy else None,
+            contact_force=np.array([run.force for run in runs]) if is_lossy else None,
             **columns,
         )
 
@@ -169,6 +180,9 @@ class _ReferenceMotion:
     n_steps: int
     n_rejected: int
     nfev: int
+    loss: float
+    time: list[float]
+    force: list[float]
     reach: Array
     tangent: State
     t_extrema: Array
@@ -206,7 +220,7 @@ def _run(
     if before and before.t < problems.t_end[i - 1]:
         cost: dict[str, Any] = dict.fromkeys(COUNTS, 0)
         nothing = {name: getattr(before, name)[:0] for name in _EVENTS}
-        return replace(before, t=float(problems.t_0[i]), **cost, **nothing)
+        return replace(before, t=float(problems.t_0[i]), loss=0.0, **cost, **nothing)
     model = int(problems.which[i])
     t_0, omega = float(problems.t_0[i]), float(models.omega[model])
     t_end = float(problems.t_end[i])
@@ -220,7 +234,8 @@ def _run(
         *given,
         t_0=t_0,
     )
-    run = _Record()
+    zeros = [0.0] * len(scene.laws)
+    run = _Record(time=zeros, force=zeros.copy())
     start: State = before.state if before else tuple(problems.start[i].tolist())
     if problems.tangent:
         start += tuple(np.eye(len(start)).ravel().tolist())
@@ -247,6 +262,9 @@ def _run(
         n_steps=run.n_steps,
         n_rejected=run.n_rejected,
         nfev=run.nfev,
+        loss=run.loss,
+        time=run.time,
+        force=run.force,
         # at the ends of its pieces
         reach=np.abs([y[: scene.n], *motion.c[-1, :, : scene.n]]).max(axis=0),
         tangent=y[n:],
@@ -293,11 +311,12 @@ def _located(
 ) -> tuple[float, State]:
     """Integrate in segments of constant contact modes, restarted at every located contact."""
     y, modes, stalled = y_0, scene.modes_at(t, y_0), 0
-    on_wall = None
+    passed: Watched | None = None
     while t < t_end:
-        found = _solve(scene, run, modes, t, y, t_end, on_wall)
+        found = _solve(scene, run, modes, t, y, t_end, passed)
         segment = _cut_at_missed_contact(scene, modes, found)
         run.pieces.append(segment.motion)
+        _add_losses(scene, run, modes, segment, segment.t - t)
         stalled = stalled + 1 if segment.t <= t + 16.0 * np.spacing(t) else 0
         t, y = segment.t, segment.y
         if segment.hit is None:
@@ -305,11 +324,34 @@ def _located(
         if stalled > _MAX_STALLED:
             run.status = Status.CHATTER
             break
-        on_wall, _ = segment.hit
-        previous, modes = modes, scene.passed(t, y, modes, *segment.hit)
-        # With both walls in one place a single crossing leaves one and enters the other.
-        run.contacts += [(t, on_wall)] * abs(modes[on_wall] - previous[on_wall])
+        passed, contact = segment.hit, segment.hit.contact
+        previous, modes = modes, scene.passed(t, y, modes, segment.hit)
+        if passed.force is None:
+            y = scene.jumped(y, previous, modes)
+        run.contacts += [(t, contact)] * _n_changes(previous[contact], modes[contact])
     return t, y
+
+
+def _n_changes(before: int, after: int) -> int:
+    """Number of contacts that begin and end: with both walls in one place, two at once."""
+    acts = [MODES[abs(mode)].acts for mode in (before, after)]
+    return 2 if all(acts) and before != after else int(acts[0] != acts[1])
+
+
+def _add_losses(
+    scene: ReferenceScene, run: _Record, modes: tuple[int, ...], segment: _Segment, lasted: float
+) -> None:
+    """Add a segment's part of `Motions.contact_loss`, contact times and largest forces."""
+    run.loss += scene.loss(modes) * lasted
+    for contact, mode in enumerate(modes):
+        if not (MODES[abs(mode)].acts and scene.laws[contact].losses.damping):
+            run.time[contact] += lasted * MODES[abs(mode)].acts
+            continue
+        run.time[contact] += lasted
+        force = _force_motion(gap_of(scene, segment.motion, contact), scene.pressure(contact, mode))
+        ends = force(segment.motion.x[[0, -1]])[:, 0]
+        seen = np.abs(np.append(ends, extrema_of(force)[1]))
+        run.force[contact] = max(run.force[contact], float(seen.max()))
 
 
 def _solve(
@@ -319,23 +361,23 @@ def _solve(
     t: float,
     y: State,
     t_end: float,
-    on_wall: int | None,
+    passed: Watched | None,
 ) -> _Segment:
     """Run `solve_ivp` until `t_end`, the next contact or divergence.
 
     Parameters
     ----------
-    on_wall : int, optional
-        Contact that is on a wall initially.
+    passed : Watched, optional
+        What the motion has passed just before.
     """
-    exits = _exits(modes)
+    exits = _exits(scene, modes)
     solution = solve_ivp(
         scene.rhs(modes),
         (t, t_end),
         y,
         _METHODS[scene.method],
         dense_output=True,
-        events=[_contact_event(scene, modes, *each, t, y, on_wall) for each in exits]
+        events=[_contact_event(scene, each, t, y, passed) for each in exits]
         + [_Stop(lambda t, y: max(map(abs, y[: scene.n])) - DIVERGED_AT)],
         rtol=scene.rtol,
         atol=scene.atol,
@@ -352,18 +394,15 @@ def _solve(
         lost = _is_undefined_ahead(scene.rhs(modes), solution.t[-1], solution.y[:, -1], ahead)
         why = Status.MODEL_INVALID if UserLaw in map(type, scene.laws) else Status.DIVERGED
         run.status = why if lost else Status.STEP_UNDERFLOW
-    hits = [
-        (contact, scene.wall(contact, side))
-        for (contact, side), times in zip(exits, contacts, strict=True)
-        if times.size
-    ]
-    end = _on_wall(scene, end, *hits[0]) if hits else end
+    hits = [each for each, times in zip(exits, contacts, strict=True) if times.size]
+    end = _on_wall(scene, end, hits[0]) if hits else end
     return _Segment(float(solution.t[-1]), end, motion, hits[0] if hits else None)
 
 
-def _on_wall(scene: ReferenceScene, y: State, contact: int, wall: float) -> State:
+def _on_wall(scene: ReferenceScene, y: State, hit: Watched) -> State:
     """Return the state, moved onto the wall if the contact's gap is the only coordinate."""
-    return (wall, *y[1:]) if scene.n == 1 and scene.gap(contact, (1.0,)) == 1.0 else y
+    is_gap = hit.force is None and scene.n == 1 and scene.gap(hit.contact, (1.0,)) == 1.0
+    return (hit.at, *y[1:]) if is_gap else y
 
 
 def _is_undefined_ahead(
@@ -380,10 +419,11 @@ def _is_undefined_ahead(
     return False
 
 
-def _exits(modes: Modes) -> list[tuple[int, int]]:
-    """Return (contact, side) of every wall at which a mode can end; -1: lower, 1: upper wall."""
-    sides = [(mode,) if mode else (-1, 1) for mode in modes or ()]
-    return [(contact, side) for contact, both in enumerate(sides) for side in both]
+def _exits(scene: ReferenceScene, modes: Modes) -> list[Watched]:
+    """Return all that can end the modes."""
+    return [
+        each for contact, mode in enumerate(modes or ()) for each in scene.watched(contact, mode)
+    ]
 
 
 class _Stop:
@@ -400,27 +440,25 @@ class _Stop:
 
 def _contact_event(
     scene: ReferenceScene,
-    modes: Modes,
-    contact: int,
-    side: int,
+    watched: Watched,
     t_start: float,
     y_start: State,
-    on_wall: int | None,
+    passed: Watched | None,
 ) -> _Stop:
-    """Return the event at a wall: a zero of the distance beyond it after `t_start`."""
-    assert modes is not None, "without modes nothing is located"
-    wall, at_start = scene.wall(contact, side), scene.gap(contact, y_start)
-    mode = modes[contact]
-    starts_there = at_start == wall or (
-        contact == on_wall
-        and abs(at_start - wall) <= _NEAR * (scene.laws[contact].gap.width + abs(at_start))
-    )
-    sign = 1.0 if mode else -1.0
+    """Return the event that ends a mode: a zero of the distance from a value after `t_start`."""
+    contact, side, at = watched.contact, watched.side, watched.at
+    at_start = scene.value(watched, y_start)
+    starts_there = at_start == at
+    if passed is not None and passed.contact == contact and not starts_there:
+        is_same = watched.force is not None and passed.force is not None
+        near = _NEAR * (scene.laws[contact].gap.width + abs(at_start))
+        starts_there = is_same or (watched.force is None and abs(at_start - at) <= near)
+    sign = 1.0 if watched.falls else -1.0
 
     def event(t: float, y: Sequence[float]) -> float:
         if not starts_there:
-            return float(side * (scene.gap(contact, y) - wall))
-        beyond = side * (scene.gap(contact, y) - at_start)
+            return float(side * (scene.value(watched, y) - at))
+        beyond = side * (scene.value(watched, y) - at_start)
         return float(beyond / (t - t_start)) if t > t_start else sign
 
     return _Stop(event, direction=-sign)
@@ -431,24 +469,41 @@ def _cut_at_missed_contact(
 ) -> _Segment:
     """Cut a segment at the first contact between step ends that `solve_ivp` has missed, if any."""
     missed = []
-    for contact, side in _exits(modes):
-        gap, wall = gap_of(scene, segment.motion, contact), scene.wall(contact, side)
-        turns = roots(gap, 1, 0.0)
+    for each in _exits(scene, modes):
+        value = _watched_motion(scene, segment.motion, each)
+        turns = roots(value, 1, 0.0)
         if not turns.size:
             continue
-        walls = scene.laws[contact].gap
+        law = scene.laws[each.contact]
         # A touch within rounding of the wall is not a contact.
-        slack = 8.0 * np.finfo(float).eps * max(walls.j_1, walls.j_2)
-        allowed = 1.0 if modes[contact] else -1.0
-        wrong = np.flatnonzero(allowed * side * (gap(turns)[:, 0] - wall) < -slack)
-        if wrong.size and (segment.hit != (contact, wall) or turns[wrong[0]] < segment.t):
+        slack = 8.0 * np.finfo(float).eps * max(law.gap.j_1, law.gap.j_2)
+        slack *= law.K_c if each.force else 1.0
+        allowed = 1.0 if each.falls else -1.0
+        wrong = np.flatnonzero(allowed * each.side * (value(turns)[:, 0] - each.at) < -slack)
+        if wrong.size and (segment.hit != each or turns[wrong[0]] < segment.t):
             before = turns[wrong[0] - 1] if wrong[0] else segment.motion.x[0]
-            missed.append((turns[wrong[0]], before, contact, wall))
+            missed.append((turns[wrong[0]], before, each))
     if not missed:
         return segment
     # The earliest one, of any wall: the motion after it is wrong.
-    beyond, before, contact, wall = min(missed)
-    return _cut(scene, segment, before, beyond, contact, wall)
+    beyond, before, hit = min(missed, key=lambda one: one[:2])
+    return _cut(scene, segment, before, beyond, hit)
+
+
+def _watched_motion(scene: ReferenceScene, motion: PPoly, watched: Watched) -> PPoly:
+    """Return a watched quantity and its rate along a motion."""
+    gap = gap_of(scene, motion, watched.contact)
+    return gap if watched.force is None else _force_motion(gap, watched.force)
+
+
+def _force_motion(gap: PPoly, force: Pressure) -> PPoly:
+    """Return the force of a contact and its rate along a motion, from its gap and the gap's."""
+    depth, speed = gap.c[:, :, 0].copy(), gap.c[:, :, 1]
+    depth[-1] -= force.wall
+    values = force.stiffness * depth + force.damping * speed
+    rates = np.zeros_like(values)
+    rates[1:] = PPoly.construct_fast(values, gap.x).derivative().c
+    return PPoly.construct_fast(np.stack([values, rates], axis=-1), gap.x)
 
 
 def _cut(
@@ -456,18 +511,17 @@ def _cut(
     segment: _Segment,
     t_before: float,
     t_beyond: float,
-    contact: int,
-    wall: float,
+    hit: Watched,
 ) -> _Segment:
     def distance(t: float) -> float:
-        return scene.gap(contact, segment.motion(t)) - wall
+        return scene.value(hit, segment.motion(t)) - hit.at
 
     straddles = distance(t_before) * distance(t_beyond) < 0.0
     t = float(brentq(distance, t_before, t_beyond, xtol=1e-15)) if straddles else t_before
     last = int(np.searchsorted(segment.motion.x, t, side="left"))
     if not last:  # at once
         start = resting(t, segment.motion(t))
-        return _Segment(t, _on_wall(scene, tuple(start(t)), contact, wall), start, (contact, wall))
+        return _Segment(t, _on_wall(scene, tuple(start(t)), hit), start, hit)
     breaks = np.append(segment.motion.x[:last], t)
     motion = PPoly.construct_fast(segment.motion.c[:, : breaks.size - 1], breaks)
-    return _Segment(t, _on_wall(scene, tuple(motion(t)), contact, wall), motion, (contact, wall))
+    return _Segment(t, _on_wall(scene, tuple(motion(t)), hit), motion, hit)

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gapsweep.model.contact import ContactLaw, Piecewise
+from gapsweep.model.contact_modes import MODES, SLACK
 from gapsweep.model.oscillator import Oscillator
 from gapsweep.model.system import Harmonic, first_order
 from gapsweep.model.waves import ForceByPieces, Wave
@@ -22,7 +23,7 @@ _TOUCH = 1e-12
 
 # Contact mode of every contact; None: the laws themselves, nothing is located.
 Modes = tuple[int, ...] | None
-Force = Callable[[float], float]
+Force = Callable[[float, float], float]
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,36 +87,102 @@ class ReferenceScene:
         """Return the contact force: the law itself, or the branch of the exact law in a mode."""
         law = self.laws[contact]
         if modes is None or self.contact_force == "as_written":
-            return lambda x: float(law.force(x))
-        if not modes[contact]:
-            return lambda x: 0.0
-        stiffness, wall = self.slope(contact, modes)(0.0), self.wall(contact, modes[contact])
-        return lambda x: stiffness * (x - wall)
+            return lambda x, v: float(law.force(x, v))
+        if not MODES[abs(modes[contact])].acts:
+            return lambda x, v: 0.0
+        return self.pressure(contact, modes[contact])
 
-    def slope(self, contact: int, modes: Modes) -> Force:
+    def pressure(self, contact: int, mode: int) -> "Pressure":
+        """Force of the exact law at the wall of a mode, as if the contact pulled."""
+        law = self.laws[contact]
+        stiffness = law.K_c if mode > 0 else law.K_ratio * law.K_c
+        return Pressure(stiffness, self.wall(contact, mode), law.losses.damping)
+
+    def damping(self, contact: int, modes: Modes) -> float:
+        """Damping of a contact in its mode [N s/m]."""
+        acts = modes is not None and MODES[abs(modes[contact])].acts
+        return self.laws[contact].losses.damping if acts else 0.0
+
+    def loss(self, modes: Modes) -> float:
+        """Rate [1/s] at which contacts shrink volumes in state space."""
+        damping = [self.damping(k, modes) for k in range(len(self.laws))]
+        return float(damping @ self.compliance) if any(damping) else 0.0
+
+    def watched(self, contact: int, mode: int) -> "list[Watched]":
+        """Return what may end a mode: the gap at a wall, or the force at zero."""
+        never_pulls = self.laws[contact].losses.never_pulls
+        found = []
+        if not (never_pulls and MODES[abs(mode)].acts):
+            sides = (-1, 1) if not mode else (1 if mode > 0 else -1,)
+            found = [Watched(contact, side, bool(mode), self.wall(contact, side)) for side in sides]
+        if never_pulls and mode:
+            side, force = (1 if mode > 0 else -1), self.pressure(contact, mode)
+            found.append(Watched(contact, side, MODES[abs(mode)].acts, 0.0, force))
+        return found
+
+    def value(self, watched: "Watched", y: Sequence[float] | Array) -> float:
+        """Value of a watched quantity in a state."""
+        gap = self.gap(watched.contact, y)
+        if watched.force is None:
+            return gap
+        return watched.force(gap, self.gap(watched.contact, y[self.n :]))
+
+    def jumped(self, y: State, before: tuple[int, ...], modes: tuple[int, ...]) -> State:
+        """Return the state after a change of modes at a wall: only the tangent jumps."""
+        if not self.tangent or not any(law.losses.damping for law in self.laws):
+            return y
+        n, found = self.n, np.array(y)
+        images = found[self.n_states :].reshape(self.n_states, self.n_states)  # a view
+        for k, b in enumerate(self.directions):
+            change = self.damping(k, modes) - self.damping(k, before)
+            images[:, n : 2 * n] -= change * np.outer(images[:, :n] @ b, self.pull[:, k])
+        return tuple(found.tolist())
+
+    @property
+    def pull(self) -> Array:
+        """Accelerations by unit forces of the contacts [1/kg], shape (n, n_contacts)."""
+        raise NotImplementedError
+
+    @property
+    def compliance(self) -> Array:
+        """``b'M^-1 b`` of every contact [1/kg], shape (n_contacts,)."""
+        return np.asarray(np.einsum("ki,ik->k", self.directions, self.pull))
+
+    def slope(self, contact: int, modes: Modes) -> Callable[[float], float]:
         """Return the slope of the contact force that `force` returns."""
         law = self.laws[contact]
         if modes is None or self.contact_force == "as_written":
             return lambda x: float(law.derivative(x))
-        stiffness = (0.0, law.K_c, law.K_ratio * law.K_c)[modes[contact]]
-        return lambda x: stiffness
+        mode = modes[contact]
+        stiffness = law.K_c if mode > 0 else law.K_ratio * law.K_c
+        return lambda x: stiffness if MODES[abs(mode)].acts else 0.0
 
     def modes_at(self, t: float, y: State) -> tuple[int, ...]:
         """Initial contact modes; on a wall the velocity decides, then the acceleration."""
         modes = tuple(self._beyond(k, y) for k in range(len(self.laws)))
         for contact in range(len(self.laws)):
             if self.gap(contact, y) in (self.wall(contact, -1), self.wall(contact, 1)):
-                modes = self.passed(t, y, modes, contact, self.gap(contact, y))
+                here = Watched(contact, 1, False, self.gap(contact, y))
+                modes = self.passed(t, y, modes, here)
         return modes
 
     def _beyond(self, contact: int, y: State) -> int:
         gap = self.gap(contact, y)
-        return int(gap > self.wall(contact, 1)) - int(gap < self.wall(contact, -1))
+        mode = int(gap > self.wall(contact, 1)) - int(gap < self.wall(contact, -1))
+        if mode and self.laws[contact].losses.never_pulls:
+            speed = self.gap(contact, y[self.n :])
+            return mode if mode * self.pressure(contact, mode)(gap, speed) >= 0.0 else SLACK * mode
+        return mode
 
-    def passed(
-        self, t: float, y: State, modes: tuple[int, ...], contact: int, wall: float
-    ) -> tuple[int, ...]:
-        """Return the modes after a contact reached a wall; velocity, then acceleration decides."""
+    def passed(self, t: float, y: State, modes: tuple[int, ...], hit: "Watched") -> tuple[int, ...]:
+        """Return the modes after a contact reached a wall, or its force zero.
+
+        At a wall the velocity decides, then the acceleration.
+        """
+        contact, wall = hit.contact, hit.at
+        if hit.force is not None:
+            mode = MODES[abs(modes[contact])].after_zero * hit.side
+            return tuple(mode if k == contact else other for k, other in enumerate(modes))
         free = tuple(0 if k == contact else mode for k, mode in enumerate(modes))
         rates = np.asarray(self.rhs(free)(t, np.array(y)))
         v, a = (self.gap(contact, rates[i * self.n :]) for i in (0, 1))
@@ -125,6 +192,43 @@ class ReferenceScene:
             if wall == self.wall(contact, mode) and mode * heading > 0.0:
                 return tuple(mode if k == contact else other for k, other in enumerate(modes))
         return free
+
+
+@dataclass(frozen=True, slots=True)
+class Pressure:
+    """Force of a contact at one wall, while it acts, as a function of displacement and speed."""
+
+    stiffness: float
+    wall: float
+    damping: float
+
+    def __call__(self, x: float, v: float) -> float:
+        spring = self.stiffness * (x - self.wall)
+        return spring + self.damping * v if self.damping else spring
+
+
+@dataclass(frozen=True, slots=True)
+class Watched:
+    """A quantity of a contact whose passing of a value ends the contact's mode.
+
+    Attributes
+    ----------
+    contact : int
+    side : int
+        -1 for the lower wall, +1 for the upper one.
+    falls : bool
+        Whether `side` times the quantity falls through the value, in contact, or rises.
+    at : float
+        That value: of the wall [m], or zero force.
+    force : Pressure, optional
+        The force [N] that is watched; None: the gap.
+    """
+
+    contact: int
+    side: int
+    falls: bool
+    at: float
+    force: Pressure | None = None
 
 
 def _waves(system: Any) -> list[ForceByPieces]:
@@ -146,6 +250,10 @@ class OscillatorScene(ReferenceScene):
         return np.ones((1, 1))
 
     @property
+    def pull(self) -> Array:
+        return np.full((1, 1), 1.0 / self.system.mass)
+
+    @property
     def n_states(self) -> int:
         return 2
 
@@ -162,17 +270,19 @@ class OscillatorScene(ReferenceScene):
         def f(t: float, y: Array) -> State:
             x, v = y[:2].tolist()
             drive = forcing * math.cos(omega_rad * t + theta_0)
-            return v, drive - damping * v - (stiffness + cubic * x * x) * x - contact(x) / mass
+            force = contact(x, v)
+            return v, drive - damping * v - (stiffness + cubic * x * x) * x - force / mass
 
         if not self.tangent:
             return f
         contact_slope = self.slope(0, modes)
+        damped = damping + self.damping(0, modes) / mass
 
         def with_tangent(t: float, y: Array) -> State:
             x, _, *tangent = y.tolist()
             slope = stiffness + 3.0 * cubic * x * x + contact_slope(x) / mass
             (a, a_dot), (b, b_dot) = tangent[:2], tangent[2:]
-            images = a_dot, -damping * a_dot - slope * a, b_dot, -damping * b_dot - slope * b
+            images = a_dot, -damped * a_dot - slope * a, b_dot, -damped * b_dot - slope * b
             return (*f(t, y[:2]), *images)
 
         return with_tangent
@@ -186,6 +296,10 @@ class SystemScene(ReferenceScene):
     @property
     def directions(self) -> Array:
         return np.asarray(self.system.directions)
+
+    @property
+    def pull(self) -> Array:
+        return np.asarray(np.linalg.inv(self.system.mass) @ self.directions.T)
 
     @property
     def n_states(self) -> int:
@@ -203,7 +317,7 @@ class SystemScene(ReferenceScene):
             found.update(times[(times > 0.0) & (times < t_end)].tolist())
         return sorted(found)
 
-    def _value(self, wave: Wave) -> Force:
+    def _value(self, wave: Wave) -> Callable[[float], float]:
         """Return the present polynomial of a wave as a function of time."""
         rate, start = (1.0, self.t_0) if wave.in_seconds else (self.omega, self.turn)
         now = start + self.piece * rate
@@ -230,6 +344,11 @@ class SystemScene(ReferenceScene):
         cubics = [(c.along, inverse @ c.along * c.alpha) for c in system.cubic]
         pull = inverse @ directions.T
         contacts = range(len(self.laws))
+        lossy = [law.losses.damping > 0.0 for law in self.laws]
+        damped = linear.copy()
+        for k in contacts:
+            damper = self.damping(k, modes) * np.outer(pull[:, k], directions[k])
+            damped[n : 2 * n, n : 2 * n] -= damper
         forces = [self.force(k, modes) for k in contacts]
         slopes = [self.slope(k, modes) for k in contacts]
         terms = [system.modulation.get(name, ()) for name in system.contacts]
@@ -255,11 +374,15 @@ class SystemScene(ReferenceScene):
             for along, cubic in cubics:
                 push -= cubic * (along @ state[:n]) ** 3
             for k, rate in zip(contacts, rates(theta), strict=True):
-                push -= pull[:, k] * (rate * forces[k](float(directions[k] @ state[:n])))
+                gap = float(directions[k] @ state[:n])
+                push -= pull[:, k] * (rate * forces[k](gap, 0.0))
+                if lossy[k]:
+                    speed = float(directions[k] @ state[n : 2 * n])
+                    push -= pull[:, k] * (forces[k](gap, speed) - forces[k](gap, 0.0))
             found[n : 2 * n] += push
             if not self.tangent:
                 return found
-            jacobian = linear.copy()
+            jacobian = damped.copy()
             for along, cubic in cubics:
                 jacobian[n : 2 * n, :n] -= 3.0 * (along @ state[:n]) ** 2 * np.outer(cubic, along)
             for k, rate in zip(contacts, rates(theta), strict=True):

@@ -1,7 +1,8 @@
 """The base class of contact laws, and the exact freeplay force.
 
-Every law has ``force(x)`` [N] and ``derivative(x)`` [N/m] on arrays of displacements [m],
-for symmetric, asymmetric and zero gaps. `gapsweep.model.labels` builds any law from its label.
+Every law has ``force(x, v)`` [N] and ``derivative(x)`` [N/m] on arrays of displacements [m] and
+velocities [m/s], for symmetric, asymmetric and zero gaps. `gapsweep.model.labels` builds any law
+from its label.
 
 The exact law is in this file. The approximations are classes in files of `gapsweep.model.laws`,
 each with all that the rest of the package uses: label, texts, force, and the formulas that the
@@ -19,12 +20,15 @@ from numpy.typing import ArrayLike, NDArray
 from gapsweep.errors import ModelError
 from gapsweep.model.arithmetic import select
 from gapsweep.model.arrays import numbers
+from gapsweep.model.contact_modes import Losses
 from gapsweep.model.fit import unit_force
 from gapsweep.model.oscillator import Gap, called_as, checked
 from gapsweep.status import DIVERGED_AT
 
 Array = NDArray[np.float64]
 FIT_RANGE = 4e-3
+# Parameters of a contact that have default values, and apply to both walls.
+OF_WALLS: Mapping[str, float] = {"K_ratio": 1.0, "damping": 0.0}
 _NOEVENTS = "noevents"
 
 
@@ -125,6 +129,11 @@ class ContactLaw:
         return Piecewise(self.K_c, self.gap, K_ratio=self.K_ratio)
 
     @property
+    def losses(self) -> Losses:
+        """Energy losses of the contact; none of an elastic contact."""
+        return Losses()
+
+    @property
     def walls(self) -> tuple[float, float]:
         """Positions of the lower and upper wall [m]; ±`DIVERGED_AT` without stiffness."""
         low = -self.gap.j_1 if self.K_ratio * self.K_c else -DIVERGED_AT
@@ -155,8 +164,11 @@ class ContactLaw:
         """Lowest and highest displacement [m] at which the law is valid."""
         return -math.inf, math.inf
 
-    def force(self, x: ArrayLike) -> Array:
-        """Return the restoring force on the mass [N] at displacements `x` [m], of their shape."""
+    def force(self, x: ArrayLike, v: ArrayLike = 0.0) -> Array:
+        """Return the restoring force on the mass [N] at displacements `x` [m], of their shape.
+
+        Velocities `v` [m/s], of the same shape or one number, matter to contacts that lose energy.
+        """
         raise NotImplementedError
 
     def derivative(self, x: ArrayLike) -> Array:
@@ -184,6 +196,12 @@ class Piecewise(ContactLaw):
     located : bool
         Whether contact times are located within a step. False has the label
         ``piecewise-noevents``: the same force without event location.
+    damping : float
+        Damping c of both walls [N s/m], ``>= 0``: beyond a wall, a force c times the speed of
+        penetration is added; 0 by default. It needs located contacts.
+    pulls : bool
+        Whether a wall with damping pulls the mass back while it leaves. By default it never pulls:
+        the force ends where it falls to zero, before the mass has left the wall.
 
     Examples
     --------
@@ -191,6 +209,9 @@ class Piecewise(ContactLaw):
     >>> law = gs.Piecewise(1.4e4, gs.Gap(0.4e-3, 0.4e-3))
     >>> law.force(0.5e-3).round(3).item()
     1.4
+    >>> stop = gs.Piecewise(1.4e4, gs.Gap(0.4e-3, 0.4e-3), damping=60.0)
+    >>> stop.force(0.5e-3, [0.01, 0.0, -0.1]).round(3).tolist()  # inwards, at rest, outwards
+    [2.0, 1.4, 0.0]
     """
 
     family: ClassVar[str] = "piecewise"
@@ -203,6 +224,20 @@ class Piecewise(ContactLaw):
     formulas: ClassVar[Formulas] = Formulas(_piecewise_force, _piecewise_slope)
 
     located: bool = True
+    damping: float = field(default=0.0, kw_only=True)
+    pulls: bool = field(default=False, kw_only=True)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        object.__setattr__(self, "damping", checked("damping", self.damping, low=0.0))
+        if self.damping and not self.located:
+            raise ModelError(
+                f"damping = {self.damping:g}: needs located contacts; leave located=False out"
+            )
+
+    @property
+    def losses(self) -> Losses:
+        return Losses(self.damping, bool(self.damping) and not self.pulls)
 
     @classmethod
     def canonical(cls, label: str, parameter: str) -> str:
@@ -218,9 +253,15 @@ class Piecewise(ContactLaw):
     def turns(self) -> tuple[float, ...]:
         return ()
 
-    def force(self, x: ArrayLike) -> Array:
+    def force(self, x: ArrayLike, v: ArrayLike = 0.0) -> Array:
         x = numbers("x", x)
-        return np.asarray(self.K_c * unit_force(x, self.gap, self.K_ratio))
+        force = np.asarray(self.K_c * unit_force(x, self.gap, self.K_ratio))
+        if not self.damping:
+            return force
+        low, high = self.walls
+        side = np.where(x > high, 1.0, np.where(x < low, -1.0, 0.0))
+        pressure = side * force + np.abs(side) * self.damping * side * numbers("v", v)
+        return np.asarray(side * (pressure if self.pulls else np.maximum(pressure, 0.0)))
 
     def derivative(self, x: ArrayLike) -> Array:
         x = numbers("x", x)

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from gapsweep.errors import ModelError
 from gapsweep.model.contact import ContactLaw
 from gapsweep.model.oscillator import Oscillator, called_as
 from gapsweep.model.structure import general_form
@@ -103,9 +104,13 @@ def _linear(model: Oscillator | System, starts: Array) -> tuple[Array, Array]:
     The displacement adds resonance, mean loads and initial states; it is infinite if the model is
     not forced or not damped, a coordinate is free or a spring softens.
     """
-    model = general_form(model) if isinstance(model, Oscillator) else model
     along = np.reshape(model.directions, (-1, model.n))
     none = np.zeros(len(along)), np.full(len(along), math.inf)
+    if isinstance(model, Oscillator):
+        try:
+            model = general_form(model)
+        except ModelError:  # its stiffness is beyond the numbers of a system
+            return none
     if model.n_lags or not model.is_held or any(cubic.alpha < 0.0 for cubic in model.cubic):
         return none
     own = np.abs(np.linalg.eigvals(first_order(model)))

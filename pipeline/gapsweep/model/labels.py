@@ -15,7 +15,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from gapsweep.errors import ModelError
-from gapsweep.model.contact import FIT_RANGE, ContactLaw
+from gapsweep.model.contact import FIT_RANGE, ContactLaw, Piecewise
 from gapsweep.model.laws import LAWS
 from gapsweep.model.laws.fitted import Fitted
 from gapsweep.model.oscillator import Gap, called_as
@@ -136,7 +136,13 @@ def _likely(label: str) -> str:
 
 @called_as("gs.contact_law('tanh-1e4', K_c=1.4e4, gap=gs.Gap(4e-4, 4e-4)), in N/m and m")
 def contact_law(
-    label: str, K_c: float, gap: Gap, fit_range: float = FIT_RANGE, *, K_ratio: float = 1.0
+    label: str,
+    K_c: float,
+    gap: Gap,
+    fit_range: float = FIT_RANGE,
+    *,
+    K_ratio: float = 1.0,
+    damping: float = 0.0,
 ) -> ContactLaw:
     """Return the contact law of a label.
 
@@ -152,6 +158,8 @@ def contact_law(
         Half-width of the fit range of polynomials [m].
     K_ratio : float
         Stiffness of the lower wall over the stiffness of the upper wall [-], ``>= 0``.
+    damping : float
+        Damping of both walls [N s/m], ``>= 0``; only for ``piecewise``, see `Piecewise`.
 
     Examples
     --------
@@ -162,9 +170,15 @@ def contact_law(
     law = Representation(canonical_label(label))
     if law.is_auto:
         raise ModelError("'auto' is for studies only; write a representation, as 'piecewise'")
+    if damping and law.law_type is not Piecewise:
+        raise ModelError(
+            f"damping = {damping:g}: {law} has no damping; write damping = 0, or 'piecewise'"
+        )
     if law.law_type is None:
         return OwnLaw.of(law, [Path.cwd()]).law(K_c, gap, K_ratio)
     numbers = law.law_type.of_label(law.parameter, fit_range)
+    if damping:
+        numbers["damping"] = damping
     return law.law_type(K_c, gap, K_ratio=K_ratio, **numbers)
 
 

@@ -35,7 +35,10 @@ C = TypeVar("C", bound=Callable[..., Any])
 
 
 _LOSSES = frozenset(("damping", "restitution", "friction"))
-NO_LOSS = "contact that loses energy (damping, restitution, friction) is not covered"
+NO_LOSS = (
+    "only gs.Piecewise(K_c, gap, damping=60.0) is a contact that loses energy; restitution and "
+    "friction are not covered"
+)
 
 
 def called_as(example: str) -> Callable[[C], C]:

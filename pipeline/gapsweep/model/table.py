@@ -155,7 +155,7 @@ class ForceTable(ContactLaw):
         rises = np.sign(np.diff(self.F))
         return tuple(self._places[1:-1][rises[1:] != rises[:-1]].tolist())
 
-    def force(self, x: ArrayLike) -> Array:
+    def force(self, x: ArrayLike, v: ArrayLike = 0.0) -> Array:
         d, c_3, c_2, c_1, c_0 = self._piece(x)
         return np.asarray(((c_3 * d + c_2) * d + c_1) * d + c_0)
 

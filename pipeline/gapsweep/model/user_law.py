@@ -141,7 +141,7 @@ class UserLaw(ContactLaw):
     def __str__(self) -> str:
         return self.name
 
-    def force(self, x: ArrayLike) -> Array:
+    def force(self, x: ArrayLike, v: ArrayLike = 0.0) -> Array:
         x = numbers("x", x)
         return np.reshape([self._as_compiled(float(v)) for v in x.ravel()], x.shape)
 

@@ -15,7 +15,7 @@ from gapsweep.response import thresholds as limit
 from gapsweep.response.classification import Classification, State
 from gapsweep.response.compiled import read_extrema
 from gapsweep.response.equilibrium import rates
-from gapsweep.response.loads import contact_shares, largest_forces
+from gapsweep.response.loads import largest_forces
 from gapsweep.response.ragged import RaggedArrays, spans
 from gapsweep.response.result import (
     LISTS,
@@ -286,8 +286,7 @@ def _record(orbits: Numbers, windows: RecordedWindows, shooting: NewtonShooting)
         call = ensemble.call(orbits, y, n, np.zeros(len(orbits)), section_only=False)
         windows.y[:, orbits], windows.status[orbits] = y, call.status
         windows.extrema.put(windows.rows(orbits), *_whole_period(windows, orbits, y, call))
-        windows.contact_share[:, orbits] = contact_shares(ensemble, orbits, y, call, closed=True)
-        windows.contacts_per_period[orbits] = 0.5 * call.n_contacts / n
+        windows.keep_loads(orbits, y, call, n, closed=True)
         section, counts = call.passings
         states.put(orbits, section.ravel(), len(y) * counts)
     return states
@@ -361,6 +360,8 @@ def _read_off(
     laws = zip(*map(ensemble.laws, points.tolist()), strict=True)
     forces = [largest_forces(*each) for each in zip(laws, gap_min, gap_max, strict=False)]
     force_max = np.array(forces).reshape(len(low), len(points)).T
+    of_losses = windows.contact_force[:, points].T
+    force_max = np.where(np.isnan(of_losses), force_max, of_losses)
     force_max[ensemble.is_modulated[:, points].T] = np.nan
     n_shown = np.minimum(counts[:, :n_q], steady.max_extrema)
     shown = spans(first[:, :n_q].ravel(), n_shown.ravel())

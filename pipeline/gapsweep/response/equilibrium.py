@@ -82,7 +82,9 @@ def _sides(ensemble: Ensemble, scene: int, y: Array) -> Iterator[Any]:
         # With zero gap there is no free mode between the walls.
         choices.append(sorted(modes - {0} if low == high and len(modes) > 1 else modes))
     if all(len(modes) == 1 for modes in choices):
-        yield None
+        # The modes have the damping of contacts, too.
+        is_lossy = any(law.losses.damping for law in laws)
+        yield tuple(mode for (mode,) in choices) if is_lossy else None
     elif all(isinstance(law, Piecewise) for law in laws):
         yield from product(*choices)
     else:
@@ -130,14 +132,16 @@ class Rates:
             push -= cubic[n:] * _along(cubic[:n], y) ** 3
         for k, contact in enumerate(np.moveaxis(self._contacts[of], 0, -1)):
             gap = _along(contact[:n], y)
-            push -= contact[n:] * self._force(k, self._law[scenes], gap)
+            speed = _along(contact[:n], y[n : 2 * n])
+            push -= contact[n:] * self._force(k, self._law[scenes], gap, speed)
         found[n : 2 * n] += push
         return found
 
-    def _force(self, contact: int, law: Numbers, gap: Array) -> Array:
+    def _force(self, contact: int, law: Numbers, gap: Array, speed: Array) -> Array:
         force = np.empty_like(gap)
         for one in np.unique(law).tolist():
-            force[law == one] = self._laws[one][contact].force(gap[law == one])
+            here = law == one
+            force[here] = self._laws[one][contact].force(gap[here], speed[here])
         return force
 
 

@@ -36,8 +36,8 @@ class Call:
         Numbers of wall crossings.
     t, t_end : ndarray, shape (n,)
         Durations of the motions [s], and requested durations.
-    contact_time : ndarray, shape (n, n_contacts), or None
-        Time spent beyond the walls of every contact [s]; None: to be computed from the events.
+    contact_time, contact_force : ndarray, shape (n, n_contacts), or None
+        As in `Motions`.
     swing : ndarray, shape (n,), or float
         Amplitude [m] of autonomous motions; infinity for forced motions.
     """
@@ -58,6 +58,7 @@ class Call:
         self._read = found.events
         self._volume_rate, self.t_end = volume_rate, t_end
         self.contact_time, self.n_contacts = found.contact_time, found.n_contacts
+        self.contact_force, self._contact_loss = found.contact_force, found.contact_loss
         self.y, self.t, self._tangent_end = found.state.T, found.t, tangent_end
         self.n_steps, self.status, self._reach = found.n_steps, found.status, found.reach
         if self.status.any():
@@ -102,9 +103,10 @@ class Call:
 
     @cached_property
     def shrinkage(self) -> Array:
-        """Factors [-] by which damping shrinks volumes in state space, for any forces."""
+        """Factors [-] by which damping, also of contacts, shrinks volumes in state space."""
+        exponents = -self._volume_rate * self.t_end - self._contact_loss
         # numpy's exponential differs between processors.
-        return np.fromiter(map(math.exp, (-self._volume_rate * self.t_end).tolist()), float)
+        return np.fromiter(map(math.exp, exponents.tolist()), float)
 
     @property
     def is_sound(self) -> NDArray[np.bool_]:

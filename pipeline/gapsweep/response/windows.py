@@ -39,7 +39,10 @@ class RecordedWindows:
     extrema : RaggedArrays
         Zero-velocity points [m] of a window recorded with all events; `n_turning` lists a case.
     contact_share : ndarray, shape (n_contacts, n)
-        Share of that window's time spent beyond each contact's walls [-].
+        Share of that window's time in which each contact's force acts [-].
+    contact_force : ndarray, shape (n_contacts, n)
+        Largest forces [N] in that window of contacts that lose energy; NaN: they follow from the
+        extrema.
     contacts_per_period : ndarray, shape (n,)
         Contacts in that window per forcing period, or per section point of an unforced system [-].
     """
@@ -55,6 +58,7 @@ class RecordedWindows:
         self.n_turning = len(ensemble.turning(np.arange(n), y))
         self._elapsed, self.extrema = np.zeros(n), RaggedArrays(n * self.n_turning)
         self.contact_share = np.full(ensemble.walls.shape[1:], np.nan)
+        self.contact_force = np.full(ensemble.walls.shape[1:], np.nan)
         self.contacts_per_period = np.full(n, np.nan)
 
     @property
@@ -123,9 +127,7 @@ class RecordedWindows:
         if not section_only:
             extrema, counts = self.extrema_of(call)
             self.extrema.put(self.rows(points), extrema, counts.ravel())
-            shares = contact_shares(self.ensemble, points, self.y[:, points], call)
-            self.contact_share[:, points] = shares
-            self.contacts_per_period[points] = 0.5 * call.n_contacts / n_periods
+            self.keep_loads(points, self.y[:, points], call, n_periods)
         if recorded.any():
             self._add(scenes[recorded], recorded.nonzero()[0], call)
         self._elapsed[points] += np.bincount(of, call.t_end)
@@ -138,6 +140,20 @@ class RecordedWindows:
             transient, window = np.bincount(of, lasted).astype(np.int64), np.zeros_like(window)
         self._steps_per_period[points] = np.maximum(call.n_steps[last] / n_periods[last], 1.0)
         self.move_to(points, call.y[:, last], call.status[last], transient + window)
+
+    def keep_loads(
+        self, points: Numbers, y: Array, call: Call, n_periods: Counts, *, closed: bool = False
+    ) -> None:
+        """Keep contact shares, contacts per period and, of contacts that lose energy, forces.
+
+        Parameters are those of `contact_shares`, and the number of periods of each motion.
+        """
+        self.contact_share[:, points] = contact_shares(
+            self.ensemble, points, y, call, closed=closed
+        )
+        self.contacts_per_period[points] = 0.5 * call.n_contacts / n_periods
+        if call.contact_force is not None:
+            self.contact_force[:, points] = call.contact_force.T
 
     def extrema_of(self, call: Call) -> tuple[Array, Counts]:
         """Zero-velocity points [m] of a call, and their number for each motion's quantities.

@@ -225,9 +225,12 @@ def least(
     error : float
         As in `advise`.
     """
-    system = general_form(model) if isinstance(model, Oscillator) else model
     n, n_contacts = walls.shape[:2]
     found = unknown(n, n_contacts, error)
+    try:
+        system = general_form(model) if isinstance(model, Oscillator) else model
+    except ModelError:  # its stiffness is beyond the numbers of a system
+        return found
     with np.errstate(all="ignore"):  # undamped resonance, defective modes: no number, no bound
         linear = _Linear.of(system)
         if starts is None or linear is None:
@@ -258,28 +261,29 @@ class _Linear:
     system : System
     rates : ndarray, shape (n_states,)
         Eigenvalues [1/s].
-    seen, driven : ndarray, shape (k, n_states)
-        The displacement along each direction due to every mode, and the rate of change of every
-        mode due to a force along each direction.
+    seen : ndarray, shape (k, n_states)
+        The displacement along each direction due to every mode.
     vectors, modes : ndarray, shape (n_states, n_states)
         Eigenvectors, one a column, and their inverse: the amplitudes of the modes in a state.
     energy : ndarray, shape (k,)
         Square of a displacement over twice the energy that it needs [m/N]; infinite if the energy
         of free motions may grow.
+    shares : ndarray, shape (n_cubic, k)
+        For every cubic spring, ``L |α|`` along all directions [1/m²].
     """
 
     system: System
     rates: NDArray[np.complex128]
     seen: NDArray[np.complex128]
-    driven: NDArray[np.complex128]
     vectors: NDArray[np.complex128]
     modes: NDArray[np.complex128]
     energy: Array
+    shares: Array
 
     @classmethod
     def of(cls, system: System) -> "_Linear | None":
         """Return the modes of a system; None if a free motion may grow or leave."""
-        n = system.n
+        n, n_cubic = system.n, len(system.cubic)
         rates, vectors = np.linalg.eig(first_order(system))
         rates, vectors = rates.astype(complex), vectors.astype(complex)
         if not system.is_held or rates.real.max() > _ROUNDING * np.abs(rates).max():
@@ -290,14 +294,21 @@ class _Linear:
             return None
         along = np.vstack([system.directions, np.eye(n), *(each.along for each in system.cubic)])
         seen = along @ vectors[:n]
-        driven = (modes[:, n : 2 * n] @ np.linalg.solve(system.mass, along.T)).T
+        # Rates of change of all modes due to a force along each cubic spring.
+        driven = modes[:, n : 2 * n] @ np.linalg.solve(system.mass, along[len(along) - n_cubic :].T)
+        shares = [
+            abs(spring.alpha) * _gains(rates, seen * of) if spring.alpha else 0.0 * along[:, 0]
+            for spring, of in zip(system.cubic, driven.T, strict=True)
+        ]
         energy = np.full(len(along), math.inf)
         spring, damper = system.stiffness, system.damping
         is_elastic = np.array_equal(spring, spring.T) and np.linalg.eigvalsh(spring)[0] > 0.0
         loss = np.linalg.eigvalsh(damper + damper.T)[0]
         if is_elastic and not system.n_lags and loss >= -_ROUNDING * np.abs(damper).max():
             energy = np.einsum("ki,ik->k", along, np.linalg.solve(spring, along.T))
-        return cls(system, rates, seen, driven, vectors, modes, energy)
+        return cls(
+            system, rates, seen, vectors, modes, energy, np.reshape(shares, (n_cubic, len(along)))
+        )
 
     def bounds(self, omega: Array, starts: Array) -> tuple[Array, Array, Array]:
         """Return bounds of displacements [m], each of the shape (n_points, k).
@@ -339,44 +350,40 @@ class _Linear:
 
         `g_0` bounds the linear motion; both have the shape (n_points, k).
         """
-        n_cubic = len(self.system.cubic)
-        if not n_cubic:
+        if not self.shares.any():
             return np.zeros_like(g_0)
-        alpha = np.array([abs(each.alpha) for each in self.system.cubic])
-        first = g_0.shape[1] - n_cubic
-        gains = np.array([self._gains(self.driven[first + i]) for i in range(n_cubic)])
-        shares = np.where(alpha[:, None] > 0.0, alpha[:, None] * gains, 0.0)
+        first = g_0.shape[1] - len(self.shares)
         g = g_0[:, first:]
         is_over = np.zeros(len(g), bool)
         for _ in range(_STEPS):
-            before, g = g, g_0[:, first:] + g**3 @ shares[:, first:]
+            before, g = g, g_0[:, first:] + g**3 @ self.shares[:, first:]
             is_over = ~np.any(np.abs(g - before) > _CLOSE * g, axis=1)
             if is_over.all():
                 break
         known = np.where(is_over[:, None] & np.isfinite(g), g, math.inf)
-        moved = np.where(shares.any(), known**3 @ shares, 0.0)
+        moved = known**3 @ self.shares
         return np.where(np.isnan(moved), math.inf, moved)
 
-    def _gains(self, driven: NDArray[np.complex128]) -> Array:
-        """Return integrals of the impulse responses' magnitudes along all directions [m/N].
 
-        The responses are those to a force with these effects on the modes. Modes add up: a pair of
-        complex ones by its exact integral, two real ones as a difference of one sign and a rest.
-        """
-        gains = np.zeros(len(self.seen))
-        parts = self.seen * driven
-        for rate, part in zip(self.rates, parts.T, strict=True):
-            if rate.imag > 0.0:
-                gains += 2.0 * np.abs(part) * _decaying(abs(rate.real), rate.imag, np.angle(part))
-        real = sorted(np.flatnonzero(self.rates.imag == 0.0), key=lambda i: self.rates[i].real)
-        for i, j in zip(real[::2], real[1::2], strict=False):
-            slow, fast = -1.0 / self.rates[j].real, -1.0 / self.rates[i].real
-            one, other = np.abs(parts[:, j]), np.abs(parts[:, i])
-            rest = np.abs(parts[:, i] + parts[:, j])
-            gains += np.minimum(one * slow + other * fast, other * (slow - fast) + rest * slow)
-        if len(real) % 2:
-            gains += np.abs(parts[:, real[-1]]) / -self.rates[real[-1]].real
-        return gains
+def _gains(rates: NDArray[np.complex128], parts: NDArray[np.complex128]) -> Array:
+    """Return integrals of the magnitudes of impulse responses [m/N].
+
+    Modes add up: a pair of complex ones by its exact integral, two real ones as a difference of one
+    sign and a rest. `rates` has the shape (n_states,), `parts` of the responses (k, n_states).
+    """
+    gains = np.zeros(len(parts))
+    for rate, part in zip(rates, parts.T, strict=True):
+        if rate.imag > 0.0:
+            gains += 2.0 * np.abs(part) * _decaying(abs(rate.real), rate.imag, np.angle(part))
+    real = sorted(np.flatnonzero(rates.imag == 0.0), key=lambda i: rates[i].real)
+    for i, j in zip(real[::2], real[1::2], strict=False):
+        slow, fast = -1.0 / rates[j].real, -1.0 / rates[i].real
+        one, other = np.abs(parts[:, j]), np.abs(parts[:, i])
+        rest = np.abs(parts[:, i] + parts[:, j])
+        gains += np.minimum(one * slow + other * fast, other * (slow - fast) + rest * slow)
+    if len(real) % 2:
+        gains += np.abs(parts[:, real[-1]]) / -rates[real[-1]].real
+    return gains
 
 
 def _decaying(decay: float, rate: float, phase: Array) -> Array:

@@ -13,14 +13,16 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gapsweep.errors import ModelError, StudyError
-from gapsweep.model.labels import Representation
+from gapsweep.model.contact import OF_WALLS
+from gapsweep.model.labels import EXACT, Representation
 from gapsweep.model.oscillator import Oscillator
 from gapsweep.model.structure import AnyStructure, structure_of
 from gapsweep.model.system import System
 from gapsweep.study.axes import count, forms, values
 from gapsweep.study.grid import START, Axes, starts_of
-from gapsweep.study.points import OF_CONTACT, SWEEPS, canonical
+from gapsweep.study.points import OF_CONTACT, SWEEPS, canonical, columns_of
 from gapsweep.study.problems import EXAMPLES
+from gapsweep.study.samples import SAMPLE, Samples
 from gapsweep.study.spec import StudySpec, SweepTable
 from gapsweep.study.system_tables import Maker, in_words, maker
 
@@ -141,7 +143,10 @@ class ParametricModel:
         """Return the columns of a table of n points, from their positions on the axes."""
         omega = np.asarray(axes["omega"])[places["omega"]] if "omega" in axes else np.zeros(n)
         parts = [self._walls(axes, places, n), omega[:, None], self._arrays(axes, places, n)]
-        return np.concatenate([*parts, starts_of(axes).states[places[START]]], axis=1)
+        start = starts_of(axes).states[places[START]]
+        for i, name in enumerate(columns_of(self.structure)[-start.shape[1] :]):
+            start[:, i] = _at(name, start[:, i], axes, places)
+        return np.concatenate([*parts, start], axis=1)
 
     def sections(self, axes: Axes, places: Places, rate: Array) -> tuple[Array, Array]:
         """Return the units of section points, and the contact directions, of n points.
@@ -270,20 +275,32 @@ class ParametricModel:
             words = f"missing; write {EXAMPLES['omega']}"
             surplus = "the system is not forced; leave omega out, or add forcing to [system]"
             found.append(f"omega: {surplus if block.omega else words}")
-        if not self.default.is_forced and any(one.is_auto for one in block.representation):
-            found.append("representation: 'auto' needs a forcing; write 'piecewise'")
+        is_bounded = self.default.is_forced and bool(self.contacts)
+        if not is_bounded and any(one.is_auto for one in block.representation):
+            found.append("representation: 'auto' needs a forcing and a contact; write 'piecewise'")
         starts = [] if block.initial_condition is None else forms(block.initial_condition)
         if not self.default.is_forced and any(form in SWEEPS for form in starts):
             found.append("initial_condition: sweeps need omega, and this system is not forced")
-        axes = {"representation": block.representation, "K_ratio": block.K_ratio}
+        axes: dict[str, Any] = {"representation": block.representation}
+        axes |= {name: getattr(block, name) for name in OF_WALLS}
         for name, axis in axes.items():
             takes = [c for c in self.contacts if self._own(c, name) is None]
             if axis is not None and count(axis) > 1 and not takes:
                 found.append(f"{name}: unused, [contact] sets it for all contacts; keep one value")
+        found += self._problems_of_damping(block)
         if self.is_oscillator:
             swept = block.parameter.items()
             found += [x for each in swept for x in _out_of_range(self.spec.model, *each)]
         return found
+
+    def _problems_of_damping(self, block: SweepTable) -> Iterator[str]:
+        """Yield a problem for every representation that cannot have the damping of a contact."""
+        swept = 0.0 if block.damping is None else max(values(block.damping))
+        for contact in self.contacts:
+            damping, own = self._own(contact, "damping"), self._own(contact, "representation")
+            for one in block.representation if own is None else [own]:
+                if (swept if damping is None else damping) > 0.0 and one.law != EXACT:
+                    yield f"damping: {one} has none; write damping in a [[sweep]] of 'piecewise'"
 
     def _own(self, contact: str, name: str) -> Any:
         table = self.spec.contact.get(contact)
@@ -291,16 +308,17 @@ class ParametricModel:
 
     def _walls(self, axes: Axes, places: Places, n: int) -> Array:
         """Return the columns of every contact: stiffness, distances and ratio of its walls."""
-        swept: dict[str, Any] = {"K_ratio": 1.0, "K_c": 0.0, "j_1": 0.0, "j_2": 0.0}
-        for name in ("K_c", "j_1", "j_2", "K_ratio"):
-            if name in axes:
-                swept[name] = np.asarray(axes[name])[places[name]]
+        swept: dict[str, Any] = {"K_c": 0.0, "j_1": 0.0, "j_2": 0.0, **OF_WALLS}
         if "gap" in axes:
             gaps = np.array([(gap.j_1, gap.j_2) for gap in axes["gap"]])[places["gap"]]
             swept["j_1"], swept["j_2"] = gaps.T
+        for name, value in swept.items():
+            swept[name] = _at(name, value, axes, places)
+            if name in ("j_1", "j_2"):
+                swept[name] = _drawn("gap", swept[name], axes, places)
         columns = []
         for contact in self.contacts:
-            own = {name: self._own(contact, name) for name in ("K_c", "K_ratio")}
+            own = {name: self._own(contact, name) for name in ("K_c", *OF_WALLS)}
             own["j_1"], own["j_2"] = self._own(contact, "gap") or (None, None)
             columns += [swept[n] if own[n] is None else canonical(own[n]) for n in OF_CONTACT]
         table = [np.broadcast_to(np.asarray(column, float), n) for column in columns]
@@ -309,7 +327,7 @@ class ParametricModel:
     def _arrays(self, axes: Axes, places: Places, n: int) -> Array:
         if self.is_oscillator:  # its parameters are the numbers of a row
             columns: dict[str, Any] = {n: canonical(x) for n, x in self.spec.model.items()}
-            columns |= {x: np.asarray(axes[x])[places[x]] for x in columns if x in axes}
+            columns = {name: _at(name, value, axes, places) for name, value in columns.items()}
             rows = [np.broadcast_to(columns[name], n) for name in self.structure.names]
             return np.stack(rows, axis=1)
         number, models = self._models(axes, places, n)
@@ -317,12 +335,29 @@ class ParametricModel:
 
     def _models(self, axes: Axes, places: Places, n: int) -> tuple[NDArray[np.intp], list[Model]]:
         """Return the number of each point's model, and the models."""
-        names = [name for name in self.spec.model if name in axes]
-        if not names:
+        values = {
+            name: _at(name, canonical(value), axes, places)
+            for name, value in self.spec.model.items()
+        }
+        varied = {name: value for name, value in values.items() if np.ndim(value)}
+        if not varied:
             return np.zeros(n, np.intp), [self.default]
-        at = np.stack([places[name] for name in names])
-        several, number = np.unique(at, axis=1, return_inverse=True)
-        return number.reshape(-1), [self.at(some) for some in _named(names, axes, several.T)]
+        several, number = np.unique(np.stack([*varied.values()]), axis=1, return_inverse=True)
+        found = [dict(zip(varied, one, strict=True)) for one in several.T.tolist()]
+        return number.reshape(-1), [self.at(some) for some in found]
+
+
+def _at(name: str, value: Any, axes: Axes, places: Places) -> Any:
+    """Return the values of a number at some points: swept or drawn, else this value."""
+    if name in axes:
+        value = np.asarray(axes[name])[places[name]]
+    return _drawn(name, value, axes, places)
+
+
+def _drawn(name: str, value: Any, axes: Axes, places: Places) -> Any:
+    """Return the values of a number at some points with what its samples make of them."""
+    samples = axes.get(SAMPLE)
+    return samples.combined(name, value, places[SAMPLE]) if isinstance(samples, Samples) else value
 
 
 def _out_of_range(others: Mapping[str, float], name: str, axis: Any) -> Iterator[str]:

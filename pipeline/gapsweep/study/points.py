@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from gapsweep.errors import ModelError
 from gapsweep.integrate.problem import Models, Solver
-from gapsweep.model.contact import FIT_RANGE, ContactLaw
+from gapsweep.model.contact import FIT_RANGE, OF_WALLS, ContactLaw
 from gapsweep.model.labels import Representation, contact_law
 from gapsweep.model.oscillator import Gap
 from gapsweep.model.own_law import OwnLaw
@@ -29,7 +29,7 @@ FIXED = "fixed"
 SWEEPS = ("sweep_up", "sweep_down")
 
 # Columns of every table of points: numbers that differ between points.
-OF_CONTACT = ("K_c", "j_1", "j_2", "K_ratio")  # of every contact, first
+OF_CONTACT = ("K_c", "j_1", "j_2", *OF_WALLS)  # of every contact, first
 _OSCILLATOR = OscillatorStructure()
 KEY = np.dtype("V32")  # a content key, as an element of an array
 
@@ -76,7 +76,7 @@ class Kind:
 
         Parameters
         ----------
-        walls : ndarray, shape (n_contacts * 4,)
+        walls : ndarray, shape (n_contacts * number of columns,)
             Columns `OF_CONTACT` of every contact.
 
         Raises
@@ -88,13 +88,13 @@ class Kind:
         return tuple(self._law(*each) for each in zip(self.contacts, several, strict=True))
 
     def _law(self, one: Representation, walls: list[float]) -> ContactLaw:
-        K_c, j_1, j_2, K_ratio = walls
-        gap = Gap(j_1, j_2)
+        K_c, j_1, j_2, *others = walls
+        gap, of_walls = Gap(j_1, j_2), dict(zip(OF_WALLS, others, strict=True))
         if not one.is_own:
-            return contact_law(one, K_c, gap, self.fit_range, K_ratio=K_ratio)
+            return contact_law(one, K_c, gap, self.fit_range, **of_walls)
         if self.own is None:
             raise ModelError(f"{one}: the code of this user law is not stored")
-        return self.own.law(K_c, gap, K_ratio)
+        return self.own.law(K_c, gap, of_walls["K_ratio"])
 
     @property
     def identity(self) -> str:

@@ -23,7 +23,7 @@ from pydantic import (
 
 from gapsweep.errors import StudyError
 from gapsweep.integrate.problem import LARGEST_RTOL, SMALLEST_RTOL
-from gapsweep.model.contact import FIT_RANGE
+from gapsweep.model.contact import FIT_RANGE, OF_WALLS
 from gapsweep.model.labels import NOT_LOCATED, Representation
 from gapsweep.response.result import Steady
 from gapsweep.study.axes import (
@@ -51,6 +51,7 @@ from gapsweep.study.oscillator_table import OscillatorTable, with_points
 from gapsweep.study.problems import EXAMPLES, problems
 from gapsweep.study.schema import TAKEN
 from gapsweep.study.system_tables import ContactTable, SystemTable, wrong_matrices
+from gapsweep.study.uncertain import UncertainTable, with_data
 from gapsweep.study.units import with_numbers
 
 # Key of the table with the model's parameters in a block or a history; not a key of a file.
@@ -79,6 +80,7 @@ class SweepTable(TomlTable):
     j_2: NonNegativeAxis | None = None
     omega: PositiveAxis | None = None
     K_ratio: NonNegativeAxis | None = None
+    damping: NonNegativeAxis | None = None
     parameter: dict[str, AnyAxis] = Field({}, alias="[parameters]")
     initial_condition: Starts | None = None  # None: at rest
 
@@ -91,9 +93,8 @@ class SweepTable(TomlTable):
 
     @property
     def parameters(self) -> dict[str, Any]:
-        """Axes of model parameters, and of the walls' stiffness ratio, that this block sweeps."""
-        ratio = {} if self.K_ratio is None else {"K_ratio": self.K_ratio}
-        return {**self.parameter, **ratio}
+        """Axes of model parameters, and of those of both walls, that this block sweeps."""
+        return {**self.parameter, **_of_walls(self)}
 
     @property
     def count(self) -> int:
@@ -104,6 +105,12 @@ class SweepTable(TomlTable):
         starts = self.initial_condition
         n_all_starts = 1 if starts is None else n_starts(starts)
         return math.prod((*sizes, len(self.representation), n_gaps, n_all_starts))
+
+
+def _of_walls(table: TomlTable) -> dict[str, Any]:
+    """Parameters of both walls that a table sets."""
+    found = {name: getattr(table, name) for name in OF_WALLS}
+    return {name: value for name, value in found.items() if value is not None}
 
 
 class SolverTable(TomlTable):
@@ -155,6 +162,7 @@ class HistoryTable(TomlTable):
     K_c: NonNegative
     gap: Pair
     K_ratio: NonNegative | None = None
+    damping: NonNegative | None = None
     parameter: dict[str, Number] = Field({}, alias="[parameters]")
     omega: Positive
     t_end: Positive
@@ -172,13 +180,12 @@ class HistoryTable(TomlTable):
 
     @property
     def parameters(self) -> dict[str, float]:
-        """Parameters, and the stiffness ratio of the walls, that this history sets."""
-        ratio = {} if self.K_ratio is None else {"K_ratio": self.K_ratio}
-        return {**self.parameter, **ratio}
+        """Parameters of the model and of both walls that this history sets."""
+        return {**self.parameter, **_of_walls(self)}
 
     def undecided(self, where: str, known: Mapping[str, float], axes: Axes) -> Iterator[str]:
         """Yield a problem for every parameter that the study sweeps and this history lacks."""
-        for name in (*known, "K_ratio"):
+        for name in (*known, *OF_WALLS):
             axis = axes.get(name, ())
             if len(axis) > 1 and name not in self.parameters:
                 remedy = f"choose one value, as {name} = {axis[0]:g}"
@@ -238,14 +245,15 @@ class BranchesTable(TomlTable):
                 yield "branches: give both or neither, as second = 'K_c' and range = [1.0, 2.0]"
             return
         others = {"representation", START, along, *(["gap"] if along in WALLS else [])}
-        allowed = [x for x in dict.fromkeys([*axes, *known, "K_ratio", *WALLS]) if x not in others]
+        every = dict.fromkeys([*axes, *known, *OF_WALLS, *WALLS])
+        allowed = [x for x in every if x not in others]
         if name not in allowed:
             yield f"branches.second = {name!r}: must be one of {', '.join(allowed)}"
             return
         (low, high), of_name = self.range, {*WALLS} if name in WALLS else {name}
         if any(len(axes[x]) > 1 for x in {*axes} & of_name - {along}):
             yield f"branches.second = {name!r}: must have one value in [[sweep]]; range varies it"
-        value = axes[name][0] if name in axes else {"K_ratio": 1.0, **known}.get(name)
+        value = axes[name][0] if name in axes else {**OF_WALLS, **known}.get(name)
         if name in WALLS and "gap" in axes:
             value = axes["gap"][0].j_2 if name == "j_2" else axes["gap"][0].j_1
         if not low < high:
@@ -289,6 +297,7 @@ class StudySpec(TomlTable):
     history: list[HistoryTable] = Field([])
     bench: BenchTable | None = None
     branches: BranchesTable | None = None
+    uncertain: UncertainTable | None = None
     claims: ClaimsTable | None = None
     report: ReportTable | None = None
 
@@ -311,6 +320,7 @@ class StudySpec(TomlTable):
         own = given.get("parameters") or {}
         if not isinstance(own, dict) or not all(isinstance(name, str) for name in own):
             return given | {"sweep": []}  # reports only the problem of [parameters]
+        given = _with_medians(given)
         is_system = given.get("system") is not None
         taken = TAKEN if is_system else TAKEN.union(OscillatorTable.model_fields)
         names = _parameters(given)
@@ -361,7 +371,8 @@ class StudySpec(TomlTable):
         left_out: tuple[str, ...] = _OF_OSCILLATORS if self.system else ("contact",)
         left_out = left_out if self.parameters else (*left_out, "parameters")
         tables = self.model_dump(exclude_none=True)
-        for table in (*tables["sweep"], *tables["history"]):
+        uncertain = [tables["uncertain"]] if self.uncertain else []
+        for table in (*tables["sweep"], *tables["history"], *uncertain):
             table |= table.pop("parameter")
         return {name: table for name, table in tables.items() if name not in left_out}
 
@@ -395,6 +406,7 @@ class StudySpec(TomlTable):
             if len({getattr(block, name) is None for block in self.sweep}) > 1:
                 wrong.append(f"sweep: give {name} in every block, or in none")
         n_points = sum(block.count for block in self.sweep)
+        n_points *= self.uncertain.count if self.uncertain else 1
         if n_points > MAX_POINTS:
             number = n_points if n_points < 10**15 else "more than 10^15"
             wrong.append(f"{number} sweep points: must be <= {MAX_POINTS}; coarsen a grid")
@@ -415,6 +427,34 @@ def _parameters(tables: Any) -> Any:
     if isinstance(tables, dict) and tables.get("system") is not None:
         return given
     return [*OscillatorTable.model_fields, *given]
+
+
+def _with_medians(given: dict[str, Any]) -> dict[str, Any]:
+    """Return a study's tables; a missing value of an uncertain number is its median."""
+    try:
+        uncertain = UncertainTable.model_validate(given.get("uncertain"))
+    except ValidationError:  # reported with the other problems
+        return given
+    of_oscillator = given.get("oscillator", {})
+    if given.get("system") is None and isinstance(of_oscillator, dict):
+        known = {n: uncertain.median(n) for n in OscillatorTable.model_fields}
+        known = {name: value for name, value in known.items() if value is not None}
+        given = given | {"oscillator": {**known, **of_oscillator}}
+    walls = {name: uncertain.median(name) for name in ("K_c", "gap")}
+    blocks = given.get("sweep")
+    if not isinstance(blocks, list):
+        return given
+    return given | {"sweep": [_walled(block, walls) for block in blocks]}
+
+
+def _walled(block: Any, walls: Mapping[str, Any]) -> Any:
+    """Return a block with these values of stiffness and gap if it has none."""
+    if not isinstance(block, dict):
+        return block
+    more = {name: value for name, value in walls.items() if value is not None}
+    if {"j_1", "j_2"} & block.keys():
+        more.pop("gap", None)
+    return {**more, **block}
 
 
 def _with_swept(table: Any, blocks: Any) -> Any:
@@ -505,7 +545,7 @@ def _line(text: str, error: ValueError) -> str:
 
 def check(tables: dict[str, Any], source: str = "study") -> StudySpec:
     """Check the tables of a study; see `parse`."""
-    tables = with_numbers(with_points(tables, source))
+    tables = with_numbers(with_data(with_points(tables, source), source))
     try:
         return StudySpec.model_validate(tables)
     except ValidationError as error:

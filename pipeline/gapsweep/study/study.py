@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from gapsweep.errors import ModelError, StudyError
 from gapsweep.integrate.problem import Solver
-from gapsweep.model.contact import ContactLaw, Piecewise
+from gapsweep.model.contact import OF_WALLS, ContactLaw, Piecewise
 from gapsweep.model.labels import EXACT, Representation, contact_law
 from gapsweep.model.oscillator import Gap, Oscillator
 from gapsweep.model.own_law import OwnLaw, checked
@@ -35,7 +35,8 @@ from gapsweep.study.least_model import (
     without_what_has_no_effect,
 )
 from gapsweep.study.parametric_model import ParametricModel
-from gapsweep.study.points import FIXED, SWEEPS, Kind, Points, canonical
+from gapsweep.study.points import FIXED, SWEEPS, Kind, Points, canonical, columns_of
+from gapsweep.study.samples import SAMPLE, Samples
 from gapsweep.study.spec import (
     HistoryTable,
     ModuleTable,
@@ -164,6 +165,8 @@ class Study:
         if self.spec.branches:
             of_branches = self.spec.branches.problems(axes, known, self.spec.contact)
             lines = chain(lines, of_branches, self._problems_of_range())
+        if self.spec.uncertain:
+            lines = chain(lines, self._problems_of_uncertain())
         problems = [f"{self.source}: {line}" for line in lines]
         if problems:
             raise StudyError(*problems)
@@ -205,6 +208,8 @@ class Study:
                         Piecewise(value, Gap(0.0, 0.0))
                     case "K_ratio":
                         Piecewise(1.0, Gap(0.0, 0.0), K_ratio=value)
+                    case "damping":
+                        Piecewise(1.0, Gap(0.0, 0.0), damping=value)
                     case str(name) if self.model.is_oscillator and name in self.spec.model:
                         replace(self.oscillator, **{name: value})
             except ModelError as error:
@@ -317,7 +322,9 @@ class Study:
         named = {**self.spec.parameters, **parameters}
         return replace(self._known_laws[name], parameters=tuple(named.items()))
 
-    def law(self, label: str, K_c: float, gap: Gap, K_ratio: float = 1.0) -> ContactLaw:
+    def law(
+        self, label: str, K_c: float, gap: Gap, K_ratio: float = 1.0, damping: float = 0.0
+    ) -> ContactLaw:
         """Return the contact law of a label; the label may name a user law.
 
         Raises
@@ -329,7 +336,8 @@ class Study:
         if own is not None:
             return own.law(K_c, gap, K_ratio)
         law = Representation(label).law
-        return contact_law(law, K_c, gap, self.spec.fit.range, K_ratio=K_ratio)
+        of_walls = {"K_ratio": K_ratio, "damping": damping}
+        return contact_law(law, K_c, gap, self.spec.fit.range, **of_walls)
 
     @property
     def own_laws(self) -> tuple[Representation, ...]:
@@ -365,12 +373,32 @@ class Study:
     @cached_property
     def _blocks(self) -> list[Axes]:
         swept = {name for block in self.spec.sweep for name in block.parameters}
-        known = {**self.spec.model, **self.spec.parameters, "K_ratio": 1.0}
+        known = {**self.spec.model, **self.spec.parameters, **OF_WALLS}
         default = {n: x for n, x in known.items() if n in swept}
         return [
-            expanded(block, default) | {START: self._starts(block.initial_condition, i)}
+            expanded(block, default)
+            | ({SAMPLE: self._samples} if self._samples else {})
+            | {START: self._starts(block.initial_condition, i)}
             for i, block in enumerate(self.spec.sweep)
         ]
+
+    @cached_property
+    def _samples(self) -> Samples | None:
+        """The samples of uncertain numbers; None without [uncertain]."""
+        table = self.spec.uncertain
+        return None if table is None else table.draw()
+
+    def _problems_of_uncertain(self) -> Iterator[str]:
+        """Numbers of [uncertain] that the study does not have or that leave their range."""
+        assert self.spec.uncertain is not None
+        of_laws = set() if self.spec.system else set(self.spec.parameters)
+        known: dict[str, Any] = {**self.spec.model, **OF_WALLS}
+        walls = [name for name in ("K_c", "gap", "j_1", "j_2") if name in self._axes]
+        walls += ["j_1", "j_2"] if "gap" in self._axes else []
+        known |= dict.fromkeys([*walls, *columns_of(self.structure)[-self.structure.n_states :]])
+        known = {name: value for name, value in known.items() if name not in of_laws}
+        about = known, self._axes, self.structure, self.model.parts
+        yield from (f"uncertain.{line}" for line in self.spec.uncertain.problems(*about))
 
     def _starts(self, given: Any, block: int) -> Starts:
         where = f"sweep[{block}].initial_condition"
@@ -509,7 +537,7 @@ class Study:
 
         Values of the history come first, then the single values of sweep axes, then the model's.
         """
-        given = {**self.spec.model, **self.spec.parameters, "K_ratio": 1.0}
+        given = {**self.spec.model, **self.spec.parameters, **OF_WALLS}
         given |= {name: self._axes[name][0] for name in given if name in self._axes}
         walls = {"K_c": table.K_c, "gap": Gap(*map(canonical, table.gap)), "omega": table.omega}
         values = given | table.parameters | walls

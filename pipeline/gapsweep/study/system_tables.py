@@ -151,6 +151,7 @@ class ContactTable(TomlTable):
     K_c: NonNegative | None = None
     gap: Pair | None = None
     K_ratio: NonNegative | None = None
+    damping: NonNegative | None = None
 
     @model_validator(mode="after")
     def _no_code(self) -> "ContactTable":

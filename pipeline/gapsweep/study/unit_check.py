@@ -1,5 +1,6 @@
 """Warnings of probable unit errors, of laws that all motions leave, and of untouched walls."""
 
+import math
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from itertools import product
@@ -20,7 +21,7 @@ from gapsweep.study.study import Study
 
 _IN_CASE = ("representation", "omega", START)  # dimensions within a parameter set
 _SAMPLED = (4096, 256, 16, 1)  # few points show for most parameter sets that walls may be reached
-_MOST = 100_000  # points with a bound: some seconds
+_MOST, _MOST_MODELS = 100_000, 10_000  # points with a bound, and their models: some seconds
 
 
 def never_reached(
@@ -89,10 +90,12 @@ def _out_of_range(status: NDArray[Any], labels: Sequence[Representation]) -> Ite
 def bounded(study: Study) -> str:
     """Sentence of `never_reached` before a run, from the bounds of `advise`.
 
-    It is empty for unforced systems, or if bounds of more than 100,000 points would be needed.
+    It is empty for unforced systems, or if bounds of more than 100,000 points or 10,000 models
+    would be needed.
     """
     grid = study.grid
-    if not _may_be_reached(study):
+    models = [len(axis) for name, axis in grid.axes.items() if name in study.spec.model]
+    if not _may_be_reached(study) or math.prod(models) > _MOST_MODELS:
         return ""
     asked = grid.requested.any(axis=0)
     is_within = [dim in _IN_CASE for dim in grid.dims[1:]]

@@ -111,7 +111,7 @@ def basins(
     for number, values in zip(axes, np.meshgrid(*axes.values(), indexing="ij"), strict=True):
         states[..., number] = values
     law = {} if law is None else law
-    models, start, _ = cases(oscillator, law, omega, **_arguments(oscillator, states))
+    models, start, _ = cases(oscillator, law, omega, **arguments(oscillator, states))
     (laws,) = models.laws
     if client is not None:
         check_workers(client)
@@ -144,8 +144,8 @@ def _states(model: Model) -> list[str]:
     return [*names, *(f"v_{name}" for name in names), *(f"z_{i + 1}" for i in range(model.n_lags))]
 
 
-def _arguments(model: Model, states: Array) -> dict[str, Any]:
-    """Initial states as arguments of `simulate`."""
+def arguments(model: Model, states: Array) -> dict[str, Any]:
+    """Initial states, shape (..., n_states), as arguments of `simulate`."""
     n = model.n
     q, v, z = np.split(states, [n, 2 * n], axis=-1)
     if isinstance(model, Oscillator):

@@ -18,6 +18,7 @@ from gapsweep.errors import ModelError
 from gapsweep.execution.isolated import CallError, Isolated
 from gapsweep.execution.progress import DEFAULT_TIMEOUT
 from gapsweep.integrate.simulate import motion_of
+from gapsweep.model.contact import OF_WALLS
 from gapsweep.model.labels import Representation
 from gapsweep.status import Status
 from gapsweep.study.grid import START
@@ -138,7 +139,7 @@ def _whole_periods(omega: float, t_end: float) -> int:
 def _described(study: Study) -> dict[str, dict[str, Any]]:
     """Attributes of the coordinates of histories, with oscillator parameters that are given."""
     given = {x for table in study.spec.history for x in (*table.parameter, *table.model_fields_set)}
-    others = [x for x in (*study.spec.model, "K_ratio") if x in given.union(study.grid.axes)]
+    others = [x for x in (*study.spec.model, *OF_WALLS) if x in given.union(study.grid.axes)]
     described = SCENE | {name: COORDINATES[name][1] for name in others}
     return {name: variable.attributes for name, variable in described.items()}
 

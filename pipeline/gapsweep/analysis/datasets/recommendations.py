@@ -79,8 +79,9 @@ def advice(study: Study, error: float | None = None, share: float = 0.95) -> xr.
         study's smooth laws and, per family, the one with the smallest adequate parameter, in the
         displacements of `expected_range`. Attributes `error`, `share` and `allowed_force_error`.
     """
-    if not study.model.default.is_forced:
-        raise StudyError(f"{study.source}: system: advice needs a forcing; this system has none")
+    model = study.model.default
+    if not (model.is_forced and model.contacts):
+        raise StudyError(f"{study.source}: system: advice needs a forcing and a contact")
     grid = study.grid
     error = study.spec.auto.error if error is None else error
     asked = grid.requested.any(axis=0)

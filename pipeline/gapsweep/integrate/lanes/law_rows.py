@@ -90,14 +90,42 @@ def with_law_rows(exact: SceneTable, at: RowLayout, laws: Sequence[Array]) -> Sc
     laws : sequence of ndarray, shape (n, N_PARAMETERS)
         Parameter rows of the law of every contact.
     """
-    at = known(at)
-    table = np.zeros((len(exact.table), at.n_rows))
-    for name, size in exact.at.blocks.items():
-        old, new = exact.at.first[name], at.first[name]
-        table[:, new : new + size] = exact.table[:, old : old + size]
+    found = _moved(exact, at)
     for i, rows in enumerate(laws):
-        first = at.law + i * N_PARAMETERS
-        table[:-1, first : first + N_PARAMETERS] = rows
-        table[-1, first : first + N_PARAMETERS] = rows[0]
-        table[-1, first + STIFFNESS] = 0.0  # the idle point stays at rest
-    return replace(exact, at=at, table=table)
+        first = found.at.law + i * N_PARAMETERS
+        found.table[:-1, first : first + N_PARAMETERS] = rows
+        found.table[-1, first : first + N_PARAMETERS] = rows[0]
+        found.table[-1, first + STIFFNESS] = 0.0  # the idle point stays at rest
+    return found
+
+
+def with_losses(elastic: SceneTable, damping: Array, never_pulls: NDArray[np.bool_]) -> SceneTable:
+    """Return a table of the same systems with contacts that lose energy.
+
+    Parameters
+    ----------
+    elastic : SceneTable
+        n systems, for located contacts.
+    damping : ndarray, shape (n, n_contacts)
+        Damping of both walls, of an oscillator per unit mass.
+    never_pulls : ndarray of bool, shape (n, n_contacts)
+        Contacts with the mode `contact_modes.SLACK`.
+    """
+    has_slack = bool(never_pulls.any())
+    found = _moved(elastic, replace(elastic.at, is_damped=True, has_slack=has_slack))
+    at, table = found.at, found.table[:-1]
+    table[:, at.contact_damping : at.contact_damping + at.contacts] = damping
+    if has_slack:
+        of_slack = np.where(never_pulls, damping, 0.0)
+        table[:, at.slack_damping : at.slack_damping + at.contacts] = of_slack
+    return found
+
+
+def _moved(table: SceneTable, at: RowLayout) -> SceneTable:
+    """Copy a table into a layout that has all of its blocks."""
+    at = known(at)
+    rows = np.zeros((len(table.table), at.n_rows))
+    for name, size in table.at.blocks.items():
+        old, new = table.at.first[name], at.first[name]
+        rows[:, new : new + size] = table.table[:, old : old + size]
+    return replace(table, at=at, table=rows)

@@ -86,6 +86,10 @@ class RowLayout:
         Whether the system is unforced: its section is then at the maxima of the first coordinate.
     is_located : bool
         Whether steps end where a contact passes a wall.
+    is_damped : bool
+        Whether located contacts lose energy.
+    has_slack : bool
+        Whether some of them never pull: they have the mode `contact_modes.SLACK`.
     laws : tuple of (int, int, int)
         Of a Taylor series the law of every contact: its place in `LAWS`, numbers of coefficients of
         numerator and denominator. Empty if contacts are located.
@@ -108,6 +112,8 @@ class RowLayout:
     is_tanh: bool = False
     is_free: bool = False
     is_located: bool = True
+    is_damped: bool = False
+    has_slack: bool = False
     is_taylor: bool = True
     laws: tuple[tuple[int, int, int], ...] = ()
     order: int = 12
@@ -255,6 +261,13 @@ class RowLayout:
             # contact was left less those at which it was made
             **{"mode": k, "mode_0": k, "side": k, "gap": k * several},
             **{"lower": k, "upper": k, "lower_stiffness": k, "upper_stiffness": k},
+            # damping of both walls, the largest force while it was recorded, and the integral of
+            # the rate at which contacts shrink volumes in state space
+            **{name: k * self.is_damped for name in ("contact_damping", "contact_force")},
+            "contact_loss": 1 * self.is_damped,
+            # damping of contacts that never pull, 0 for others; whether the force was zero when
+            # the present mode began
+            **{name: k * self.has_slack for name in ("slack_damping", "switched")},
             # smoothing: 2 epsilon [1/m], half-width of the layers [m], whether one is near, longest
             # step [s], and what to add to the time of the contact that ended the last step [s]
             **dict.fromkeys(("sharpness", "layer", "is_near", "longest", "lag"), 1 * self.is_tanh),

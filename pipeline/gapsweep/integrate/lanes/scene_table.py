@@ -8,6 +8,8 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
+from gapsweep.model.contact_modes import ON
+
 from .row_layout import RowLayout, oscillator_layout
 from .start_rows import FLOOR_SHARE
 
@@ -201,9 +203,12 @@ def _slopes(at: RowLayout, points: Array, contact: int) -> Iterator[Array]:
     mode = matrix("mode", c).copy()
     mode[:, contact] = 0.0
     # finite: a wall at infinity is never touched
-    wall = np.select([mode > 0.0, mode < 0.0], [matrix("upper", c), matrix("lower", c)], 0.0)
+    is_on = [mode == ON, mode == -ON]
+    wall = np.select(is_on, [matrix("upper", c), matrix("lower", c)], 0.0)
     stiffnesses = [matrix("upper_stiffness", c), matrix("lower_stiffness", c)]
-    spring = np.select([mode > 0.0, mode < 0.0], stiffnesses, 0.0)
+    spring = np.select(is_on, stiffnesses, 0.0)
+    damper = np.abs(mode) == ON
+    damper = damper * matrix("contact_damping", c) if at.is_damped else 0.0 * damper
     q, z = [matrix("q", n), matrix("v", n)], [matrix("z", m)]
     yield _along(direction, q[1])[:, contact]
     depths, bends, rates = [], [], []
@@ -221,7 +226,9 @@ def _slopes(at: RowLayout, points: Array, contact: int) -> Iterator[Array]:
             force = force - _along(matrix("lag_force", n, m), z[k])
             cubes = _convolved(_convolved(bends, bends, k, whole=True), bends, k)
             force = force - np.einsum("pji,pj->pi", matrix("cubic", at.cubics, n), cubes[0])
-            force = force - _along(pull, spring * _convolved(rates, depths, k)[0])
+            pressed = spring * _convolved(rates, depths, k)[0]
+            pressed = pressed + damper * (k + 1) * _along(direction, q[k + 1])
+            force = force - _along(pull, pressed)
             q.append(force / ((k + 1) * (k + 2)))
             yield _along(direction, q[-1])[:, contact]
             new = _along(matrix("of_speed", m, n), (k + 1) * q[k + 1])

@@ -9,6 +9,7 @@ from math import isfinite
 import numpy as np
 
 from gapsweep.integrate.jit import entry, internal
+from gapsweep.model.contact_modes import ON, SLACK
 
 from .outcome import CLOCK_SLACK
 from .pieces import set_first_piece
@@ -111,7 +112,7 @@ def first_section(record_clock):
 @internal
 def _set_contact_time(at, point, contact):
     """Begin the sum of a contact's time: the initial time is subtracted if it is closed."""
-    is_touching = point[at.mode + contact] != 0.0
+    is_touching = abs(point[at.mode + contact]) == ON
     point[at.contact_time + contact] = -point[at.t_start] if is_touching else 0.0
 
 
@@ -215,8 +216,27 @@ def _set_modes(at, point):
             point[at.gap + contact] = gap
         lower, upper = point[at.lower + contact], point[at.upper + contact]
         is_on_wall |= gap in (upper, lower)
-        point[at.mode + contact] = 1.0 if gap > upper else -1.0 if gap < lower else 0.0
+        mode = 1.0 if gap > upper else -1.0 if gap < lower else 0.0
+        if at.has_slack and mode * _force(at, point, contact, gap, mode) < 0.0:
+            mode *= SLACK
+        point[at.mode + contact] = mode
     return is_on_wall
+
+
+@internal
+def _force(at, point, contact, gap, side):
+    """Force of a contact that never pulls, as if it pulled; 0 of other contacts and in the gap."""
+    damping = point[at.slack_damping + contact]
+    if side == 0.0 or damping == 0.0:
+        return 0.0
+    stiffness = point[(at.upper_stiffness if side > 0.0 else at.lower_stiffness) + contact]
+    wall = point[(at.upper if side > 0.0 else at.lower) + contact]
+    speed = point[at.v]
+    if not at.is_plain:
+        speed = 0.0
+        for i in range(at.n):
+            speed += point[at.direction + contact * at.n + i] * point[at.v + i]
+    return stiffness * (gap - wall) + damping * speed
 
 
 @internal

@@ -18,6 +18,7 @@ from gapsweep.integrate.lanes.row_layout import RowLayout, aligned
 from gapsweep.integrate.lanes.scene_table import SceneTable, check, set_modes_on_walls
 from gapsweep.integrate.lanes.start_rows import BACKWARD, NOT_FINITE, ON_WALL, set_starts
 from gapsweep.integrate.problem import is_late
+from gapsweep.model.contact_modes import ON
 from gapsweep.status import DIVERGED_AT, Status
 
 from . import record
@@ -160,13 +161,30 @@ class Batch:
 
     @property
     def contact_time(self) -> Array:
-        """Times beyond the walls of located contacts [s], shape (n, n_contacts).
+        """Times in which the forces of located contacts act [s], shape (n, n_contacts).
 
         Only where all events are recorded.
         """
-        touches = self._rows(self.at.mode, self.at.contacts) != 0.0
+        touches = np.abs(self._rows(self.at.mode, self.at.contacts)) == ON
         until_left = self._rows(self.at.contact_time, self.at.contacts)
         return np.asarray(until_left + np.where(touches, self.t[:, None], 0.0))
+
+    @property
+    def contact_loss(self) -> Array:
+        """As in `Motions`, shape (n,)."""
+        if not self.at.is_damped:
+            return np.zeros(len(self.status))
+        return self.points[:, self.at.contact_loss].copy()
+
+    @property
+    def contact_force(self) -> Array | None:
+        """Largest forces of contacts that lose energy, of an oscillator per unit mass; else None.
+
+        Shape (n, n_contacts); only where all events are recorded.
+        """
+        if not self.at.is_damped:
+            return None
+        return self._rows(self.at.contact_force, self.at.contacts)
 
     @property
     def monodromy(self) -> Array | None:
@@ -273,8 +291,7 @@ def run(
     section_only : bool
         Record section points only: a search for extrema in every step costs as much as the step.
     tangent : bool
-        Also integrate the variational equation. Its jump at a contact is the identity, because
-        the contact force is continuous.
+        Also integrate the variational equation. It jumps where the contact force does.
     dense_output : bool
         Keep every step's series from `record_from` on, for `Batch.sample`.
     sampled : bool
@@ -365,7 +382,7 @@ def _set_on_walls(at: RowLayout, points: Array, is_head: NDArray[np.bool_]) -> N
     is_head[-1] = False  # the idle point
     heads = points[is_head]
     set_modes_on_walls(at, heads)
-    touches = heads[:, at.mode : at.mode + at.contacts] != 0.0
+    touches = np.abs(heads[:, at.mode : at.mode + at.contacts]) == ON
     heads[:, at.contact_time : at.contact_time + at.contacts] = np.where(
         touches, -heads[:, [at.t_start]], 0.0
     )

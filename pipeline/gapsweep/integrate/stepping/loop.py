@@ -19,6 +19,7 @@ from gapsweep.integrate.lanes.outcome import MAX_HALVINGS, SHORT_STEP
 from gapsweep.integrate.lanes.pieces import enter_next_piece
 from gapsweep.integrate.lanes.start_rows import follow
 from gapsweep.integrate.vectors import lowest_bit
+from gapsweep.model.contact_modes import ON, SLACK
 from gapsweep.status import Status
 
 from .passings import count_passings, record_passings
@@ -40,10 +41,36 @@ _ROUNDING = 2.0**-40  # of the largest displacement: rounding error of a motion 
 def _interval(at, lanes, k, contact):
     """Interval of the gap that a contact's mode allows in lane k."""
     mode = lanes[at.mode + contact, k]
+    if at.has_slack and abs(mode) == ON and lanes[at.slack_damping + contact, k] > 0.0:
+        return -np.inf, np.inf  # its force ends the mode
     lower, upper = lanes[at.lower + contact, k], lanes[at.upper + contact, k]
     lo = -np.inf if mode < 0.0 else (upper if mode > 0.0 else lower)
     hi = np.inf if mode > 0.0 else (lower if mode < 0.0 else upper)
     return lo, hi
+
+
+@internal
+def _watched(at, lanes, k, number, coefficients, series):
+    """Put a watched series of lane k into `series`; return the interval that its mode allows.
+
+    Gaps come first, then the forces of contacts that never pull, as in `Modes.watched`.
+    """
+    contact = number % at.contacts
+    load_series(coefficients, (at.first_gap + contact) * at.n_terms, k, series)
+    if number < at.contacts:
+        return _interval(at, lanes, k, contact)
+    mode, damping = lanes[at.mode + contact, k], lanes[at.slack_damping + contact, k]
+    if mode == 0.0 or damping == 0.0:
+        return -np.inf, np.inf
+    stiffness = lanes[(at.upper_stiffness if mode > 0.0 else at.lower_stiffness) + contact, k]
+    series[0] -= lanes[(at.upper if mode > 0.0 else at.lower) + contact, k]
+    for n in range(len(series)):
+        rate = (n + 1) * series[n + 1] if n + 1 < len(series) else 0.0
+        series[n] = stiffness * series[n] + damping * rate
+    if lanes[at.switched + contact, k] > 0.0:
+        series[0] = 0.0
+    is_on = abs(mode) == ON
+    return (0.0, np.inf) if is_on == (mode > 0.0) else (-np.inf, 0.0)
 
 
 @internal
@@ -64,23 +91,33 @@ def _commit_clock(at, lanes, k, step, is_done):
 def _pass_wall(at, lanes, k, contact, side):
     """Change the mode of a contact that passes its wall on `side`, and count the crossing."""
     lanes[at.side + contact, k] = side
-    is_touching = lanes[at.mode + contact, k] != 0.0
+    mode = lanes[at.mode + contact, k]
     has_gap = lanes[at.lower + contact, k] < lanes[at.upper + contact, k]
-    lanes[at.mode + contact, k] = 0.0 if is_touching and has_gap else side
-    lanes[at.n_contacts, k] += 2.0 if is_touching and not has_gap else 1.0
+    is_left = mode != 0.0 and has_gap
+    lanes[at.mode + contact, k] = 0.0 if is_left else side
+    lanes[at.n_contacts, k] += (1.0 if abs(mode) == ON else 0.0) + (0.0 if is_left else 1.0)
+
+
+@internal
+def _pass_zero(at, lanes, k, contact, side):
+    """Change the mode of a contact that never pulls where its force passes zero, and count it."""
+    lanes[at.side + contact, k] = side
+    mode = lanes[at.mode + contact, k]
+    lanes[at.mode + contact, k] = math.copysign(SLACK if abs(mode) == ON else ON, mode)
+    lanes[at.n_contacts, k] += 1.0
+    lanes[at.switched + contact, k] = 1.0
 
 
 @internal
 def _find_exits(at, lanes, k, coefficients, work):
-    """Find the first exit of every contact from its mode, for `work.exits`; return the earliest."""
+    """Find the first exit of every watched series, for `work.exits`; return the earliest."""
     h = lanes[at.step, k]
     earliest = h
-    for contact in range(at.contacts):
-        load_series(coefficients, (at.first_gap + contact) * at.n_terms, k, work.series)
-        lo, hi = _interval(at, lanes, k, contact)
-        g_1, _ = polynomial(work.series, at.order, h)
-        t, side = first_exit(h, lo, hi, g_1, work)
-        work.exits[contact, 0], work.exits[contact, 1] = t, side
+    for number in range(at.contacts * (1 + at.has_slack)):
+        lo, hi = _watched(at, lanes, k, number, coefficients, work.series)
+        end, _ = polynomial(work.series, at.order, h)
+        t, side = first_exit(h, lo, hi, end, work)
+        work.exits[number, 0], work.exits[number, 1] = t, side
         if side != 0.0:
             earliest = min(earliest, t)
     return earliest
@@ -118,6 +155,12 @@ def _commit_contacts(at, lanes, k, step, work):
         if side != 0.0 and work.exits[contact, 0] <= step:
             _pass_wall(at, lanes, k, contact, side)
             place, has_passed = hi if side > 0.0 else lo, True
+        elif at.has_slack:
+            side, when = work.exits[at.contacts + contact, 1], work.exits[at.contacts + contact, 0]
+            lanes[at.switched + contact, k] = 0.0
+            if side != 0.0 and when <= step:
+                _pass_zero(at, lanes, k, contact, side)
+                has_passed = True
         lanes[at.q if at.is_plain else at.gap + contact, k] = place
     return has_passed
 
@@ -135,6 +178,8 @@ def _resolve(at, lanes, k, coefficients, work):
     step = _find_exits(at, lanes, k, coefficients, work)
     if not _advance_state(at, lanes, k, at.q, 0, step, coefficients, work):
         return False
+    if at.is_damped:
+        _lose(at, lanes, k, step)
     has_passed = _commit_contacts(at, lanes, k, step, work)
     is_done = not has_passed and h == left
     _commit_clock(at, lanes, k, step, is_done)
@@ -155,7 +200,40 @@ def _resolve(at, lanes, k, coefficients, work):
             first = at.tangent_state + j * at.n_states
             _advance_state(at, lanes, k, first, kept, step, coefficients, work)
             kept += (at.n + at.m) * at.n_terms
+            if at.is_damped:
+                _jump(at, lanes, k, first)
     return is_done
+
+
+@internal
+def _lose(at, lanes, k, step):
+    """Add what contacts of lane k shrink volumes in state space in a step, see `Modes.decay`."""
+    for contact in range(at.contacts):
+        if abs(lanes[at.mode + contact, k]) == ON:
+            compliance = 1.0 if at.is_plain else lanes[at.compliance + contact, k]
+            lost = lanes[at.contact_damping + contact, k] * compliance * step
+            lanes[at.contact_loss, k] += lost
+
+
+@internal
+def _jump(at, lanes, k, first):
+    """Change a solution of the variational equation, in rows from `first` on, where the damping of
+    contacts begins or ends, as `tangent._jump` does."""
+    for contact in range(at.contacts):
+        mode, before = lanes[at.mode + contact, k], lanes[at.mode_0 + contact, k]
+        if mode in (before, 2.0 * before) or before == 2.0 * mode:
+            continue
+        change = (1.0 if abs(mode) == ON else 0.0) - (1.0 if abs(before) == ON else 0.0)
+        change *= lanes[at.contact_damping + contact, k]
+        if at.is_plain:
+            lanes[first + 1, k] -= change * lanes[first, k]
+        else:
+            along = 0.0
+            for i in range(at.n):
+                along += lanes[at.direction + contact * at.n + i, k] * lanes[first + i, k]
+            for i in range(at.n):
+                pull = lanes[at.pull + i * at.contacts + contact, k]
+                lanes[first + at.n + i, k] -= change * pull * along
 
 
 @internal
@@ -196,7 +274,7 @@ def _part(at, lanes, k):
         is_on = place in (lower, upper)
         if is_on and abs(speed) <= slack * lanes[at.rate, k]:
             has_gap = lower < upper  # without one it stays in contact
-            if has_gap and lanes[at.mode + contact, k] != 0.0:
+            if has_gap and abs(lanes[at.mode + contact, k]) == ON:
                 if lanes[at.side + contact, k] != 0.0:  # just passed: taken back
                     lanes[at.side + contact, k] = 0.0
                     lanes[at.n_contacts, k] -= 1.0

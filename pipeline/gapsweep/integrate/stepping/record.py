@@ -24,6 +24,7 @@ from gapsweep.integrate.vectors import (
     absolute,
     lowest_bit,
 )
+from gapsweep.model.contact_modes import ON
 
 from .roots import DOUBLE, SIMPLE, isolate, polynomial
 from .turns import TOUCH, find_coordinate_turns, find_gap_turns
@@ -244,21 +245,53 @@ def _record_extrema(at, run, k, which, first):
 
 @internal
 def _record_contact(at, run, k, contact):
-    """Record a wall crossing, two if the gap is zero: contact time, and rows if kept."""
+    """Record a contact that begins or ends, both if the gap is zero: its time, and rows if kept."""
     lanes = run.lanes
     end = lanes[at.start_time, k] + lanes[at.step, k]
     if at.is_tanh:
         end += lanes[at.lag, k]
     mode, mode_0 = lanes[at.mode + contact, k], lanes[at.mode_0 + contact, k]
     has_gap = lanes[at.lower + contact, k] < lanes[at.upper + contact, k]
-    if mode == 0.0 or (not has_gap and mode_0 != 0.0):
+    is_left, is_made = mode == 0.0 or (not has_gap and mode_0 != 0.0), mode != 0.0
+    if at.has_slack:
+        is_left, is_made = abs(mode_0) == ON, abs(mode) == ON
+    if is_left:
         lanes[at.contact_time + contact, k] += end
         if run.contacts:
             write_row(run, CONTACTS, k, end, contact)
-    if mode != 0.0:
+    if is_made:
         lanes[at.contact_time + contact, k] -= end
         if run.contacts:
             write_row(run, CONTACTS, k, end, contact)
+
+
+@internal
+def _record_forces(at, run, among):
+    """Keep the largest force of every damped contact within the last step of some lanes.
+
+    It is at an end of the step or where the rate of the force is zero.
+    """
+    lanes, work = run.lanes, run.work
+    while among != 0:
+        k = lowest_bit(among)
+        among &= among - 1
+        for contact in range(at.contacts):
+            mode, step = lanes[at.mode_0 + contact, k], lanes[at.step, k]
+            if abs(mode) != ON:
+                continue
+            load_series(run.coefficients, (at.first_gap + contact) * at.n_terms, k, work.series)
+            is_up, series = mode > 0.0, work.series
+            spring = lanes[(at.upper_stiffness if is_up else at.lower_stiffness) + contact, k]
+            series[0] -= lanes[(at.upper if is_up else at.lower) + contact, k]
+            for n in range(len(series)):
+                rate = (n + 1) * series[n + 1] if n + 1 < len(series) else 0.0
+                series[n] = spring * series[n] + lanes[at.contact_damping + contact, k] * rate
+            end, rate = polynomial(series, at.order, step)
+            largest = max(lanes[at.contact_force + contact, k], abs(series[0]), abs(end))
+            for i in range(_velocity_roots(step, rate, work)):
+                value, _ = polynomial(series, at.order, work.roots[i])
+                largest = max(largest, abs(value))
+            lanes[at.contact_force + contact, k] = largest
 
 
 @internal
@@ -363,6 +396,8 @@ def record_steps(layout, among, run):
                 layout, run.lanes, run.coefficients, i, series, all_events, at.order
             )
             _write_turns(at, run, events, at.n + i, series)
+    if at.is_damped:
+        _record_forces(at, run, all_events)
     while contacts != 0:
         k = lowest_bit(contacts)
         contacts &= contacts - 1

@@ -37,7 +37,8 @@ class Work(NamedTuple):
     ends: np.ndarray  # of the same intervals, as parts of the step
     roots: np.ndarray
     multiplicity: np.ndarray
-    exits: np.ndarray  # shape (n_contacts, 2): time and side at which each leaves its mode
+    # shape (2 n_contacts, 2): time and side at which a gap, or then a force, leaves its interval
+    exits: np.ndarray
 
 
 def work_space(degree: int, n_contacts: int) -> Work:
@@ -50,7 +51,7 @@ def work_space(degree: int, n_contacts: int) -> Work:
         np.empty((depth, 2)),
         np.empty(n),
         np.empty(n, np.int64),
-        np.empty((n_contacts, 2)),
+        np.empty((2 * n_contacts, 2)),
     )
 
 

@@ -22,12 +22,14 @@ from itertools import chain
 from gapsweep.integrate.lanes.pieces import piece_series
 from gapsweep.integrate.lanes.rows import dot
 from gapsweep.integrate.vectors import (
+    absolute,
     branch,
     floor,
     fma,
     nearest,
     where,
 )
+from gapsweep.model.contact_modes import ON
 
 from .law_series import contact_forces
 from .terms import product_term, square_term
@@ -147,21 +149,95 @@ class Modes:
         Interval of the gap that the mode allows.
     stiffness : list of Vec
         Stiffness of the wall in contact; 0 if none is.
+    damping : list of Vec
+        Damping of the wall in contact; 0 if none is. Empty for elastic contacts.
+    pressures : list of Pressure
+        Forces that decide modes; empty without contacts that never pull.
 
-    Where contacts are not located, no wall is in contact, and a mode has no ends.
+    Where contacts are not located, no wall is in contact, and a mode has no ends. A wall in mode
+    slack is not in contact.
     """
 
     def __init__(self, lanes, mode="mode"):
+        layout = lanes.layout
         self.touching, self.wall, self.lo, self.hi, self.stiffness = [], [], [], [], []
+        self.pressures = []
         names = mode, "lower", "upper", "lower_stiffness", "upper_stiffness"
         for mode, lower, upper, *stiffness in zip(*map(lanes.rows, names), strict=True):
-            mode = mode if lanes.layout.is_located else 0.0 * mode
+            mode = mode if layout.is_located else 0.0 * mode
             above, below = mode > 0.0, mode < 0.0
+            lo = where(above, upper, where(below, lower.constant(-math.inf), lower))
+            hi = where(below, lower, where(above, upper.constant(math.inf), upper))
+            if layout.has_slack:
+                pressure = Pressure(lanes, len(self.lo), mode, (lower, upper), stiffness)
+                lo, hi = (
+                    where(pressure.decides, -math.inf, lo),
+                    where(pressure.decides, math.inf, hi),
+                )
+                self.pressures.append(pressure)
+                above, below = mode.equals(ON), mode.equals(-ON)
+            self.lo.append(lo)
+            self.hi.append(hi)
             self.touching.append(above | below)
             self.stiffness.append(where(above, stiffness[1], where(below, stiffness[0], 0.0)))
             self.wall.append(where(above, upper, where(below, lower, 0.0)))
-            self.lo.append(where(above, upper, where(below, lower.constant(-math.inf), lower)))
-            self.hi.append(where(below, lower, where(above, upper.constant(math.inf), upper)))
+        damping = lanes.rows("contact_damping")
+        self.damping = [
+            where(here, c, 0.0) for here, c in zip(self.touching, damping, strict=False)
+        ]
+
+    def decay(self, lanes):
+        """Rate [1/s] at which contacts shrink volumes in state space; 0 if they are elastic."""
+        compliance = [1.0] if lanes.layout.is_plain else lanes.rows("compliance")
+        pairs = zip(self.damping, compliance, strict=False)
+        return reduce(lambda a, b: a + b, [c * b for c, b in pairs])
+
+    def watched(self, gaps):
+        """Series that may not leave an interval in the present modes: gaps, then forces.
+
+        Returns
+        -------
+        list of (list of Vec, Vec, Vec)
+            Series, and both ends of the interval.
+        """
+        found = list(zip(gaps, self.lo, self.hi, strict=True))
+        pressures = zip(self.pressures, gaps, strict=False)
+        return found + [(each.series(gap), each.lo, each.hi) for each, gap in pressures]
+
+
+class Pressure:
+    """The force of a contact that never pulls, as if it pulled: its zeros end modes on and slack.
+
+    Attributes
+    ----------
+    decides : Mask
+        Whether the force ends the present mode *on*, which no wall ends then.
+    lo, hi : Vec
+        Interval of the force that the mode allows; infinite for modes that it does not end.
+    """
+
+    def __init__(self, lanes, contact, mode, walls, stiffness):
+        layout = lanes.layout
+        damping = lanes[layout.slack_damping + contact]
+        is_watched = (damping > 0.0) & (absolute(mode) > 0.0)
+        above = mode > 0.0
+        self.decides = is_watched & absolute(mode).equals(ON)
+        self._wall = where(above, walls[1], walls[0])
+        self._stiffness = where(is_watched, where(above, stiffness[1], stiffness[0]), 0.0)
+        self._damping = where(is_watched, damping, 0.0)
+        self._switched = lanes[layout.switched + contact] > 0.0
+        pushes_up = (self.decides & above) | (is_watched & ~self.decides & ~above)
+        self.lo = where(pushes_up, 0.0, mode.constant(-math.inf))
+        self.hi = where(is_watched & ~pushes_up, 0.0, mode.constant(math.inf))
+
+    def series(self, gap):
+        """Series of the force, from the series of the gap."""
+        terms = [self._stiffness * x for x in gap]
+        terms[0] = self._stiffness * (gap[0] - self._wall)
+        for n in range(len(gap) - 1):
+            terms[n] = fma(self._damping * float(n + 1), gap[n + 1], terms[n])
+        terms[0] = where(self._switched, 0.0, terms[0])
+        return terms
 
 
 class Spring:
@@ -231,8 +307,12 @@ class Equation:
         self.is_located = layout.is_located
         self.contact = modes.stiffness if self.is_located else [self.zero + 1.0] * layout.contacts
         self.rates = self._rates(lanes)
+        if layout.is_damped:
+            self.damping = self._with_contacts(self.damping, modes.damping)
         is_spring = self.is_located and not self.rates
-        self.springs = self._springs() if is_spring else self.stiffness
+        self.springs = self.stiffness
+        if is_spring:
+            self.springs = self._with_contacts(self.stiffness, self.contact)
 
     def forcing(self):
         """Series of the forcing, by coordinate."""
@@ -264,15 +344,16 @@ class Equation:
             [k + first, *others] for k, (first, *others) in zip(self.contact, rates, strict=True)
         ]
 
-    def _springs(self):
+    def _with_contacts(self, matrix, factors):
+        """A matrix of the equation plus the contacts', of which each has a factor."""
         if self.is_plain:
-            return [[reduce(lambda a, b: a + b, self.contact, self.stiffness[0][0])]]
+            return [[reduce(lambda a, b: a + b, factors, matrix[0][0])]]
         return [
             [
-                dot(pull, [k * d[j] for k, d in zip(self.contact, self.direction, strict=True)], s)
+                dot(pull, [k * d[j] for k, d in zip(factors, self.direction, strict=True)], s)
                 for j, s in enumerate(row)
             ]
-            for row, pull in zip(self.stiffness, self.pull, strict=True)
+            for row, pull in zip(matrix, self.pull, strict=True)
         ]
 
     def contact_forces(self, n, depths):

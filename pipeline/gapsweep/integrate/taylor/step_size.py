@@ -73,6 +73,8 @@ class Sizes:
         self.hardening = cubic * (farthest * farthest)
         self.springs = fma(self.hardening, 3.0, stiffness + contact)
         self.damping = lanes["damping"]
+        if lanes.layout.is_damped:
+            self.damping = self.damping + modes.decay(lanes)
 
     def _add_laws(self, lanes, motion):
         """Add energy and stiffness of contacts that are not located."""
@@ -121,6 +123,8 @@ class Sizes:
         for contact, compliance in zip(modes.stiffness, lanes.rows("compliance"), strict=True):
             self.springs = self.springs + contact * compliance
         self.damping = lanes["decay"]
+        if lanes.layout.is_damped:
+            self.damping = self.damping + modes.decay(lanes)
 
 
 def _square_norm(lanes, block, values):

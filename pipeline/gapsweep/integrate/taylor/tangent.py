@@ -15,6 +15,7 @@ from gapsweep.integrate.jit import separate
 from gapsweep.integrate.lanes.rows import dot, rows_of, value_and_slope
 from gapsweep.integrate.motions import VANISHED
 from gapsweep.integrate.vectors import F64, I64, absolute, fma, mask_of, where
+from gapsweep.model.contact_modes import ON
 
 from .law_series import contact_forces
 from .series import Equation, Modes, Spring, extend, extend_lags
@@ -118,7 +119,7 @@ def commit_solution(lanes, coefficients, solution, step, keeps, jump=None):
     keeps : Mask
         Lanes that do not move in this step.
     jump : callable, optional
-        Function of the end state that returns the state after a layer.
+        Function of the end state that returns the state after a layer or a change of modes.
     """
     layout, (y, z) = lanes.layout, solution
     kept = layout.n_series * layout.n_terms
@@ -133,6 +134,32 @@ def commit_solution(lanes, coefficients, solution, step, keeps, jump=None):
     for i, (start, end) in enumerate(zip(starts, ends, strict=True)):
         end = where(absolute(end) < VANISHED, 0.0, end)
         lanes[layout.tangent_state + i] = where(keeps, start, end)
+
+
+def _jump(lanes, one):
+    """Return a function of an end state that returns the state after changes of contact modes.
+
+    The speed changes by ``-c (b.y) M^-1 b`` where damping c begins at a wall, and by the opposite
+    where it ends at a wall; the force of a contact that never pulls ends and begins at zero.
+    """
+    layout, changes = lanes.layout, []
+    rows = map(lanes.rows, ("mode", "mode_0", "contact_damping"))
+    for mode, before, damping in zip(*rows, strict=True):
+        is_on, was_on = (absolute(each).equals(ON) for each in (mode, before))
+        is_at_zero = mode.equals(before * 2.0) | before.equals(mode * 2.0)
+        change = where(is_on, damping, 0.0) - where(was_on, damping, 0.0)
+        changes.append(where(is_at_zero, 0.0, change))
+
+    def jump(*state):
+        ends, n = list(state), layout.n
+        for k, change in enumerate(changes):
+            along = ends[0] if one.is_plain else dot(one.direction[k], ends[:n], one.zero)
+            for i in range(n):
+                pull = change if one.is_plain else change * one.pull[i][k]
+                ends[n + i] = fma(-pull, along, ends[n + i])
+        return ends
+
+    return jump
 
 
 def solution_rows(lanes, coefficients, number):
@@ -158,10 +185,12 @@ def _tangent_step(typingctx, at, lanes, coefficients, rtol, unclear):
         square, step = _square(series, one) if layout.is_plain else [], rows["step"]
         slopes = _slopes(rows, series, one)
         keeps = mask_of(builder, args[4], layout.width)
+        jump = _jump(rows, one) if layout.is_damped else None
 
         def advance(number):
             solution, kept = solution_rows(rows, series, number)
-            commit_solution(solution, kept, _variation(solution, one, square, slopes), step, keeps)
+            found = _variation(solution, one, square, slopes)
+            commit_solution(solution, kept, found, step, keeps, jump)
 
         if layout.is_plain:  # a loop would take a tenth longer
             advance(ir.Constant(I64, 0))

@@ -43,6 +43,7 @@ from gapsweep.integrate.vectors import (
     sqrt,
     where,
 )
+from gapsweep.model.contact_modes import MODES, ON
 
 from .series import Equation, Modes, StepSeries
 from .step_size import Sizes, longest_step, step_size
@@ -101,7 +102,7 @@ class _Shape:
         )
 
 
-def _emit_decided_step(builder, gaps, h, modes, layers):
+def _emit_decided_step(builder, watched, h, layers):
     """Shorten the step of lanes whose crossing is unclear, up to MAX_HALVINGS times.
 
     A shorter step costs a fifth of isolating roots for one lane, and its bounds are much tighter:
@@ -114,9 +115,9 @@ def _emit_decided_step(builder, gaps, h, modes, layers):
     is_decided : Mask
         No gap leaves its interval, or it leaves once and ends beyond.
     shapes : list of _Shape
-        Shapes of the gaps.
+        Shapes of the watched series.
     """
-    if not gaps:
+    if not watched:
         return h, h <= h, []
     start = builder.block
     loop, done = builder.append_basic_block("halve"), builder.append_basic_block("decided")
@@ -124,7 +125,7 @@ def _emit_decided_step(builder, gaps, h, modes, layers):
     builder.position_at_end(loop)
     step, count = builder.phi(h.value.type), builder.phi(I64)
     trial = Vec(builder, step)
-    shapes = [_Shape(*gap, trial) for gap in zip(gaps, modes.lo, modes.hi, strict=True)]
+    shapes = [_Shape(*each, trial) for each in watched]
     is_decided = reduce(lambda a, b: a & b, [shape.is_decided for shape in shapes])
     if layers:
         is_decided = is_decided & ~layers.ends_in_one(shapes[0], trial)
@@ -194,23 +195,21 @@ class _Exits:
     step : Vec
         The step, cut where a wall is passed.
     passes : list of Mask
-        For every contact, the lanes whose step ends on one of its ends.
+        For every watched series (`Modes.watched`), the lanes whose step ends on one of its ends.
     sides : list of Vec
-        For every contact +1 or -1 there, for the upper or lower end, else 0.
+        For every watched series +1 or -1 there, for the upper or lower end, else 0.
     crosses : Mask
         Lanes whose step ends on a wall.
     is_unclear : Mask
     ends : list of tuple of Vec
-        For every contact, the gap and its rate at the end of the step.
+        For every watched series, its value and rate at its exit or the end of the step.
     shapes : list of _Shape
     """
 
     def __init__(self, builder, motion, modes, h, layers):
-        h, is_decided, self.shapes = _emit_decided_step(builder, motion.gaps, h, modes, layers)
-        found = [
-            self._crossing_of(builder, gap, h, lo, hi, is_decided)
-            for gap, lo, hi in zip(motion.gaps, modes.lo, modes.hi, strict=True)
-        ]
+        watched = modes.watched(motion.gaps)
+        h, is_decided, self.shapes = _emit_decided_step(builder, watched, h, layers)
+        found = [self._crossing_of(builder, *each, h, is_decided) for each in watched]
         self.h, self.is_unclear = h, ~is_decided
         for leaves, crosses, *_ in found:
             self.is_unclear = self.is_unclear | (leaves & ~crosses)
@@ -231,7 +230,7 @@ class _Exits:
         self.ends = [end for *_, end in found]
 
     @staticmethod
-    def _crossing_of(builder, gap, h, lo, hi, is_decided):
+    def _crossing_of(builder, gap, lo, hi, h, is_decided):
         g_1, u_1 = value_and_slope(gap, h)
         leaves_up, leaves_down = g_1 >= hi, g_1 <= lo
         leaves = leaves_up | leaves_down
@@ -307,6 +306,8 @@ def _state_at(motion, step):
 def _commit_contacts(lanes, modes, motion, exits, state):
     """Store modes, sides and gaps for the next step; return the number of walls passed."""
     layout = lanes.layout
+    if layout.has_slack:
+        return _commit_slack(lanes, modes, motion, exits, state)
     n_walls = lanes["tau"].constant(0.0)
     for k, side in enumerate(exits.sides):
         passes, touching = exits.passes[k], modes.touching[k]
@@ -323,6 +324,45 @@ def _commit_contacts(lanes, modes, motion, exits, state):
             gap = where(passes, where(side > 0.0, hi, lo), gap)
             lanes[layout.gap + k] = where(exits.is_unclear, old, gap)
     return n_walls
+
+
+def _commit_slack(lanes, modes, motion, exits, state):
+    """Do what `_commit_contacts` does, for contacts that may never pull; the gap of an oscillator
+    is set in `state`."""
+    layout = lanes.layout
+    n, none = layout.contacts, lanes["tau"].constant(0.0)
+    n_changes = none
+    for k in range(n):
+        mode, has_gap = lanes[layout.mode + k], lanes[layout.lower + k] < lanes[layout.upper + k]
+        at_wall, at_zero, side = exits.passes[k], exits.passes[n + k], exits.sides[k]
+        at_zero = at_zero & ~at_wall
+        new, acted = mode, none
+        for number, row in enumerate(MODES):
+            is_here = absolute(mode).equals(number)
+            beyond = side if row.after_wall else where(has_gap, none, side)
+            zero = copysign(none + row.after_zero, mode)
+            new = where(is_here & at_wall, beyond, where(is_here & at_zero, zero, new))
+            acted = where(is_here, float(row.acts), acted)
+        acts = where(absolute(new).equals(ON), 1.0, none)
+        # from one wall to the other one without a gap
+        is_swapped = at_wall & (acted > 0.0) & (acts > 0.0)
+        changes = where(is_swapped, 2.0, absolute(acts - acted))
+        n_changes = n_changes + changes
+        lanes[layout.mode + k], lanes[layout.mode_0 + k] = new, mode
+        lanes[layout.side + k] = where(at_zero, exits.sides[n + k], side)
+        switched = where(at_zero, 1.0, none)
+        old = lanes[layout.switched + k]
+        lanes[layout.switched + k] = where(exits.is_unclear, old, switched)
+        lo, hi, gap = modes.lo[k], modes.hi[k], state[0]
+        if not layout.is_plain:
+            gap = dot(motion.equation.direction[k], state[: layout.n], none)
+        gap = minimum(maximum(gap, lo), hi)
+        gap = where(at_wall, where(side > 0.0, hi, lo), gap)
+        if layout.is_plain:
+            state[0] = gap
+        else:
+            lanes[layout.gap + k] = where(exits.is_unclear, motion.gaps[k][0], gap)
+    return n_changes
 
 
 def _emit_step(builder, lanes, coefficients, scalars):
@@ -373,7 +413,8 @@ def _emit_step(builder, lanes, coefficients, scalars):
     # a step that is halved in search of a crossing may be as short as it likes
     is_stuck = (h < lanes["min_step"]) & ~(crosses | is_last)
     is_last = is_last & (exits.h >= left)
-    state = list(exits.ends[0]) if layout.is_plain else _state_at(motion, step)
+    is_one = layout.is_plain and not layout.has_slack  # watched series
+    state = list(exits.ends[0]) if is_one else _state_at(motion, step)
 
     # 4. commit
     if layers and layout.tangent:
@@ -419,6 +460,9 @@ def _emit_step(builder, lanes, coefficients, scalars):
     lanes["cycle"] = where(keeps, cycle, cycle_1)
     lanes["n_steps"] = lanes["n_steps"] + where(keeps, 0.0 * one, 1.0)
     lanes["n_contacts"] = lanes["n_contacts"] + n_walls
+    if layout.is_damped:
+        lost = where(keeps, 0.0 * one, step * modes.decay(lanes))
+        lanes["contact_loss"] = lanes["contact_loss"] + lost
     lanes["n_short"] = where(keeps, lanes["n_short"], n_short)
     lanes["step"], lanes["tau_0"], lanes["cycle_0"] = step, tau, cycle
 

@@ -164,7 +164,7 @@ class Fitted(ContactLaw):
         """Coefficient of determination over the fit points [-]; independent of `K_c`."""
         return self.fit.r_squared
 
-    def force(self, x: ArrayLike) -> Array:
+    def force(self, x: ArrayLike, v: ArrayLike = 0.0) -> Array:
         u = numbers("x", x) / self.fit_range
         top, bottom = self.coefficients
         return np.asarray(chebyshev.chebval(u, top) / chebyshev.chebval(u, bottom))

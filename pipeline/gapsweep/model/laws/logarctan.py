@@ -88,7 +88,7 @@ class LogArctan(Sharpened):
         logs = (self.K_ratio * np.log1p(a * a) - np.log1p(b * b)) / (2.0 * self.gamma)
         return np.asarray(above * np.arctan(b) - self.K_ratio * below * np.arctan(a) + logs)
 
-    def force(self, x: ArrayLike) -> Array:
+    def force(self, x: ArrayLike, v: ArrayLike = 0.0) -> Array:
         x = numbers("x", x)
         anchored = self._integral(x) - self._integral(np.zeros(()))
         return np.asarray(self.K_c * (0.5 * (1.0 + self.K_ratio) * x + anchored / math.pi))

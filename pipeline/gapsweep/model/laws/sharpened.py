@@ -83,7 +83,7 @@ class Switched(Sharpened):
         """Value and derivative of the switch at scaled distance `z` [-]."""
         raise NotImplementedError
 
-    def force(self, x: ArrayLike) -> Array:
+    def force(self, x: ArrayLike, v: ArrayLike = 0.0) -> Array:
         below, above = penetrations(x, self.gap)
         s_below, _ = self._switch(self.epsilon * below)
         s_above, _ = self._switch(self.epsilon * above)

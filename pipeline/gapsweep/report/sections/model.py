@@ -31,11 +31,12 @@ _NUMBERS = {
     "base_damping": ("s", "(share of the damping at the base)"),
     "K_c": ("K_c", "N/m"),
     "K_ratio": ("r", "(stiffness of the lower wall / K_c)"),
+    "damping": ("c_c", "N s/m (of both walls)"),
     "omega": ("ω", "Hz"),
 }
 _RATIO = _NUMBERS["K_ratio"]
 # Settings that a contact may have separately.
-_OWN = {"representation": "", "K_c": "K_c", "gap": "j₁/j₂", "K_ratio": "r"}
+_OWN = {"representation": "", "K_c": "K_c", "gap": "j₁/j₂", "K_ratio": "r", "damping": "c_c"}
 _EQUATION_OF_SYSTEMS = "M q̈ + C q̇ + K q + Σ α (a·q)³ a + Σ F(b·q) b = loads"
 _EQUATION_OF_LAGS = " − D z, ż = E q̇ + G q + H z"
 _MATRICES = {"mass": "M", "damping": "C", "stiffness": "K"}
@@ -52,7 +53,7 @@ def sections(inputs: Inputs) -> Iterator[Part]:
 def _oscillator(responses: xr.Dataset) -> list[tuple[str, str]]:
     """Equation, numbers and contact laws of an oscillator."""
     study = json.loads(responses.attrs["study_json"])
-    fixed, wave = {"K_ratio": 1.0} | study["oscillator"], []
+    fixed, wave = {"K_ratio": 1.0, "damping": 0.0} | study["oscillator"], []
     if isinstance(points := fixed["forcing"], dict):
         forces = points.get("f") or points["levels"]
         fixed["forcing"] = max(map(abs, forces))
@@ -62,7 +63,7 @@ def _oscillator(responses: xr.Dataset) -> list[tuple[str, str]]:
     numbers = [
         f"{symbol} {_text(held[name])} {unit}".strip()
         for name, (symbol, unit) in _NUMBERS.items()
-        if is_moving or name not in _OF_MOVING
+        if (is_moving or name not in _OF_MOVING) and (name != "damping" or np.any(held[name]))
     ]
     numbers.append(_walls(responses))
     if any(label.is_fitted for label in labels_of(responses)):
@@ -123,6 +124,9 @@ def _numbers_of_contacts(
         ratios = np.ravel(responses["K_ratio"].values) if "K_ratio" in responses else np.ones(1)
         none = "" if ratios.all() else "; 0: no lower wall"
         yield _RATIO[0], f"{_text(ratios)} {_RATIO[1]}{none}"
+    if "damping" in responses:
+        symbol, unit = _NUMBERS["damping"]
+        yield symbol, f"{_text(np.ravel(responses['damping'].values))} {unit}"
     for contact, table in own.items():
         settings = (
             f"{symbol} {_written(table[name])}".strip()

@@ -1,0 +1,166 @@
+"""Systems with walls that lose energy, solved by scipy's DOP853 with an event at every change.
+
+The equation is M q'' + C q' + K q + sum b N = F cos(omega t), with the depths d = b.q - wall of
+one-sided walls and their rates u. No code of the engines is used: forces, events and jumps are
+written out here.
+"""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy.integrate import simpson, solve_ivp
+
+OFF, ON, SLACK = range(3)
+
+
+@dataclass(frozen=True)
+class Wall:
+    """A wall on one side of a direction: N = k d (1 + chi u) + c u + preload while it is on."""
+
+    b: Sequence[float]
+    place: float
+    k: float
+    c: float = 0.0
+    pulls: bool = True
+    chi: float = 0.0
+    preload: float = 0.0
+
+    def force(self, d: float, u: float) -> float:
+        return self.k * d * (1.0 + self.chi * u) + self.c * u + self.preload
+
+    def slopes(self, d: float, u: float) -> tuple[float, float]:
+        return self.k * (1.0 + self.chi * u), self.c + self.k * self.chi * d
+
+
+@dataclass(frozen=True)
+class Motion:
+    """End state, tangent, events and integrals of a motion."""
+
+    y: Any
+    tangent: Any
+    n_contacts: int  # times at which a force begins or ends
+    time: Any  # in which the force of every wall acts
+    shrunk: float  # integral of -div f
+    lost: float  # energy lost in dampers and walls
+    worked: float  # work of the forcing
+    largest: float  # force of a wall
+
+
+@dataclass(frozen=True)
+class Lossy:
+    M: Any
+    C: Any
+    K: Any
+    F: Any
+    omega: float
+    walls: Sequence[Wall]
+
+    def run(self, y_0: Sequence[float], t_end: float, *, rtol: float = 1e-12) -> Motion:
+        n, inverse = len(self.M), np.linalg.inv(self.M)
+        y = np.concatenate([y_0, np.eye(2 * n).ravel(), np.zeros(2)])
+        modes = [self._begin(wall, y, n) for wall in self.walls]
+        t, count, time, shrunk, largest = 0.0, 0, np.zeros(len(self.walls)), 0.0, 0.0
+        longest = 2.0 * math.pi / self.omega / 300.0  # a shorter contact would be missed
+        while t < t_end:
+            events, about = self._events(modes, n)
+            found = solve_ivp(
+                self._rhs(modes, inverse), (t, t_end), y, "DOP853", rtol=rtol, atol=1e-3 * rtol,
+                events=events, max_step=longest, dense_output=True,
+            )  # fmt: skip
+            assert found.status >= 0, found.message
+            lasted = found.t[-1] - t
+            shrunk += lasted * float(np.trace(inverse @ self.C))
+            for k, wall in enumerate(self.walls):
+                if modes[k] != ON:
+                    continue
+                time[k] += lasted
+                b = np.asarray(wall.b)
+                at = np.linspace(t, found.t[-1], 2001)
+                states = found.sol(at)
+                d = b @ states[:n] - wall.place
+                shrunk += float(b @ inverse @ b) * (
+                    wall.c * lasted + wall.k * wall.chi * simpson(d, x=at)
+                )
+                forces = np.abs(wall.force(d, b @ states[n : 2 * n]))
+                largest = max(largest, float(forces.max()))
+            t, y = float(found.t[-1]), found.y[:, -1].copy()
+            if found.status == 0:
+                break
+            which = next(i for i, times in enumerate(found.t_events) if times.size)
+            k, new = about[which]
+            wall, old = self.walls[k], modes[k]
+            b = np.asarray(wall.b)
+            u = float(b @ y[n : 2 * n])
+            jump = (wall.force(0.0, u) / u if new == ON else 0.0) - (
+                wall.force(0.0, u) / u if old == ON else 0.0
+            )
+            if {old, new} == {ON, SLACK}:
+                jump = 0.0
+                d = float(b @ y[:n] - wall.place)  # the wall relaxes without the body
+                y[-2] += (0.5 if old == ON else -0.5) * wall.k * d * d
+            tangent = y[2 * n : 2 * n + 4 * n * n].reshape(2 * n, 2 * n)  # columns of images
+            tangent[n:] -= jump * np.outer(inverse @ b, b @ tangent[:n])
+            count += (old == ON) != (new == ON)
+            modes[k] = new
+        images = y[2 * n : 2 * n + 4 * n * n].reshape(2 * n, 2 * n)
+        return Motion(y[: 2 * n], images, count, time, shrunk, y[-2], y[-1], largest)
+
+    @staticmethod
+    def _begin(wall: Wall, y: Any, n: int) -> int:
+        d, u = np.dot(wall.b, y[:n]) - wall.place, np.dot(wall.b, y[n : 2 * n])
+        if d <= 0.0:
+            return OFF
+        return ON if wall.pulls or wall.force(d, u) > 0.0 else SLACK
+
+    def _events(self, modes: list[int], n: int) -> tuple[list[Any], list[tuple[int, int]]]:
+        events: list[Callable[..., float]] = []
+        about: list[tuple[int, int]] = []
+
+        def add(k: int, new: int, direction: float, *, is_force: bool) -> None:
+            wall = self.walls[k]
+
+            def event(t: float, y: Any) -> float:
+                d = float(np.dot(wall.b, y[:n]) - wall.place)
+                return wall.force(d, float(np.dot(wall.b, y[n : 2 * n]))) if is_force else d
+
+            event.terminal, event.direction = True, direction  # type: ignore[attr-defined]  # of scipy
+            events.append(event)
+            about.append((k, new))
+
+        for k, (wall, mode) in enumerate(zip(self.walls, modes, strict=True)):
+            if mode == OFF:
+                add(k, ON, 1.0, is_force=False)
+            elif mode == ON and not wall.pulls:
+                add(k, SLACK, -1.0, is_force=True)
+            elif mode == ON:
+                add(k, OFF, -1.0, is_force=False)
+            else:
+                add(k, OFF, -1.0, is_force=False)
+                add(k, ON, 1.0, is_force=True)
+        return events, about
+
+    def _rhs(self, modes: list[int], inverse: Any) -> Callable[[float, Any], Any]:
+        n = len(self.M)
+        on = [wall for wall, mode in zip(self.walls, modes, strict=True) if mode == ON]
+
+        def rhs(t: float, y: Any) -> Any:
+            q, v = y[:n], y[n : 2 * n]
+            load = np.asarray(self.F) * math.cos(self.omega * t)
+            force, lost = load - self.C @ v - self.K @ q, float(v @ self.C @ v)
+            by_q, by_v = -np.array(self.K, float), -np.array(self.C, float)
+            for wall in on:
+                b = np.asarray(wall.b)
+                d, u = float(b @ q - wall.place), float(b @ v)
+                force = force - b * wall.force(d, u)
+                lost += (wall.force(d, u) - wall.k * d - wall.preload) * u
+                slopes = wall.slopes(d, u)
+                by_q -= slopes[0] * np.outer(b, b)
+                by_v -= slopes[1] * np.outer(b, b)
+            images = y[2 * n : -2].reshape(2 * n, 2 * n)
+            turned = np.concatenate([images[n:], inverse @ (by_q @ images[:n] + by_v @ images[n:])])
+            return np.concatenate([v, inverse @ force, turned.ravel(), [lost, float(load @ v)]])
+
+        return rhs

@@ -1,0 +1,275 @@
+"""Contacts that lose energy: closed forms, numbers of high precision, and scipy with events.
+
+Numbers of high precision are from exact flows of linear pieces in 30 digits (mpmath).
+"""
+
+import math
+
+import numpy as np
+import pytest
+from tests.oracles.lossy_contacts import Lossy, Wall
+
+import gapsweep as gs
+from gapsweep.errors import StudyError
+
+TURN = 2.0 * math.pi
+TIGHT = {"rtol": 1e-12, "atol": 1e-15}
+BOTH = pytest.mark.parametrize("engine", ["compiled", "scipy"])
+
+
+def oscillator(forcing=0.03, mass=1.0, omega_n=1.0 / TURN, zeta=0.025):
+    return gs.Oscillator(mass=mass, omega_n=omega_n, zeta=zeta, forcing=forcing)
+
+
+def stop(K_c=20.0, damping=1.2, **named):
+    """A wall on one side, at 0.1745 m."""
+    return gs.Piecewise(K_c, gs.Gap(0.0, 0.1745), K_ratio=0.0, damping=damping, **named)
+
+
+@BOTH
+@pytest.mark.parametrize("pulls", [True, False])
+def test_one_impact_has_the_restitution_of_the_closed_form(pulls, engine):
+    """A free mass meets a damped spring; z is the damping ratio of the mass on the wall."""
+    k, c, m = 1e4, 2.0, 0.01
+    w, z = math.sqrt(k / m), c / (2.0 * math.sqrt(k * m))
+    turned = math.pi
+    if not pulls:
+        turned -= math.atan2(2.0 * z * math.sqrt(1.0 - z * z), 1.0 - 2.0 * z * z)
+    lasted = turned / (w * math.sqrt(1.0 - z * z))
+    restitution = math.exp(-z * w * lasted)
+    expected = (
+        (0.7292476142876709, 3.15741941699828e-3)
+        if pulls
+        else (0.7440793977217797, 2.95607532474955e-3)
+    )
+    assert (restitution, lasted) == pytest.approx(expected, rel=1e-13)
+    law = gs.Piecewise(k, gs.Gap(1.0, 0.0), damping=c, pulls=pulls)
+    run = gs.simulate(
+        oscillator(0.0, m, 0.0, 0.0), law, 1.0, 0.0, 0.5, t_end=0.02, tangent=True,
+        engine=engine, rtol=1e-12, atol=1e-15,
+    )  # fmt: skip
+    # The end state is linear in the initial velocity, and the mass leaves at the same time.
+    assert -run.v_end / 0.5 == pytest.approx(restitution, rel=1e-9)
+    assert run.t_contacts == pytest.approx([lasted], rel=1e-9)
+    assert run.monodromy[1, 1] == pytest.approx(-restitution, rel=1e-9)
+
+
+ORBITS = {  # x_max, determinant and first multiplier
+    True: (0.1808062719684468, 0.4207092935349863, -0.117338857855 + 0.637919184515j),
+    False: (0.1806356044368126, 0.4513219785538716, -0.126202851011 + 0.659844541502j),
+}
+
+
+@BOTH
+@pytest.mark.parametrize("pulls", [True, False])
+def test_a_damped_orbit_has_the_multipliers_of_exact_flows(pulls, engine):
+    x_max, determinant, multiplier = ORBITS[pulls]
+    found = gs.respond(
+        oscillator(), stop(pulls=pulls), 0.95 / TURN, 0.1, 0.1, rtol=1e-11, engine=engine
+    )
+    assert found.x_max == pytest.approx(x_max, rel=1e-9)
+    largest = max(found.multipliers, key=lambda one: one.imag)
+    assert largest == pytest.approx(multiplier, rel=1e-8)
+    assert np.prod(found.multipliers).real == pytest.approx(determinant, rel=1e-9)
+
+
+@pytest.mark.parametrize("pulls", [True, False])
+def test_force_and_time_of_a_damped_contact_are_those_while_it_acts(pulls):
+    o, law, omega = oscillator(), stop(pulls=pulls), 0.95
+    found = gs.respond(o, law, omega / TURN, 0.1, 0.1, rtol=1e-11)
+    wall = Wall([1.0], 0.1745, 20.0, 1.2, pulls=pulls)
+    one = np.eye(1)
+    oracle = Lossy(one, 0.05 * one, one, [0.03], omega, [wall])
+    y = oracle.run([0.1, 0.1], 12 * TURN / omega, rtol=1e-8).y
+    for _ in range(5):  # Newton's method
+        ended = oracle.run(y, TURN / omega)
+        y = y - np.linalg.solve(ended.tangent - np.eye(2), ended.y - y)
+    ended = oracle.run(y, TURN / omega)
+    assert found.contact_share == pytest.approx(ended.time[0] * omega / TURN, rel=1e-9)
+    assert found.force_max == pytest.approx(ended.largest, rel=1e-6)  # at samples
+    # what the forcing supplies in a period is lost in damping and contact
+    assert ended.worked == pytest.approx(ended.lost, rel=1e-9)
+
+
+def drawn(seed, never_pulls):
+    """A random system of one or two coordinates and one to three contacts, in both forms."""
+    rng = np.random.default_rng(seed)
+    n = int(rng.integers(1, 3))
+    mass, k = np.diag(rng.uniform(0.5, 2.0, n)), rng.uniform(0.5, 3.0, 3)
+    stiffness = np.array([[k[0] + k[1], -k[1]], [-k[1], k[1] + k[2]]])[:n, :n]
+    damping = rng.uniform(0.01, 0.06) * stiffness + 0.02 * mass
+    push, omega = np.eye(n)[0] * rng.uniform(0.05, 0.5), rng.uniform(0.6, 2.0)
+    directions = [[1.0], [0.0], [1.0]][:1] if n == 1 else [[1.0, 0.0], [0.0, 1.0], [1.0, -1.0]]
+    walls, laws, contacts = [], {}, {}
+    for j, b in enumerate(directions[: 1 if n == 1 else int(rng.integers(1, 4))]):
+        K_c, c, ratio = (
+            10 ** rng.uniform(0.3, 2.5),
+            10 ** rng.uniform(-2.0, 0.7),
+            rng.choice([0.0, 1.5]),
+        )
+        j_1, j_2 = rng.uniform(0.02, 0.4, 2)
+        pulls = not never_pulls or (j == 1)  # the second contact differs
+        walls.append(Wall(b, j_2, K_c, c, pulls=pulls))
+        if ratio:
+            walls.append(Wall([-each for each in b], j_1, ratio * K_c, c, pulls=pulls))
+        law = gs.Piecewise(K_c, gs.Gap(j_1, j_2), K_ratio=ratio, damping=c, pulls=pulls)
+        laws[str(j)], contacts[str(j)] = law, b
+    system = gs.System(
+        mass=mass, damping=damping, stiffness=stiffness, contacts=contacts,
+        forcing=[gs.Harmonic(amplitude=push)],
+    )  # fmt: skip
+    start = np.concatenate([rng.uniform(-0.3, 0.3, n), rng.uniform(-0.5, 0.5, n)])
+    return Lossy(mass, damping, stiffness, push, omega, walls), system, laws, start
+
+
+@pytest.mark.extended  # layouts of systems
+@pytest.mark.parametrize("never_pulls", [False, True])
+def test_drawn_systems_move_as_scipy_says(never_pulls):
+    """State, tangent, number of contacts, and determinant of the tangent."""
+    for seed in range(6):
+        oracle, system, laws, start = drawn(seed, never_pulls)
+        t_end, n = 2.0 * TURN / oracle.omega, system.n
+        found = oracle.run(start, t_end)
+        size = max(1.0, np.abs(found.tangent).max())  # what becomes of an error
+        for engine, rtol, error in (("compiled", 1e-12, 1e-9), ("scipy", 1e-11, 1e-7)):
+            run = gs.simulate(
+                system, laws, oracle.omega / TURN, q_0=start[:n], v_0=start[n:], t_end=t_end,
+                tangent=True, engine=engine, rtol=rtol,
+            )  # fmt: skip
+            ends = np.concatenate([run.q_end, run.v_end])
+            assert ends == pytest.approx(found.y, abs=error * size)
+            assert run.monodromy == pytest.approx(found.tangent, abs=error * size**2)
+            assert run.n_contacts == found.n_contacts
+            assert np.linalg.det(run.monodromy) == pytest.approx(
+                math.exp(-found.shrunk), abs=error * size**2
+            )
+
+
+@pytest.mark.parametrize(("pulls", "fold"), [(True, 1.259531780516715), (False, 1.263345037548026)])
+def test_branches_find_the_fold_of_a_damped_contact(pulls, fold):
+    law = gs.Piecewise(2.0, gs.Gap(0.1745, 0.1745), damping=0.1, pulls=pulls)
+    found = gs.branches(oscillator(), law, between=(1.0 / TURN, 1.5 / TURN), rtol=1e-12)
+    names = found["special"].attrs["flag_meanings"].split()
+    is_fold = found["special"] == names.index("fold")
+    assert np.max(found["omega"].values[is_fold.values]) * TURN == pytest.approx(fold, rel=1e-9)
+
+
+GRAZE = 0.01892540793813967  # N: amplitude of the forcing at which the free motion grazes the wall
+
+
+def multipliers_past_the_graze(law, share):
+    """Floquet multipliers of the orbit at a forcing of ``GRAZE (1 + share)``."""
+    omega = 0.95
+    o = oscillator(GRAZE * (1.0 + share))
+    phase = math.atan2(0.05 * omega, 1.0 - omega**2)
+    y = 0.1745 * np.array([math.cos(phase), omega * math.sin(phase)])
+    for _ in range(12):  # Newton's method
+        run = gs.simulate(
+            o, law, omega / TURN, *y, t_end=TURN / omega, tangent=True, rtol=1e-13, atol=1e-17
+        )
+        y = y - np.linalg.solve(run.monodromy - np.eye(2), [run.x_end - y[0], run.v_end - y[1]])
+    return np.linalg.eigvals(run.monodromy)
+
+
+def test_a_graze_of_a_contact_that_never_pulls_is_a_border_collision():
+    """The trace jumps by damping times an entry of the free flow; past 12.143 N s/m it flips."""
+    free = np.sum(multipliers_past_the_graze(stop(), -1e-9)).real
+    assert free == pytest.approx(1.6044829407534, rel=1e-12)
+    below, flow = math.exp(-0.025 * TURN / 0.95), math.sqrt(1.0 - 0.025**2)
+    jump = below * math.sin(flow * TURN / 0.95) / flow
+    assert free - 1.2 * jump == pytest.approx(1.2761114905748, rel=1e-12)
+    past = [np.sum(multipliers_past_the_graze(stop(), each)).real for each in (1e-8, 1e-10)]
+    apart = np.subtract(past, 1.2761114905748)
+    assert apart[0] / apart[1] == pytest.approx(10.0, rel=0.01)  # as the root of the distance
+    assert abs(apart[1]) < 1e-4
+    stable, flipped = (multipliers_past_the_graze(stop(damping=c), 1e-9) for c in (12.0, 12.3))
+    assert np.abs(stable) == pytest.approx([0.8476] * 2, abs=5e-5)
+    assert np.min(flipped.real) == pytest.approx(-1.11933970298, rel=1e-6)
+    smooth = np.sum(multipliers_past_the_graze(stop(pulls=True), 1e-10)).real
+    assert smooth == pytest.approx(free, abs=1e-3)
+
+
+def test_branches_past_a_border_collision_have_its_multipliers():
+    """No fold is reported at the graze, and orbits past it are unstable."""
+    law = stop(damping=12.3)
+    found = gs.branches(
+        oscillator(), law, "forcing", between=(0.0188, 0.0190), omega=0.95 / TURN, rtol=1e-12
+    ).isel(branch=0)
+    names = np.array(found["special"].attrs["flag_meanings"].split())
+    seen = names[found["special"].values]
+    grazes = found["forcing"].values[seen == "grazing"]
+    assert grazes == pytest.approx([GRAZE], rel=1e-9)
+    assert "fold" not in seen
+    past = (found["forcing"] > GRAZE * (1 + 1e-7)) & (found["forcing"] < GRAZE * (1 + 5e-5))
+    assert (found["stable"].values[past.values] == 0).all()
+
+
+def refused(**named):
+    return lambda: gs.simulate(oscillator(), stop(), 0.2, t_end=1.0, **named)
+
+
+REFUSED = [
+    (lambda: stop(damping=-1.0), r"damping = -1.*>= 0"),
+    (lambda: stop(damping=math.inf), r"damping = inf.*finite"),
+    (lambda: stop(located=False), r"damping = 1\.2.*located=False"),
+    (refused(restart=True), "damping.*restart"),
+    (refused(controller="ode45"), "damping.*ode45"),
+    (refused(contact_force="as_written"), "as_written"),
+    (refused(contact_force="as_written", engine="scipy"), "as_written"),
+    (lambda: gs.Tanh(1.0, gs.Gap(0.1, 0.1), 1e3, damping=1.0), "damping.*Piecewise"),
+    (
+        lambda: gs.branches(
+            gs.Oscillator(mass=1.0, omega_n=1.0, zeta=0.0, forcing=0.0),
+            stop(),
+            "amplitude",
+            (0.1, 1),
+        ),
+        "undamped",
+    ),
+]
+
+
+@pytest.mark.parametrize(("call", "said"), REFUSED)
+def test_damping_that_cannot_be_is_refused_in_one_line(call, said):
+    with pytest.raises(gs.ModelError, match=said) as raised:
+        call()
+    assert "\n" not in str(raised.value)
+
+
+def study(**block):
+    """A study of the damped orbit."""
+    tables = {
+        "study": {"name": "damped"},
+        "oscillator": {"zeta": 0.025, "omega_n": 1.0 / TURN, "mass": 1.0, "forcing": 0.03},
+        "sweep": [
+            {
+                "representation": ["piecewise"],
+                "K_c": [20.0],
+                "gap": [[0.0, 0.1745]],
+                "K_ratio": 0.0,
+                "omega": [0.95 / TURN],
+                "initial_condition": [[0.1, 0.1]],
+                **block,
+            }
+        ],
+    }
+    return gs.Study.from_dict(tables)
+
+
+def test_damping_is_an_axis_of_studies():
+    found = study(damping=[0.0, 1.2])
+    assert found.grid.dims[-2:] == ("damping", "initial_condition")
+    ((_, table),) = found.points(np.arange(2))
+    assert table.column("damping").tolist() == [0.0, 1.2]
+    (_, models), refused = table.models()
+    assert not refused
+    assert [law.damping for (law,) in models.laws] == [0.0, 1.2]
+    (label,) = {law.losses.never_pulls for (law,) in models.laws if law.damping}
+    assert label
+
+
+def test_studies_refuse_damping_of_smooth_laws():
+    with pytest.raises(StudyError, match="damping: tanh-1e3 has none"):
+        study(damping=[0.0, 1.2], representation=["piecewise", "tanh-1e3"])
+    with pytest.raises(gs.ModelError, match="damping = 2: tanh-1e3 has no damping"):
+        gs.contact_law("tanh-1e3", 1.0, gs.Gap(0.1, 0.1), damping=2.0)
