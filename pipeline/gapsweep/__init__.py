@@ -19,6 +19,8 @@ if TYPE_CHECKING:
     from gapsweep.analysis.datasets.contact_errors import static_error
     from gapsweep.continuation.curves import special_curve
     from gapsweep.continuation.follow import branches
+    from gapsweep.continuation.gradient import gradient
+    from gapsweep.continuation.special_gradient import special_gradient
     from gapsweep.explorer.widget import explore
     from gapsweep.integrate.simulate import simulate
     from gapsweep.integrate.trajectory import SystemTrajectory, Trajectory
@@ -73,12 +75,14 @@ _ON_DEMAND = {
     "branches": "continuation.follow",
     "explore": "explorer.widget",
     "frequency_response": "report.model_figures",
+    "gradient": "continuation.gradient",
     "map": "report.model_figures",
     "open": "store.netcdf",
     "plot": "report.motion",
     "respond": "response.respond",
     "simulate": "integrate.simulate",
     "special_curve": "continuation.curves",
+    "special_gradient": "continuation.special_gradient",
     "static_error": "analysis.datasets.contact_errors",
     "systems": "model.systems",
 }
@@ -153,6 +157,7 @@ __all__ = [
     "contact_law",
     "explore",
     "frequency_response",
+    "gradient",
     "law",
     "map",
     "open",
@@ -164,6 +169,7 @@ __all__ = [
     "run",
     "simulate",
     "special_curve",
+    "special_gradient",
     "static_error",
     "systems",
 ]

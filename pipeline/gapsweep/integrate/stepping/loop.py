@@ -196,8 +196,10 @@ def _resolve(at, lanes, k, coefficients, work):
     lanes[at.n_steps, k] += 1.0
     if at.tangent > 0:
         kept = at.n_series * at.n_terms
-        for j in range(at.n_states):
+        for j in range(at.n_states + at.columns):
             first = at.tangent_state + j * at.n_states
+            if j >= at.n_states:
+                first = at.column + (j - at.n_states) * at.column_size
             _advance_state(at, lanes, k, first, kept, step, coefficients, work)
             kept += (at.n + at.m) * at.n_terms
             if at.is_damped:
