@@ -315,7 +315,8 @@ class _Linear:
         """Return bounds of displacements [m], each of the shape (n_points, k).
 
         First the largest steady one, then a lower bound of the steady amplitude, half of the
-        distance from trough to peak, and last the largest transient one.
+        distance from trough to peak, and last the largest transient one. A force by pieces moves
+        the system by at most its peak times the integral of the impulse response's magnitude.
         """
         system, n = self.system, self.system.n
         left, steady = starts.astype(complex), np.zeros((len(starts), len(self.seen)))
