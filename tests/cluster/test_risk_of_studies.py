@@ -59,7 +59,8 @@ def test_twice_the_samples_compute_only_the_new_ones(client, tmp_path):
 def test_safe_values_come_first_in_the_report(client, tmp_path):
     uncertain = TABLES["uncertain"] | {
         **{
-            "samples": 128,
+            "samples": 64,
+            "repeats": 8,
             "indices": False,
             "gap": {"lognormal": 1.0, "sd": 0.05, "nominal": "times"},
         },
