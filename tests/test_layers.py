@@ -17,6 +17,7 @@ LAYERS = (
     {"integrate"},
     {"response"},
     {"continuation"},
+    {"design"},
     {"study"},
     {"store"},
     {"execution"},
@@ -39,7 +40,7 @@ FLOORS = (
     {"compiled", "reference", "reference_motion", "reference_scenes", "simulate", "trajectory"},
 )
 FENCES = {
-    "scipy": {"model", "integrate", "response", "continuation", "study", "analysis"},
+    "scipy": {"model", "integrate", "response", "continuation", "design", "study", "analysis"},
     "numba": {"model", "integrate", "response"},
     "xarray": {
         *("variables", "continuation", "store", "analysis", "report"),
