@@ -113,6 +113,11 @@ def advise(
     """
     error = check_error(error)
     models, rest, _ = cases(oscillator, {} if law is None else law, omega, 0.0, 0.0, 0.0, 0.0)
+    if len(models) > 1:
+        raise ModelError(
+            f"{len(models)} cases: advise judges one; call it for each, or use 'gapsweep advise' "
+            "for a study"
+        )
     (laws,) = models.laws
     if start is not None and np.size(start):
         rest = array("start", start, rest.shape[1:])[None]
