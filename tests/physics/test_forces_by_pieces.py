@@ -201,6 +201,23 @@ def test_forces_with_other_knots_add_up():
     assert_allclose(end(forces), end(forces[:1]) + end(forces[1:]), rtol=0.0, atol=1e-13)
 
 
+def test_runge_kutta_steps_begin_again_at_a_jump():
+    """The derivative is evaluated after each jump: few steps are rejected, and the error is small.
+
+    With the derivative from before the jump two in five steps are rejected.
+    """
+    model = oscillator(gs.Switched([0.0, 0.3, 0.7], [5.0, -9.0, 2.0]), omega_n=0.9, zeta=0.03)
+    law = gs.Tanh(200.0, gs.Gap(0.1, 0.15), epsilon=50.0)
+    run, truth = (
+        gs.simulate(
+            model, law, 0.7, 0.02, 0.1, n_periods=5, rtol=rtol, atol=rtol / 10, engine=engine
+        )
+        for rtol, engine in ((1e-9, "compiled"), (1e-12, "scipy"))
+    )
+    assert run.n_rejected < 0.25 * run.n_steps
+    assert_allclose((run.x_end, run.v_end), (truth.x_end, truth.v_end), rtol=0.0, atol=3e-9)
+
+
 def test_a_triangle_is_its_fourier_sum():
     """The linear response to every harmonic, in closed form, 2,000 of them."""
     model = oscillator(gs.PeriodicForce([0.0, 0.5], [2.0, -2.0]), zeta=0.1)

@@ -414,3 +414,9 @@ def test_an_unbalance_is_judged_by_its_force_next_to_the_natural_frequency():
         for omega in ([17.0, 18.0, 45.0], [17.0, 18.0])
     ]
     assert_allclose(*(each["force_error"].values for each in found))
+
+
+def test_several_frequencies_are_refused():
+    law = gs.Piecewise(1.4e4, gs.Gap(4e-4, 4e-4))
+    with pytest.raises(gs.ModelError, match="2 cases: advise judges one"):
+        gs.advise(gs.systems.paper_oscillator(), law, omega=[6.0, 9.0])

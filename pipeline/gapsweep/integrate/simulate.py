@@ -89,7 +89,7 @@ def simulate(
     law : ContactLaw or mapping of str to ContactLaw, or sequence of them
         One law for all contacts, or one law per contact of a system, by name.
     omega : float or array_like
-        Forcing frequency [Hz], ``> 0``; None for an unforced system, or one under a `Record` alone.
+        Forcing frequency [Hz], ``> 0``; None for an unforced system, or under a `Record`.
     x_0 : float or array_like
         Displacement [m] of an oscillator at `t_0`. Sequences of models and laws, `omega`, initial
         states and `n_periods` are broadcast together, as NumPy arrays.

@@ -113,6 +113,11 @@ def advise(
     """
     error = check_error(error)
     models, rest, _ = cases(oscillator, {} if law is None else law, omega, 0.0, 0.0, 0.0, 0.0)
+    if len(models) > 1:
+        raise ModelError(
+            f"{len(models)} cases: advise judges one; call it for each, or use 'gapsweep advise' "
+            "for a study"
+        )
     (laws,) = models.laws
     if start is not None and np.size(start):
         rest = array("start", start, rest.shape[1:])[None]
@@ -315,7 +320,8 @@ class _Linear:
         """Return bounds of displacements [m], each of the shape (n_points, k).
 
         First the largest steady one, then a lower bound of the steady amplitude, half of the
-        distance from trough to peak, and last the largest transient one.
+        distance from trough to peak, and last the largest transient one. A force by pieces moves
+        the system by at most its peak times the integral of the impulse response's magnitude.
         """
         system, n = self.system, self.system.n
         left, steady = starts.astype(complex), np.zeros((len(starts), len(self.seen)))
