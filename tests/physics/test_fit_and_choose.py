@@ -177,7 +177,7 @@ def measured_sweeps(machine, law, omega, noise, seed):
 
 
 def drawn_fits(n, seed):
-    """Yield the errors of gap and K_c over their standard errors, for n drawn machines with 1 % noise."""
+    """Yield errors of gap and K_c over standard errors; n drawn machines with 1 % noise."""
     random = np.random.default_rng(seed)
     for k in range(n):
         zeta, omega_n = random.uniform(0.01, 0.06), 10 ** random.uniform(0, 1.5)
