@@ -56,6 +56,13 @@ def formula(display: str) -> object:
     return visit, None
 
 
+def leave_out(app: object, _doctree: object) -> None:
+    """Decision records stay out of the search: their wording is older than that of the pages."""
+    if app.env.docname.startswith("decisions/"):
+        app.env.metadata[app.env.docname]["nosearch"] = "true"
+
+
 def setup(app: object) -> None:
     app.connect("builder-inited", make_pages)
+    app.connect("doctree-read", leave_out)
     app.add_html_math_renderer("mathml", formula("inline"), formula("block"))

@@ -17,6 +17,7 @@ LAYERS = (
     {"integrate"},
     {"response"},
     {"continuation"},
+    {"design"},
     {"study"},
     {"store"},
     {"execution"},
@@ -39,7 +40,7 @@ FLOORS = (
     {"compiled", "reference", "reference_motion", "reference_scenes", "simulate", "trajectory"},
 )
 FENCES = {
-    "scipy": {"model", "integrate", "response", "continuation", "study", "analysis"},
+    "scipy": {"model", "integrate", "response", "continuation", "design", "study", "analysis"},
     "numba": {"model", "integrate", "response"},
     "xarray": {
         *("variables", "continuation", "store", "analysis", "report"),
@@ -61,8 +62,11 @@ FENCES = {
 }
 
 
-# Methods of a study that call the package's functions of the same name.
-SHORTHANDS = {"gapsweep.plan", "gapsweep.query", "gapsweep.run"}
+# Methods of a study and of a fit that call the package's functions of the same name.
+SHORTHANDS = {
+    "study": {"gapsweep.plan", "gapsweep.query", "gapsweep.run"},
+    "design": {"gapsweep.plot"},
+}
 
 
 def part(path):
@@ -105,7 +109,7 @@ def test_modules_import_only_what_stands_below_them(path):
         if library == "gapsweep":
             target = name.split(".")[1]
             target = target if any(target in names for names in LAYERS) else "__init__"
-            if here == "study" and name in SHORTHANDS:
+            if name in SHORTHANDS.get(here, ()):
                 continue
             assert target == here or level(target) < level(here) or name == "gapsweep.__version__"
             # Only the whole path may put off what a run with nothing to do never needs, and the

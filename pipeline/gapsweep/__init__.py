@@ -19,6 +19,18 @@ if TYPE_CHECKING:
     from gapsweep.analysis.datasets.contact_errors import static_error
     from gapsweep.continuation.curves import special_curve
     from gapsweep.continuation.follow import branches
+    from gapsweep.continuation.gradient import gradient
+    from gapsweep.continuation.special_gradient import special_gradient
+    from gapsweep.design.choose import Choice, choose
+    from gapsweep.design.demands import (
+        Demand,
+        at_least,
+        at_most,
+        no_chaos,
+        no_contact,
+        periodic,
+    )
+    from gapsweep.design.fit import Fit, fit
     from gapsweep.explorer.widget import explore
     from gapsweep.integrate.simulate import simulate
     from gapsweep.integrate.trajectory import SystemTrajectory, Trajectory
@@ -41,7 +53,7 @@ if TYPE_CHECKING:
     from gapsweep.model.table import ForceTable
     from gapsweep.model.user_law import UserLaw
     from gapsweep.model.waves import PeriodicForce, Record, Switched
-    from gapsweep.pipeline import plan, query, run
+    from gapsweep.pipeline import plan, query, risk, run
     from gapsweep.report.model_figures import frequency_response
     from gapsweep.report.model_figures import parameter_map as map
     from gapsweep.report.motion import plot
@@ -62,7 +74,11 @@ _ON_DEMAND = {
     **dict.fromkeys(("BaseMotion", "Cubic", "Harmonic", "Lags"), "model.system"),
     **dict.fromkeys(("Modulation", "System", "Unbalance"), "model.system"),
     **dict.fromkeys(("SystemTrajectory", "Trajectory"), "integrate.trajectory"),
-    **dict.fromkeys(("plan", "query", "run"), "pipeline"),
+    **dict.fromkeys(("plan", "query", "risk", "run"), "pipeline"),
+    **dict.fromkeys(("Choice", "choose"), "design.choose"),
+    **dict.fromkeys(("Demand", "at_least", "at_most"), "design.demands"),
+    **dict.fromkeys(("no_chaos", "no_contact", "periodic"), "design.demands"),
+    **dict.fromkeys(("Fit", "fit"), "design.fit"),
     "ForceTable": "model.table",
     **dict.fromkeys(("PeriodicForce", "Record", "Switched"), "model.waves"),
     "UserLaw": "model.user_law",
@@ -73,12 +89,14 @@ _ON_DEMAND = {
     "branches": "continuation.follow",
     "explore": "explorer.widget",
     "frequency_response": "report.model_figures",
+    "gradient": "continuation.gradient",
     "map": "report.model_figures",
     "open": "store.netcdf",
     "plot": "report.motion",
     "respond": "response.respond",
     "simulate": "integrate.simulate",
     "special_curve": "continuation.curves",
+    "special_gradient": "continuation.special_gradient",
     "static_error": "analysis.datasets.contact_errors",
     "systems": "model.systems",
 }
@@ -108,15 +126,21 @@ _ELSEWHERE = {
 _MODULES = ("systems",)
 
 # These return datasets; importing one of them registers the accessor ``ds.gapsweep``.
-_RETURN_DATASETS = ("basins", "branches", "open", "query", "run", "special_curve")
+_RETURN_DATASETS = (
+    *("basins", "branches", "gradient", "open", "query", "risk", "run"),
+    *("special_curve", "special_gradient"),
+)
 
 __all__ = [
     "Arctan",
     "BaseMotion",
+    "Choice",
     "ClusterError",
     "ContactLaw",
     "Cubic",
     "DatasetError",
+    "Demand",
+    "Fit",
     "ForceTable",
     "Gap",
     "GapsweepError",
@@ -148,22 +172,32 @@ __all__ = [
     "UserLaw",
     "absolute_range",
     "advise",
+    "at_least",
+    "at_most",
     "basins",
     "branches",
     "canonical_label",
+    "choose",
     "contact_law",
     "explore",
+    "fit",
     "frequency_response",
+    "gradient",
     "law",
     "map",
+    "no_chaos",
+    "no_contact",
     "open",
+    "periodic",
     "plan",
     "plot",
     "query",
     "respond",
+    "risk",
     "run",
     "simulate",
     "special_curve",
+    "special_gradient",
     "static_error",
     "systems",
 ]

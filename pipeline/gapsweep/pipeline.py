@@ -34,6 +34,7 @@ from gapsweep.model.oscillator import called_as, checked, whole
 from gapsweep.run_folder import (
     CLAIMS,
     RESPONSES,
+    RISK,
     SECTIONS,
     STABILITY,
     TIMING,
@@ -240,6 +241,84 @@ def carry_out(
     motions = {stage.file: stage.failed_motions(folder) for stage in stages}
     failed = {file: counts for file, counts in motions.items() if counts}
     return Outcome(folder, progress, failures, failed, doubts)
+
+
+def risk(
+    model: Any, law: Any = None, uncertain: Any = None, *args: Any, **options: Any
+) -> xr.Dataset:
+    """Return probabilities of events, quantiles and Sobol indices with uncertain numbers.
+
+    ``gs.risk(study)`` computes a study with ``[uncertain]`` and opens its ``risk.nc``;
+    ``gs.risk(oscillator, law, uncertain, omega, ...)`` computes in this process, without a file.
+
+    Parameters
+    ----------
+    model : Study or path, or Oscillator, System, or callable
+        A study, with the options of `run` as further arguments; or a model. A callable returns it
+        for keywords, as ``gs.systems.typical_section``.
+    law : ContactLaw or mapping of str to ContactLaw
+        As in `gapsweep.simulate`.
+    uncertain : mapping of str to distribution
+        Distributions as ``scipy.stats.norm(4e-4, 2e-5)``, with ``ppf`` and ``cdf``, by name: a
+        field of the oscillator or the law, ``"gap"`` for both walls alike, ``"j_1"``, ``"j_2"``, a
+        keyword of the callable, or an initial state, as ``"x_0"``, of systems ``"v_0[1]"``. Other
+        numbers have the values of model and law.
+    omega : float or array_like, optional
+        Forcing frequencies [Hz]; None for an unforced system.
+    x_0, v_0, q_0, z_0 : float or array_like
+        Initial state where it is certain, as in `gapsweep.respond`.
+    events : mapping of str to mapping, optional
+        By name ``{"quantity": "amplitude", "above": 1e-3}``, with `above`, `below` or both, or
+        ``{"response_class": "chaotic"}``. A quantity of one coordinate or contact is written
+        ``"x_max[h]"``.
+    quantities : sequence of str
+        Variables of which quantiles and indices are wanted, in addition to those of events.
+    samples, repeats : int
+        Sobol points of a repeat, a power of two; independent repeats, from which intervals follow,
+        at least 2. By default 1024 and 8.
+    seed : int
+        Of the scrambling; 1 by default.
+    indices : bool
+        Whether to compute Sobol indices, with ``d + 2`` times as many responses for d numbers.
+    correlation : array_like, shape (d, d), optional
+        Of the normal scores of the numbers (Gaussian copula); None: independent.
+    engine, rtol, atol, steady
+        As in `gapsweep.respond`.
+
+    Returns
+    -------
+    Dataset
+        `probability`, `low` and `high` over `event`; `quantile` over `quantity` and `level`;
+        `first_order` and `total` over `event` and `number`; see *Datasets* in the documentation.
+
+    Raises
+    ------
+    GapsweepError
+        If an argument is invalid: a distribution that leaves the range of its number, for example.
+
+    Examples
+    --------
+    >>> import gapsweep as gs, scipy.stats
+    >>> law = gs.Piecewise(1.4e4, gs.Gap(4e-4, 4e-4))
+    >>> gap = scipy.stats.norm(4e-4, 2e-5)
+    >>> events = {"contact": {"quantity": "force_max", "above": 0.0}}
+    >>> ds = gs.risk(
+    ...     gs.systems.paper_oscillator(), law, {"gap": gap}, 9.0, events=events, samples=16
+    ... )
+    >>> ds["probability"].dims, float(ds["probability"][0, 0])
+    (('omega', 'event'), 1.0)
+    """
+    if not isinstance(model, Study | str | os.PathLike):
+        from gapsweep.analysis.datasets.risk import risk_of_call
+
+        example = "gs.risk(oscillator, law, {'gap': scipy.stats.norm(4e-4, 2e-5)}, omega=9.0)"
+        return called_as(example)(risk_of_call)(model, law, uncertain, *args, **options)
+    study = Study.of(model)
+    if study.spec.uncertain is None:
+        example = "write uncertain numbers, as gap = { normal = 0.4e-3, sd = 0.02e-3 }"
+        raise StudyError(f"{study.source}: uncertain: missing; {example}")
+    run(study, **options).close()
+    return netcdf.read(run_folder(study, options.get("out")) / RISK)
 
 
 @called_as("gs.plan(study)")

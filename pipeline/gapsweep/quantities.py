@@ -42,6 +42,7 @@ _WRITTEN = {
     "m-1": "1/m",
     "rad s-1": "rad/s",
     "N m rad-1": "N m/rad",
+    "N m s rad-1": "N m s/rad",
     "rad-1": "1/rad",
     "kg m-3": "kg/m³",
 }

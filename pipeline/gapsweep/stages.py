@@ -31,6 +31,7 @@ from gapsweep.run_folder import (
     HISTORIES,
     REPORT,
     RESPONSES,
+    RISK,
     SECTIONS,
     STABILITY,
     STATIC,
@@ -394,6 +395,14 @@ def _branches(run: RunContext) -> "xr.Dataset":
         return branches(run.study, found["attractors"], *how, found.get("branches"))
 
 
+def _risk(run: RunContext) -> "xr.Dataset":
+    from gapsweep.analysis.datasets.risk import risk_of
+
+    assert run.study.spec.uncertain is not None
+    with run.datasets() as found:
+        return risk_of(found["responses"], run.study.spec.uncertain)
+
+
 def _claims(run: RunContext) -> dict[str, Any]:
     with run.datasets() as found:
         return decide_claims(run.study, found)
@@ -426,7 +435,9 @@ def _has_contacts_to_fit(study: Study) -> bool:
 
 
 def _compares(study: Study) -> bool:
-    """Whether the study sweeps the exact law and at least one other representation."""
+    """Whether the study compares the exact law and another one in single parameter sets."""
+    if study.spec.uncertain:  # their risks are compared
+        return False
     return EXACT in study.grid.representations and len(study.grid.representations) > 1
 
 
@@ -436,12 +447,12 @@ def _bench_scenes(study: Study) -> list[bool]:
     return [scene.expected is not None for scene in scenes]
 
 
-_DATASETS = (RESPONSES, ATTRACTORS, STATIC, AGREEMENT, TIMING, HISTORIES, BRANCHES, CURVES)
+_DATASETS = (RESPONSES, ATTRACTORS, STATIC, AGREEMENT, TIMING, HISTORIES, BRANCHES, CURVES, RISK)
 PAGE = Stage(
     REPORT,
     (
         *(RESPONSES, ATTRACTORS, STATIC, AGREEMENT, TIMING, ADVICE, BRANCHES, CURVES),
-        *(CLAIMS, SECTIONS, WORK_PRECISION, STABILITY),
+        *(RISK, CLAIMS, SECTIONS, WORK_PRECISION, STABILITY),
     ),
     (),
     _report,
@@ -478,6 +489,7 @@ STAGES = (
         lambda study: study.spec.branches is not None and study.spec.branches.second is not None,
         failures=("attractor_status", Status.DIVERGED),
     ),
+    Stage(RISK, (RESPONSES,), (SETTINGS,), _risk, lambda study: study.spec.uncertain is not None),
     Stage(
         CLAIMS,
         _DATASETS,

@@ -32,9 +32,10 @@ _IN = {
         "m s-1": "rad s-1",
         "N": "N m",
         "N m-1": "N m rad-1",
+        "N s m-1": "N m s rad-1",
         "m-1": "rad-1",
     },
-    "1": dict.fromkeys(("m", "mm", "m s-1", "N", "N m-1", "m-1"), "1"),
+    "1": dict.fromkeys(("m", "mm", "m s-1", "N", "N m-1", "N s m-1", "m-1"), "1"),
 }
 
 
@@ -166,6 +167,7 @@ def dataset(
     shape: tuple[int, ...],
     table: Mapping[str, Variable],
     arrays: Mapping[str, NDArray[Any]],
+    labels: Mapping[str, Sequence[str]] | None = None,
 ) -> "xr.Dataset":
     """Dataset of the results of one call, with its inputs as coordinates and attributes.
 
@@ -181,6 +183,8 @@ def dataset(
         The variables.
     arrays : mapping of str to ndarray, shape (n, ...)
         Values of the variables for all points (flattened), along their dimensions.
+    labels : mapping of str to sequence of str, optional
+        Further dimensions within a point, with their coordinates.
     """
     import xarray as xr  # takes half a second, which no computation needs
 
@@ -205,7 +209,8 @@ def dataset(
     dims = next(filter(spans, grids), (POINT,))
     n = math.prod(shape)
     sizes = dict(zip(dims, shape if len(dims) == len(shape) else (n,), strict=True))
-    sizes |= {name: len(labels) for name, labels in parts.items()}
+    parts = {**parts, **(labels or {})}
+    sizes |= {name: len(each) for name, each in parts.items()}
     described = {**INPUTS, **table}
 
     def variable(name: str, along: tuple[str, ...], values: NDArray[Any]) -> tuple[Any, ...]:
@@ -214,7 +219,10 @@ def dataset(
         along += tuple(dim for dim in form.dims if dim in parts or dim not in PARTS)
         return along, values.reshape([sizes.get(dim, -1) for dim in along]), form.attributes
 
-    found = {name: (name, list(labels), PARTS[name].attributes) for name, labels in parts.items()}
+    found = {
+        name: (name, list(each), PARTS[name].attributes if name in PARTS else {})
+        for name, each in parts.items()
+    }
     for name, some in part_units(model.part_units).items():
         found[name] = (PART_UNITS[name].dims, some, PART_UNITS[name].attributes)
     if START in dims:

@@ -113,6 +113,19 @@ def test_switched_every_two_seconds_between_stiff_stops():
     assert_allclose(run.q_end[0], -0.45295359, atol=1e-8)
 
 
+@pytest.mark.parametrize("engine", ["compiled", "scipy"])
+def test_a_wave_before_time_zero(engine):
+    """It is periodic there, too."""
+    knots, force = np.array([0.0, 0.2, 0.55, 1.0]), np.array([1.0, -2.0, 3.0, 1.0])
+    model = oscillator(gs.PeriodicForce(knots, force))
+    options = {"t_0": -2.6, "t_end": 1.0, "engine": engine, "rtol": 1e-12}
+    run = gs.simulate(model, FREE, 0.5, 0.1, **options)
+    matrix, pull = np.array([[0.0, 1.0], [-1.0, -0.05]]), np.array([0.0, 1.0])
+    times = np.concatenate([2.0 * (knots[:-1] + k) for k in (-2, -1, 0, 1)])
+    truth = propagated(matrix, pull, times, np.tile(force[:-1], 4), [0.1, 0.0], (-2.6, 1.0))
+    assert_allclose((run.x_end, run.v_end), truth, rtol=0.0, atol=1e-11)
+
+
 @pytest.mark.parametrize("span", [(0.0, 20.0), (3.3, 17.0), (-2.0, 5.0), (15.0, 25.0)])
 def test_a_record_against_matrix_exponentials(span):
     """2,000 points of noise at drawn times; before and after them the force is constant."""
@@ -186,6 +199,23 @@ def test_forces_with_other_knots_add_up():
         return np.concatenate([run.q_end, run.v_end])
 
     assert_allclose(end(forces), end(forces[:1]) + end(forces[1:]), rtol=0.0, atol=1e-13)
+
+
+def test_runge_kutta_steps_begin_again_at_a_jump():
+    """The derivative is evaluated after each jump: few steps are rejected, and the error is small.
+
+    With the derivative from before the jump two in five steps are rejected.
+    """
+    model = oscillator(gs.Switched([0.0, 0.3, 0.7], [5.0, -9.0, 2.0]), omega_n=0.9, zeta=0.03)
+    law = gs.Tanh(200.0, gs.Gap(0.1, 0.15), epsilon=50.0)
+    run, truth = (
+        gs.simulate(
+            model, law, 0.7, 0.02, 0.1, n_periods=5, rtol=rtol, atol=rtol / 10, engine=engine
+        )
+        for rtol, engine in ((1e-9, "compiled"), (1e-12, "scipy"))
+    )
+    assert run.n_rejected < 0.25 * run.n_steps
+    assert_allclose((run.x_end, run.v_end), (truth.x_end, truth.v_end), rtol=0.0, atol=3e-9)
 
 
 def test_a_triangle_is_its_fourier_sum():

@@ -3,6 +3,7 @@
 import json
 import math
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -126,6 +127,20 @@ def test_no_motion_of_several_masses_leaves_its_bound(draw, n, omega):
     q = run.sample(np.linspace(0.0, run.t_end, 4000))[0]
     for along, bound in zip(system.directions, found.bound, strict=True):
         assert np.abs(q @ along).max() <= bound * (1 + 1e-6)
+
+
+@pytest.mark.parametrize("omega", [3.0, 5.0 / 3.0, 20.0])
+def test_no_motion_under_a_switched_force_leaves_its_bound(omega):
+    """Its third harmonic may be at resonance, where a cosine of the same peak is far from it."""
+    force = gs.Switched([0.0, 0.25, 0.75], [1.0, -1.0, 1.0])
+    oscillator = gs.Oscillator(mass=3.0, omega_n=5.0, zeta=0.05, forcing=force, alpha=1e6)
+    law, start = gs.Piecewise(1.4e5, gs.Gap(9e-3, 9e-3)), (1e-4, 0.0)
+    found = gs.advise(oscillator, law, omega, start)
+    assert found.model is not Model.EXACT
+    run = gs.simulate(oscillator, law, omega, *start, n_periods=30)
+    assert np.abs(run.extrema).max() <= found.bound[0]
+    cosine = gs.advise(replace(oscillator, wave=None), law, omega, start)
+    assert cosine.bound[0] < found.bound[0]
 
 
 def test_one_mode_of_two_masses_has_the_bound_of_an_oscillator():
@@ -399,3 +414,9 @@ def test_an_unbalance_is_judged_by_its_force_next_to_the_natural_frequency():
         for omega in ([17.0, 18.0, 45.0], [17.0, 18.0])
     ]
     assert_allclose(*(each["force_error"].values for each in found))
+
+
+def test_several_frequencies_are_refused():
+    law = gs.Piecewise(1.4e4, gs.Gap(4e-4, 4e-4))
+    with pytest.raises(gs.ModelError, match="2 cases: advise judges one"):
+        gs.advise(gs.systems.paper_oscillator(), law, omega=[6.0, 9.0])

@@ -169,6 +169,15 @@ def test_the_response_of_a_linear_oscillator_is_its_transfer_function():
     assert curve.is_periodic.all()
 
 
+def test_a_force_by_pieces_stays_one_when_a_slider_moves(monkeypatch):
+    monkeypatch.setattr(shown, "N_OMEGA", 3)
+    force = gs.Switched([0.0, 0.25, 0.75], [4.0, -4.0, 4.0])
+    wave = gs.Oscillator(mass=3.0, omega_n=5.0, zeta=0.05, forcing=force)
+    question = of_model(wave, FREE).at("zeta", 0.1)
+    found = gs.respond(replace(wave, zeta=0.1), FREE, shown.frequencies(question))
+    np.testing.assert_allclose(from_rest(question, EXACT).x_max, found.x_max, rtol=1e-4)
+
+
 def test_sweeps_of_a_hardening_spring_differ_where_two_motions_are_stable():
     question = of_model(gs.systems.paper_oscillator(), FREE)
     last = {curve.protocol: curve for curve in sweeps(question)}
@@ -456,9 +465,11 @@ def test_every_state_has_its_scale():
         force=[[1.0], [0.0]], of_speed=[[0.0, 1.0]], of_place=[[0.0, 0.0]], of_lags=[[-5.0]]
     )
     small = {name: gs.Piecewise(1.0, gs.Gap(1e-3, 1e-3)) for name in PAIR_LAWS}
-    machine = of_model(replace(pair(), lags=lags), small).machine
+    model = replace(pair(), lags=lags, units={"q_2": "rad", "between": "1"})
+    machine = of_model(model, small).machine
     found = [machine.state(name).label for name in machine.states]
-    assert found == ["q_1 [10⁻³]", "q_2 [10⁻³]", "v_q_1 [10⁻³]", "v_q_2 [10⁻³]", "z_1"]
+    assert found == ["q_1 [mm]", "q_2 [10⁻³ rad]", "v_q_1 [mm/s]", "v_q_2 [10⁻³ rad/s]", "z_1"]
+    assert machine.length("between").label == "between [10⁻³]"
 
 
 def test_a_page_of_a_system_offers_displacements_and_states():

@@ -239,21 +239,20 @@ def test_where_a_curve_is_chaotic_is_told(tmp_path, starts, some):
 
 
 def test_laws_of_systems_are_judged_by_their_worst_coordinate(tmp_path):
-    """The verdict of an oscillator, and of two coordinates that of the one with larger errors."""
+    """The verdicts of an oscillator with the errors of the coordinate that has larger ones."""
     _, compared = made(tmp_path, {**EQUAL, "poly-13": 1.3})
-    good, bad = (compared.load().sel(representation=[*LABELS]) for _ in range(2))
-    good = good.assign({name: 0.5 * good[name] for name in good if "error" in str(name)})
+    good = compared.load()
+    errors = [name for name in good if "error" in str(name)]
+    bad = good.assign({name: 5.0 * good[name] for name in errors})
     several = xr.concat([good, bad], "coordinate").assign_attrs(
         compared.attrs, system_json='{"contacts": {}}'
     )
     several["j_1"].attrs["units"] = "rad"
-    (one,), (both,) = contacts(compared), contacts(several)
+    (one,), (both,), (worse,) = map(contacts, (good, several, bad))
     assert one.place == "14000 N/m, 0.4/0.4 mm"
     assert both.place.startswith("K_c 14000, gap ")
-    assert [(law.law, law.verdict) for law in both.laws] == [
-        (law.law, law.verdict) for law in one.laws
-    ]
-    assert [law.verdict for law in one.laws] == ["use", "no"]
+    verdicts = [[law.verdict for law in each.laws] for each in (one, both, worse)]
+    assert verdicts == [["use", "no"], ["with care", "no"], ["with care", "no"]]
 
 
 def test_left_fit_ranges_are_told_from_missing_responses(tmp_path):
@@ -585,6 +584,18 @@ def contact(laws, **where):
         for law, (said, error, share, cost_ratio) in laws.items()
     ]  # fmt: skip
     return Contact(**{"K_c": 1.4e4, "gap": "0/1", **where}, floors={}, laws=judged, threshold="?")
+
+
+@pytest.mark.parametrize(("more", "n_cubic"), [({"alpha": 0.0}, 0), ({"alpha": 7e8, "c": 1.0}, 1)])
+def test_the_equation_has_the_terms_that_are_not_zero(tmp_path, more, n_cubic):
+    study = tables(["piecewise"], (1.0,))
+    study["oscillator"] = {**study["oscillator"], "mean_load": 0.0, **more}
+    responses, _ = datasets(tmp_path, study, lambda *_: periodic([(1e-3, 0.0)], 1.0))
+    told = dict(model(responses))
+    assert told["Equation"].count("x³") == n_cubic
+    assert told["Equation"].count("c / m") == ("c" in more)
+    assert "p₀" not in told["Equation"]
+    assert ("α" in told["Numbers"]) == bool(n_cubic)
 
 
 def test_of_many_cases_those_that_tell_most_are_listed():

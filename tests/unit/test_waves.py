@@ -209,6 +209,22 @@ def test_a_wave_shows_its_values_at_knots_and_beyond():
     assert_allclose(wave.at([0.0, 0.25, 0.5, 1.0, -0.5]), [1.0, -1.0, 0.0, 1.0, 0.0])
 
 
+@pytest.mark.parametrize("order", [1, 3, 5])
+def test_advice_bounds_the_motion_under_a_square_wave(order):
+    """Its harmonics resonate at fractions of the natural frequency, where a cosine does not."""
+    model = gs.Oscillator(mass=1.0, omega_n=1.0, zeta=0.03, forcing=gs.Switched([0, 0.5], [1, -1]))
+    omega, free = 1.0 / order, gs.Piecewise(0.0, gs.Gap(1.0, 1.0))
+    run = gs.simulate(model, free, omega, n_periods=60)
+    reach = np.abs(run.extrema).max()
+    cosine = 1.0 / abs((2.0 * math.pi) ** 2 * complex(1.0 - omega**2, 0.06 * omega))
+    assert reach > 1.2 * cosine
+
+    def advised(gap):
+        return gs.advise(model, gs.Piecewise(1e4, gs.Gap(gap, gap)), omega).model.name
+
+    assert [advised(0.99 * reach), advised(50.0 * reach)] == ["EXACT", "LINEAR"]
+
+
 def test_the_number_of_knots_and_harmonics_compiles_nothing():
     """A force of three knots loads or compiles the kernel; more knots and harmonics use it."""
 

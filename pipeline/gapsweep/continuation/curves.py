@@ -145,6 +145,31 @@ def special_curve(
     >>> curve["omega"].dims
     ('step',)
     """
+    points, kind, family, name = special_point_of(branches, point, oscillator, law)
+    if kind not in KINDS:
+        raise ModelError(
+            f"point = {point}: is a {kind.name.lower()}; must be a fold, a period doubling, "
+            "a torus bifurcation or a graze"
+        )
+    windows = Window.of(name, branches.attrs["between"]), Window.of(second, between)
+    solver = Solver.of("compiled", branches.attrs["rtol"], branches.attrs.get("atol"))
+    max_steps = whole("max_steps", max_steps, 2, 100_000)
+    return dataset(curves(family, windows, solver, points, max_steps)).isel(branch=0, drop=True)
+
+
+def special_point_of(
+    branches: xr.Dataset,
+    point: int,
+    oscillator: Model | Callable[..., Model] | None,
+    law: AnyLaw | None,
+) -> tuple[xr.Dataset, Special, Family, str]:
+    """Return a special point of branches, its kind, their family and the name of their parameter.
+
+    Raises
+    ------
+    ModelError
+        If there is no such point, or the branches are from a file and the model is missing.
+    """
     if not (isinstance(branches, xr.Dataset) and "special" in branches):
         raise ModelError(f"branches = {branches!r:.80}: must be a result of gs.branches(...)")
     points = special_points(branches)
@@ -152,27 +177,18 @@ def special_curve(
         raise ModelError("branches: have no special points")
     points = points.isel({POINT: [whole(_POINT, point, 0, points.sizes[POINT] - 1)]})
     kind = Special(int(points["special"].item()))
-    if kind not in KINDS:
-        raise ModelError(
-            f"point = {point}: is a {kind.name.lower()}; must be a fold, a period doubling, "
-            "a torus bifurcation or a graze"
-        )
     family, name = branches.encoding.get("family"), str(branches.attrs["along"])
     if name == AMPLITUDE:
-        raise ModelError("branches: free motions along 'amplitude' have no curves")
+        raise ModelError("branches: free motions along 'amplitude' have no parameter")
     if oscillator is not None and law is not None:
         omega = branches.attrs.get("forcing_frequency", points.coords.get("omega"))
         omega = None if name == "omega" or omega is None else float(omega)
         family = Family(oscillator, law, omega, (name,), {name: points[name].item()})
     if not isinstance(family, Family):
         raise ModelError(
-            "oscillator, law: missing; a file does not hold them: "
-            f"gs.special_curve(branches, {point}, {second!r}, {between!r}, oscillator=..., law=...)"
+            "oscillator, law: missing; a file does not hold them: write oscillator=..., law=..."
         )
-    windows = Window.of(name, branches.attrs["between"]), Window.of(second, between)
-    solver = Solver.of("compiled", branches.attrs["rtol"], branches.attrs.get("atol"))
-    max_steps = whole("max_steps", max_steps, 2, 100_000)
-    return dataset(curves(family, windows, solver, points, max_steps)).isel(branch=0, drop=True)
+    return points, kind, family, name
 
 
 def curves(

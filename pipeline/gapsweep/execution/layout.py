@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from gapsweep.response.result import Steady, exists, sizes_of
 from gapsweep.store.netcdf import create_texts
 from gapsweep.study.grid import START, Grid
+from gapsweep.study.samples import SAMPLE, Samples
 from gapsweep.study.schema import (
     ATTRACTOR,
     ATTRACTOR_VARIABLES,
@@ -75,7 +76,9 @@ class Layout:
 
     def coordinates(self, dims: Collection[str]) -> Found:
         """The coordinates of a dataset with these dimensions."""
-        return coordinates(dims, self.grid.structure, self.grid.units)
+        samples = self.grid.axes.get(SAMPLE)
+        drawn = samples.numbers if isinstance(samples, Samples) else ()
+        return coordinates(dims, self.grid.structure, self.grid.units, drawn)
 
     def _described(self, variables: Mapping[str, Variable]) -> dict[str, Variable]:
         """The variables that exist for the models, with their units where these are known."""

@@ -19,6 +19,7 @@ from gapsweep.model.oscillator import Gap, Oscillator, checked, is_number
 from gapsweep.model.system import System
 from gapsweep.model.systems import paper_oscillator
 from gapsweep.study.study import Study
+from gapsweep.variables import CONTACT, COORDINATE
 
 Array = NDArray[np.float64]
 
@@ -58,7 +59,7 @@ class Machine:
     laws : mapping of str to str
         Labels of the laws of contacts that do not follow the page's.
     factor : float
-        Displacement that is shown as 1.
+        Displacement that is shown as 1, of those that are no lengths.
     """
 
     make: Callable[[Mapping[str, float]], Model]
@@ -81,7 +82,7 @@ class Machine:
 
     @property
     def is_oscillator(self) -> bool:
-        """Whether displacements are in metres, shown in millimetres."""
+        """Whether the model is an oscillator."""
         return isinstance(self.example, Oscillator)
 
     @cached_property
@@ -103,16 +104,24 @@ class Machine:
         return found | {name: b for name, b in along if np.count_nonzero(b) > 1}
 
     def length(self, name: str) -> Scale:
-        """Scale of a displacement."""
-        if self.is_oscillator:
-            return Scale(f"displacement {name}", "mm", self.factor)
-        return Scale(name, _power(self.factor), self.factor)
+        """Scale of a displacement: millimetres, or a power of ten of another unit."""
+        unit, factor = self._shown(name)
+        return Scale(f"displacement {name}" if self.is_oscillator else name, unit, factor)
 
     def speed(self, name: str) -> Scale:
         """Scale of the rate of a displacement."""
-        if self.is_oscillator:
-            return Scale("velocity v", "mm/s", self.factor)
-        return Scale(f"v_{name}", _power(self.factor), self.factor)
+        unit, factor = self._shown(name, "/s")
+        return Scale("velocity v" if self.is_oscillator else f"v_{name}", unit, factor)
+
+    def _shown(self, name: str, rate: str = "") -> tuple[str, float]:
+        """Unit in which a displacement or its rate is shown, and its value in SI units."""
+        model, units = self.example, self.example.part_units
+        known = dict(zip(model.contacts, units[CONTACT], strict=True))
+        unit = (known | dict(zip(model.coordinates, units[COORDINATE], strict=True)))[name]
+        if unit == "m":
+            return f"mm{rate}", 1e-3
+        own = "" if unit == "1" else f"{unit}{rate}"
+        return f"{_power(self.factor)} {own}".strip(), self.factor
 
     def state(self, name: str) -> Scale:
         """Scale of a state."""
@@ -352,10 +361,9 @@ def dials(question: Question, ranges: Mapping[str, Sequence[float]] | None = Non
         their initial value.
     """
     given = {"omega": question.band, **(ranges or {})}
-    is_oscillator = question.machine.is_oscillator
+    example = question.machine.example
     return [
-        _dial(name, value, given.get(name), is_oscillator)
-        for name, value in numbers(question).items()
+        _dial(name, value, given.get(name), example) for name, value in numbers(question).items()
     ]
 
 
@@ -381,14 +389,16 @@ def asked(
     return replace(question, values=several, band=band or question.band, **others)
 
 
-def _dial(name: str, value: float, given: Sequence[float] | None, is_oscillator: bool) -> Dial:
+def _dial(name: str, value: float, given: Sequence[float] | None, model: Model) -> Dial:
     wall, _, contact = name.partition(" of ")
-    if is_oscillator:
+    in_metres = {*model.part_units[CONTACT]} <= {"m"}
+    if is_oscillator := isinstance(model, Oscillator):
         scale, least, most, smallest_end = _DIALS[name]
     elif wall in _WALLS or name == "omega":
         known, least, most, _ = _DIALS[wall]
         title = f"{known.title} of {contact}" if contact else known.title
-        scale, smallest_end = Scale(title, "Hz" if name == "omega" else ""), 0.0
+        is_known = in_metres or name == "omega"
+        scale, smallest_end = replace(known, title=title) if is_known else Scale(title), 0.0
     else:
         scale, (least, most), smallest_end = Scale(name), _OF_A_SYSTEM, 0.0
     if given is not None and min(given) < max(given):
@@ -420,7 +430,7 @@ def _machine(
     """
     if isinstance(model, Oscillator):
         numbers_of = {name: getattr(model, name) for name in _OSCILLATOR}
-        return Machine(lambda values: replace(model, **values), numbers_of, walls, factor=1e-3)
+        return Machine(lambda values: replace(model, **values), numbers_of, walls)
     factor = 10.0 ** (3 * round(math.log10(widest) / 3)) if widest else 1.0
     if isinstance(model, System):
         return Machine(lambda _: model, {}, walls, laws or {}, factor)

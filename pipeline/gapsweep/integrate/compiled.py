@@ -8,12 +8,13 @@ from numba.core.errors import NumbaError
 from numpy.typing import NDArray
 
 from gapsweep.errors import ModelError
+from gapsweep.integrate.lanes.columns import with_columns
 from gapsweep.integrate.lanes.law_rows import with_losses
 from gapsweep.integrate.lanes.method import Method
 from gapsweep.integrate.lanes.scene_table import SceneTable, scenes
 from gapsweep.integrate.lanes.system_rows import Walls, system_scenes
 from gapsweep.integrate.motions import Events, Motions
-from gapsweep.integrate.problem import Integrate, Models, Problems, Solver
+from gapsweep.integrate.problem import Integrate, Models, Problems, Shifts, Solver
 from gapsweep.integrate.runge_kutta import representations
 from gapsweep.integrate.runge_kutta.smooth_scenes import runge_kutta_scenes
 from gapsweep.integrate.stepping import batch, record
@@ -35,17 +36,18 @@ _THICK_LAYERS_UP_TO = 1e-5
 _LONGEST = 200  # characters of numba's message
 
 
-def prepared(models: Models, solver: Solver) -> Integrate:
-    """Return the integrator of some models; no result depends on the other rows of a call."""
+def prepared(models: Models, solver: Solver, shifts: Shifts | None = None) -> Integrate:
+    """Return the integrator of some models; no result depends on the other rows of a call.
+
+    With `shifts`, motions with a tangent are differentiated by parameters too.
+    """
     is_taylor = _by_taylor(models, solver)
     scenes = _scenes(models, solver, is_taylor)
     method: Method = Taylor()
     is_located = is_taylor and (scenes.at.is_tanh or _is_located(models))
     mass = models.of_systems(attrgetter("mass")) if _is_oscillator(models) else None
-    if models.is_lossy:
-        damping, never_pulls, chi = np.moveaxis(models.of_laws(attrgetter("losses")), -1, 0)
-        scale = 1.0 if mass is None else mass[:, None]
-        scenes = with_losses(scenes, damping / scale, never_pulls > 0.0, chi)
+    if shifts is not None:
+        scenes = _with_columns(scenes, models, solver, shifts)
     if not is_located:
         laws = [_kernel_law(models, contact) for contact in range(len(models.laws[0]))]
         mass = np.ones(len(models)) if mass is None else mass
@@ -90,6 +92,7 @@ def prepared(models: Models, solver: Solver) -> Integrate:
             events=events,
             sampler=run.sample,
             monodromy=run.monodromy,
+            columns=run.columns,
             contact_time=run.contact_time if problems.contact_time and is_located else None,
             contact_loss=run.contact_loss,
             contact_force=_forces(run.contact_force, mass, problems.which),
@@ -101,6 +104,32 @@ def prepared(models: Models, solver: Solver) -> Integrate:
 def _forces(found: Array | None, mass: Array | None, which: NDArray[np.intp]) -> Array | None:
     """Return largest forces [N], of oscillators from those per unit mass."""
     return found if found is None or mass is None else found * mass[which, None]
+
+
+def _with_columns(scenes: SceneTable, models: Models, solver: Solver, shifts: Shifts) -> SceneTable:
+    """Return a table with a column for every parameter; refuse what has none."""
+    if not _is_located(models) or scenes.at.is_tanh or scenes.at.has_chi:
+        raise ModelError(
+            f"law = {models.laws[0][0]}: gradients need located contacts, as gs.Piecewise(1.4e4, "
+            "gs.Gap(4e-4, 4e-4))"
+        )
+    if solver.runge_kutta_setting:
+        raise ModelError(f"{solver.runge_kutta_setting}: gradients need Taylor steps; leave it out")
+    shifted = _scenes(shifts.models, solver, True)
+    if shifted.at != scenes.at:
+        raise ModelError(
+            f"parameters = {list(shifts.names)}: one of them is 0 and adds a load or a spring; "
+            "give it a small value"
+        )
+    found, is_covered = with_columns(scenes, shifted, shifts.weights, shifts.by_omega)
+    for name, is_fine in zip(shifts.names, is_covered.tolist(), strict=True):
+        if not is_fine:
+            raise ModelError(
+                f"parameter {name!r}: changes the direction of a contact or of a cubic spring, a "
+                "phase, or a load by pieces; gradients cover masses, dampers, springs, walls and "
+                "amplitudes of harmonics"
+            )
+    return found
 
 
 def _by_taylor(models: Models, solver: Solver) -> bool:
@@ -166,9 +195,15 @@ def _scenes(models: Models, solver: Solver, is_taylor: bool) -> SceneTable:
         of_contact = {name: column[:, 0] for name, column in walls.items()}
         if is_taylor and _crosses_layers(models, solver):
             of_contact["epsilon"] = models.of_laws(attrgetter("epsilon"))[:, 0]
-        return scenes(**of_contact, **_oscillators(models), **tolerances)
-    of_contacts = Walls(**walls)
-    return system_scenes(models.systems, models.system, of_contacts, models.omega, **tolerances)
+        found = scenes(**of_contact, **_oscillators(models), **tolerances)
+    else:
+        of_all = models.systems, models.system, Walls(**walls), models.omega
+        found = system_scenes(*of_all, **tolerances)
+    if not models.is_lossy:
+        return found
+    damping, never_pulls, chi = np.moveaxis(models.of_laws(attrgetter("losses")), -1, 0)
+    mass = models.of_systems(attrgetter("mass"))[:, None] if _is_oscillator(models) else 1.0
+    return with_losses(found, damping / mass, never_pulls > 0.0, chi)
 
 
 def _events(n: int, run: batch.Batch) -> Events:

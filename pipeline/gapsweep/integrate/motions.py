@@ -91,6 +91,9 @@ class Motions:
         Function of times that gives the states of all motions there, shape (n_states, n, n_times).
     monodromy : ndarray, shape (n, n_states, n_states), or None
         Derivative of the end state with respect to the initial state.
+    columns : ndarray, shape (n, n_states, n_columns), or None
+        Derivative of the end state with respect to parameters, at fixed time or, by the frequency,
+        at fixed phase; the speed by the frequency then is ``omega`` times that by the phase.
     """
 
     t: Array
@@ -107,6 +110,7 @@ class Motions:
     contact_time: Array | None = None
     contact_loss: Array
     contact_force: Array | None = None
+    columns: Array | None = None
 
 
 def merged(parts: Sequence[Motions], rows: Sequence[NDArray[np.intp]]) -> Motions:
@@ -115,8 +119,8 @@ def merged(parts: Sequence[Motions], rows: Sequence[NDArray[np.intp]]) -> Motion
         return parts[0]
     order = np.argsort(np.concatenate(rows))
     columns: dict[str, Any] = {}
-    of_motions = "state", "reach", "monodromy", "contact_time", "contact_loss", "contact_force"
-    for name in (*SCALARS, *of_motions):
+    of_motions = "state", "reach", "monodromy", "columns", "contact_time", "contact_loss"
+    for name in (*SCALARS, *of_motions, "contact_force"):
         values = [getattr(part, name) for part in parts]
         columns[name] = None if values[0] is None else np.concatenate(values)[order]
 

@@ -257,6 +257,28 @@ def law_kind(law: ContactLaw) -> Hashable:
     return law
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Shifts:
+    """Models with shifted parameters, from which derivatives by the parameters follow.
+
+    Attributes
+    ----------
+    names : tuple of str
+        The parameters.
+    models : Models
+        For every parameter, shift and model, in this order.
+    weights : ndarray, shape (n_parameters, n_shifts, n)
+        Weights of shifted values in the derivative at each of n models.
+    by_omega : ndarray of bool, shape (n_parameters,)
+        Whether the parameter is the forcing frequency.
+    """
+
+    names: tuple[str, ...]
+    models: Models
+    weights: Array
+    by_omega: NDArray[np.bool_]
+
+
 @dataclass(slots=True, kw_only=True)  # creating a frozen one takes three times as long
 class Problems:
     """Initial value problems, m of them, that an engine solves in one call.

@@ -318,7 +318,7 @@ class SystemScene(ReferenceScene):
         for load in _waves(self.system):
             ends = np.array(load.wave.ends)
             if load.k:
-                turns = np.arange(math.ceil(t_end * self.omega) + 1)
+                turns = np.arange(-1, math.ceil(t_end * self.omega) + 2)
                 times = (np.add.outer(turns, ends).ravel() - self.turn) / self.omega
             else:
                 times = ends - self.t_0

@@ -89,7 +89,7 @@ def simulate(
     law : ContactLaw or mapping of str to ContactLaw, or sequence of them
         One law for all contacts, or one law per contact of a system, by name.
     omega : float or array_like
-        Forcing frequency [Hz], ``> 0``; None for an unforced system.
+        Forcing frequency [Hz], ``> 0``; None for an unforced system, or under a `Record`.
     x_0 : float or array_like
         Displacement [m] of an oscillator at `t_0`. Sequences of models and laws, `omega`, initial
         states and `n_periods` are broadcast together, as NumPy arrays.
@@ -305,9 +305,9 @@ def cases(
             raise ModelError(
                 "omega: a gapsweep.Record has no frequency; leave omega out of gs.simulate"
             )
-        frequency, x_0, v_0 = broadcast(
-            **({"omega": omega} if omega is not None else {"_": 0.0}), x_0=x_0, v_0=v_0
-        )
+        given_omega = {} if omega is None else {"omega": omega}
+        *several, x_0, v_0 = broadcast(**given_omega, x_0=x_0, v_0=v_0)
+        frequency = several[0] if several else np.zeros(x_0.shape)
         start = np.stack([x_0, v_0], axis=-1)
         laws = [(checked_law(each),) for each in given.flat]
     shape = frequency.shape

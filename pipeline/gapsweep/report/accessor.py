@@ -13,7 +13,7 @@ import xarray as xr
 
 from gapsweep.analysis.dimensions import selected
 from gapsweep.errors import DatasetError
-from gapsweep.report import backdrop, contacts, drawing, dynamics, maps, marks
+from gapsweep.report import backdrop, contacts, drawing, dynamics, maps, marks, risk_figures
 from gapsweep.report import branch_lines as of_branches
 from gapsweep.report.continued import with_absolute
 from gapsweep.report.drawing import labels_of
@@ -139,6 +139,9 @@ class GapsweepAccessor:
     waterfall = _figure(dynamics.waterfall)
     impacts = _figure(contacts.impacts)
     contact_map = _figure(contacts.contact_map)
+    risk = _figure(risk_figures.risk)
+    quantiles = _figure(risk_figures.quantiles)
+    tornado = _figure(risk_figures.tornado)
 
     def special_points(self) -> Any:
         """The special points of branches as a `pandas.DataFrame`, a row each.

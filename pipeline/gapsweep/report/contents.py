@@ -20,6 +20,7 @@ from gapsweep.report.sections import (
     own,
     parameter_sets,
     provenance,
+    uncertainty,
 )
 
 RESULTS = "Results"
@@ -50,11 +51,14 @@ class Section:
 
 def results(inputs: Inputs) -> Iterator[Part]:
     """Sections on the parameter sets, or one section in their place if there are too many sets."""
+    if inputs.risk is not None:  # every sample is a parameter set
+        return
     is_one = overview.is_wide(inputs.responses)
     yield from overview.sections(inputs) if is_one else parameter_sets.sections(inputs)
 
 
 SECTIONS = (
+    Section(uncertainty.sections),
     Section(answer.sections, template="_answer.html", script="answer"),
     Section(findings.sections, template="_findings.html"),
     Section(model.sections, template="_pairs.html"),

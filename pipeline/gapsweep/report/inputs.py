@@ -28,6 +28,8 @@ class Inputs:
         Of the benchmark.
     branches, curves : Dataset, optional
         Branches of periodic orbits, and curves of their special points.
+    risk : Dataset, optional
+        Present if numbers are uncertain.
     claims : mapping, optional
         ``claims.json``.
     sections : sequence of mapping, optional
@@ -44,6 +46,7 @@ class Inputs:
     stability: xr.Dataset | None = None
     branches: xr.Dataset | None = None
     curves: xr.Dataset | None = None
+    risk: xr.Dataset | None = None
     claims: Mapping[str, Any] | None = None
     sections: Sequence[Mapping[str, Any]] | None = None
 

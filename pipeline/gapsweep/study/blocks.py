@@ -10,6 +10,7 @@ from gapsweep.model.oscillator import Gap
 from gapsweep.study.axes import values
 from gapsweep.study.grid import Axes, Starts, starts_of
 from gapsweep.study.points import canonical
+from gapsweep.study.samples import Samples
 from gapsweep.study.spec import SweepTable
 
 
@@ -42,6 +43,9 @@ def union(blocks: Sequence[Axes]) -> Axes:
         if isinstance(first, Starts):
             found[name] = Starts.union(starts_of(block) for block in blocks)
             continue
+        if isinstance(first, Samples):  # the same in all blocks
+            found[name] = first
+            continue
         several = dict.fromkeys(value for block in blocks for value in block[name])
         is_number = isinstance(first[0], float)
         found[name] = tuple(sorted(several) if is_number else several)
@@ -64,5 +68,7 @@ def _places(axis: Sequence[Any], some: Sequence[Any]) -> Sequence[int] | NDArray
     """Return the positions of values on an axis that contains them."""
     if isinstance(axis, Starts) and isinstance(some, Starts):
         return axis.places(some)
+    if isinstance(axis, Samples):
+        return np.arange(len(axis))
     places = {value: i for i, value in enumerate(axis)}
     return [places[value] for value in some]

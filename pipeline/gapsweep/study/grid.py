@@ -13,6 +13,7 @@ from gapsweep.model.labels import Representation
 from gapsweep.model.oscillator import Gap
 from gapsweep.model.structure import AnyStructure
 from gapsweep.study.points import FIXED, SWEEPS, canonical
+from gapsweep.study.samples import DRAWN, SAMPLE, Samples
 from gapsweep.variables import CONTACT as CONTACT
 from gapsweep.variables import COORDINATE as COORDINATE
 from gapsweep.variables import LAG as LAG
@@ -103,7 +104,8 @@ class Grid:
     axes : mapping of str to sequence
         By dimension, in the dataset's order: representations;
         stiffnesses [N/m]; gaps, or distances of both walls [m]; frequencies [Hz]; other swept
-        parameters; `Starts`. Numbers ascend, others come in order of first appearance.
+        parameters; `Samples`, if numbers are uncertain; `Starts`. Numbers ascend, others come in
+        order of first appearance.
     requested : ndarray of bool, of the axes' lengths
     structure : Structure or OscillatorStructure
         Structure of the models of all points.
@@ -160,7 +162,7 @@ class Grid:
         axis = self.axes[name]
         if name == "gap":
             return [self.label(gap) for gap in axis]
-        return axis.number.tolist() if isinstance(axis, Starts) else axis
+        return axis.number.tolist() if isinstance(axis, Starts | Samples) else axis
 
     def label(self, gap: Gap) -> str:
         """Return wall distances as text: in mm, or in the unit of contacts that is no length."""
@@ -185,12 +187,17 @@ class Grid:
                 found[name] = states[:, first] if size == 1 else states[:, first : first + size]
         found |= {name: np.array(names) for name, names in self.parts.items()}
         found |= {name: np.array(some) for name, some in part_units(self.units).items()}
+        if isinstance(samples := self.axes.get(SAMPLE), Samples):
+            found |= {f"{DRAWN}{name}": drawn for name, drawn in samples.numbers.items()}
+            found |= {name: getattr(samples, name) for name in ("matrix", "repeat")}
         return found | {"start": np.array(Starts.KINDS)[starts.kind]}
 
     def cut(self, selection: Selection) -> "Grid":
         """Return the selected part as a grid."""
         axes = {
-            name: axis.take(some) if isinstance(axis, Starts) else tuple(axis[i] for i in some)
+            name: axis.take(some)
+            if isinstance(axis, Starts | Samples)
+            else tuple(axis[i] for i in some)
             for (name, axis), some in zip(self.axes.items(), selection, strict=True)
         }
         return Grid(

@@ -31,6 +31,7 @@ from gapsweep.model.structure import general_form
 from gapsweep.model.system import System, first_order
 from gapsweep.model.table import ForceTable
 from gapsweep.model.user_law import UserLaw
+from gapsweep.model.waves import ForceByPieces
 from gapsweep.study.points import OF_CONTACT, Points
 
 Array = NDArray[np.float64]
@@ -112,6 +113,11 @@ def advise(
     """
     error = check_error(error)
     models, rest, _ = cases(oscillator, {} if law is None else law, omega, 0.0, 0.0, 0.0, 0.0)
+    if len(models) > 1:
+        raise ModelError(
+            f"{len(models)} cases: advise judges one; call it for each, or use 'gapsweep advise' "
+            "for a study"
+        )
     (laws,) = models.laws
     if start is not None and np.size(start):
         rest = array("start", start, rest.shape[1:])[None]
@@ -314,19 +320,25 @@ class _Linear:
         """Return bounds of displacements [m], each of the shape (n_points, k).
 
         First the largest steady one, then a lower bound of the steady amplitude, half of the
-        distance from trough to peak, and last the largest transient one.
+        distance from trough to peak, and last the largest transient one. A force by pieces moves
+        the system by at most its peak times the integral of the impulse response's magnitude.
         """
         system, n = self.system, self.system.n
         left, steady = starts.astype(complex), np.zeros((len(starts), len(self.seen)))
         swings = [steady]
-        for k in sorted({load.k for load in system.forcing}):
+        waves = [load for load in system.forcing if isinstance(load, ForceByPieces)]
+        cosines = [load for load in system.forcing if not isinstance(load, ForceByPieces)]
+        for load in waves:  # from rest, whatever its course
+            driven = self.modes[:, n : 2 * n] @ np.linalg.solve(system.mass, load.amplitude)
+            steady = steady + _gains(self.rates, self.seen * driven)
+        for k in sorted({load.k for load in cosines}):
             turns = 2.0j * math.pi * k * omega
             load = sum(
                 np.multiply.outer(
                     each.growth(abs(turns) / k if k else 0.0 * omega) * np.exp(1j * each.phase),
                     each.amplitude,
                 )
-                for each in system.forcing
+                for each in cosines
                 if each.k == k
             )
             if not k:
@@ -342,7 +354,8 @@ class _Linear:
         work = ((q @ system.stiffness) * q + (v @ system.mass) * v).sum(axis=1)
         transient = np.fmin(parts, np.sqrt(np.multiply.outer(work, self.energy)))
         # The mean of |cos| is 2/π, so that a harmonic has at most 4/π of the amplitude of a sum.
-        swing = np.max(swings, axis=0) * (1.0 if len(swings) <= 2 else 0.25 * math.pi)
+        share = 1.0 if len(swings) <= 2 else 0.25 * math.pi
+        swing = np.max(swings, axis=0) * (0.0 if waves else share)
         return steady, swing, transient
 
     def moved(self, g_0: Array) -> Array:

@@ -1,5 +1,6 @@
 """The oscillator of a study file, and forces by pieces: as points, or as a file of points."""
 
+from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -24,17 +25,18 @@ class WaveTable(TomlTable):
         if (self.f is None) == (self.levels is None):
             raise ValueError("give f, for straight lines between points, or levels")
         try:
-            self.force()
+            _ = self.force
         except ModelError as error:
             raise ValueError(str(error)) from None
         return self
 
-    def force(self, along: list[float] | None = None) -> ForceByPieces:
-        """Return the force, in a system along a direction."""
+    @cached_property
+    def force(self) -> ForceByPieces:
+        """The force of an oscillator."""
         if self.levels is not None:
-            return Switched(self.t, self.levels, along)
-        assert self.f is not None, "checked above"
-        return PeriodicForce(self.t, self.f, along)
+            return Switched(self.t, self.levels)
+        assert self.f is not None, "checked before"
+        return PeriodicForce(self.t, self.f)
 
 
 class OscillatorTable(TomlTable):
@@ -58,13 +60,13 @@ class OscillatorTable(TomlTable):
     def numbers(self) -> dict[str, float]:
         """All parameters; as `forcing` the largest force of a wave."""
         force = self.forcing
-        peak = force.force().peak if isinstance(force, WaveTable) else force
+        peak = force.force.peak if isinstance(force, WaveTable) else force
         return self.model_dump() | {"forcing": peak}
 
     @property
     def wave(self) -> Wave | None:
         """Values of the forcing over its largest one; None: a cosine."""
-        return self.forcing.force().wave if isinstance(self.forcing, WaveTable) else None
+        return self.forcing.force.wave if isinstance(self.forcing, WaveTable) else None
 
 
 def with_points(tables: Any, source: str) -> Any:

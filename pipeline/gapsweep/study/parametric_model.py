@@ -20,8 +20,9 @@ from gapsweep.model.structure import AnyStructure, structure_of
 from gapsweep.model.system import System
 from gapsweep.study.axes import count, forms, values
 from gapsweep.study.grid import START, Axes, starts_of
-from gapsweep.study.points import OF_CONTACT, SWEEPS, canonical
+from gapsweep.study.points import OF_CONTACT, SWEEPS, canonical, columns_of
 from gapsweep.study.problems import EXAMPLES
+from gapsweep.study.samples import SAMPLE, Samples
 from gapsweep.study.spec import StudySpec, SweepTable
 from gapsweep.study.system_tables import Maker, in_words, maker
 
@@ -142,7 +143,10 @@ class ParametricModel:
         """Return the columns of a table of n points, from their positions on the axes."""
         omega = np.asarray(axes["omega"])[places["omega"]] if "omega" in axes else np.zeros(n)
         parts = [self._walls(axes, places, n), omega[:, None], self._arrays(axes, places, n)]
-        return np.concatenate([*parts, starts_of(axes).states[places[START]]], axis=1)
+        start = starts_of(axes).states[places[START]]
+        for i, name in enumerate(columns_of(self.structure)[-start.shape[1] :]):
+            start[:, i] = _at(name, start[:, i], axes, places)
+        return np.concatenate([*parts, start], axis=1)
 
     def sections(self, axes: Axes, places: Places, rate: Array) -> tuple[Array, Array]:
         """Return the units of section points, and the contact directions, of n points.
@@ -305,12 +309,13 @@ class ParametricModel:
     def _walls(self, axes: Axes, places: Places, n: int) -> Array:
         """Return the columns of every contact: stiffness, distances and ratio of its walls."""
         swept: dict[str, Any] = {"K_c": 0.0, "j_1": 0.0, "j_2": 0.0, **OF_WALLS}
-        for name in OF_CONTACT:
-            if name in axes:
-                swept[name] = np.asarray(axes[name])[places[name]]
         if "gap" in axes:
             gaps = np.array([(gap.j_1, gap.j_2) for gap in axes["gap"]])[places["gap"]]
             swept["j_1"], swept["j_2"] = gaps.T
+        for name, value in swept.items():
+            swept[name] = _at(name, value, axes, places)
+            if name in ("j_1", "j_2"):
+                swept[name] = _drawn("gap", swept[name], axes, places)
         columns = []
         for contact in self.contacts:
             own = {name: self._own(contact, name) for name in ("K_c", *OF_WALLS)}
@@ -322,7 +327,7 @@ class ParametricModel:
     def _arrays(self, axes: Axes, places: Places, n: int) -> Array:
         if self.is_oscillator:  # its parameters are the numbers of a row
             columns: dict[str, Any] = {n: canonical(x) for n, x in self.spec.model.items()}
-            columns |= {x: np.asarray(axes[x])[places[x]] for x in columns if x in axes}
+            columns = {name: _at(name, value, axes, places) for name, value in columns.items()}
             rows = [np.broadcast_to(columns[name], n) for name in self.structure.names]
             return np.stack(rows, axis=1)
         number, models = self._models(axes, places, n)
@@ -330,12 +335,29 @@ class ParametricModel:
 
     def _models(self, axes: Axes, places: Places, n: int) -> tuple[NDArray[np.intp], list[Model]]:
         """Return the number of each point's model, and the models."""
-        names = [name for name in self.spec.model if name in axes]
-        if not names:
+        values = {
+            name: _at(name, canonical(value), axes, places)
+            for name, value in self.spec.model.items()
+        }
+        varied = {name: value for name, value in values.items() if np.ndim(value)}
+        if not varied:
             return np.zeros(n, np.intp), [self.default]
-        at = np.stack([places[name] for name in names])
-        several, number = np.unique(at, axis=1, return_inverse=True)
-        return number.reshape(-1), [self.at(some) for some in _named(names, axes, several.T)]
+        several, number = np.unique(np.stack([*varied.values()]), axis=1, return_inverse=True)
+        found = [dict(zip(varied, one, strict=True)) for one in several.T.tolist()]
+        return number.reshape(-1), [self.at(some) for some in found]
+
+
+def _at(name: str, value: Any, axes: Axes, places: Places) -> Any:
+    """Return the values of a number at some points: swept or drawn, else this value."""
+    if name in axes:
+        value = np.asarray(axes[name])[places[name]]
+    return _drawn(name, value, axes, places)
+
+
+def _drawn(name: str, value: Any, axes: Axes, places: Places) -> Any:
+    """Return the values of a number at some points with what its samples make of them."""
+    samples = axes.get(SAMPLE)
+    return samples.combined(name, value, places[SAMPLE]) if isinstance(samples, Samples) else value
 
 
 def _out_of_range(others: Mapping[str, float], name: str, axis: Any) -> Iterator[str]:

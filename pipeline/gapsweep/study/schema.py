@@ -9,6 +9,7 @@ from gapsweep.model.structure import AnyStructure
 from gapsweep.quantities import UNITS
 from gapsweep.response.result import RESPONSE, exists, part_sizes
 from gapsweep.study.grid import START
+from gapsweep.study.samples import DRAWN, SAMPLE
 from gapsweep.variables import (
     CONTACT,
     COORDINATE,
@@ -61,20 +62,25 @@ COORDINATES: dict[str, tuple[str, Variable]] = {
     "x_0": (START, INPUTS["x_0"]),
     "v_0": (START, INPUTS["v_0"]),
     "z_0": (START, INPUTS["z_0"]),
+    SAMPLE: (SAMPLE, Variable("i4", "1", "number of the sample of uncertain numbers")),
+    "matrix": (SAMPLE, Variable("i4", "1", "matrix of the sample: 0 A, 1 B, from 2 on mixed")),
+    "repeat": (SAMPLE, Variable("i4", "1", "independent repeat of the sample")),
     "start": ("initial_condition", Variable("str", "1", "fixed, sweep_up or sweep_down")),
 }
 
 
 # Numbers of an oscillator whose names parameters of a system may have, too.
 SHARED = ("mean_load", "c", "unbalance", "base_amplitude", "base_damping")
-_OF_CONTACTS = ("K_c", "gap", "j_1", "j_2")
+_OF_CONTACTS = ("K_c", "gap", "j_1", "j_2", "damping")
 PARAMETER = "parameter"  # beginning of the long name of a system parameter's coordinate
 
 
 Found = dict[str, tuple[tuple[str, ...], Variable]]
 
 
-def coordinates(dims: Collection[str], structure: AnyStructure, units: Units) -> Found:
+def coordinates(
+    dims: Collection[str], structure: AnyStructure, units: Units, drawn: Collection[str] = ()
+) -> Found:
     """Return dimensions and description of every coordinate of a dataset with these dimensions.
 
     Parameters
@@ -84,6 +90,8 @@ def coordinates(dims: Collection[str], structure: AnyStructure, units: Units) ->
         Structure of the models; it adds the dimensions within a point.
     units : mapping of str to sequence of str
         Units of their coordinates and contacts.
+    drawn : collection of str
+        Uncertain numbers, over the dimension `sample`.
     """
     parts = part_sizes(structure)
     own = () if structure.in_metres else SHARED  # parameters of a user's system, of any meaning
@@ -97,10 +105,15 @@ def coordinates(dims: Collection[str], structure: AnyStructure, units: Units) ->
         for name in dims
         if name not in known
     }
+    for name in drawn:
+        unit = UNITS.get(name, "") if structure.in_metres or name in _OF_CONTACTS else ""
+        parameters[f"{DRAWN}{name}"] = (SAMPLE, Variable("f8", unit, f"drawn {name}"))
     found: Found = {
         name: (
             (dim, *parts_of(name, parts)),
-            variable.in_units(units, CONTACT if name in _OF_CONTACTS else COORDINATE),
+            variable.in_units(
+                units, CONTACT if name.removeprefix(DRAWN) in _OF_CONTACTS else COORDINATE
+            ),
         )
         for name, (dim, variable) in (known | parameters).items()
         if dim in dims and exists(name, structure)
@@ -161,6 +174,9 @@ TAKEN = {
     # of branches.nc and curves.nc
     *("branch", "step", "state", "match", "stable", "special", "n_orbits", "n_lost"),
     *("begins", "ends", "parent", "start_state", "curve_kind"),
+    # of risk.nc and the table [uncertain]
+    *("event", "quantity", "level", "number", "samples", "repeats", "seed", "indices"),
+    *("correlation", "quantities", "safe", "probability", "low", "high", "first_order", "total"),
     # of agreement.nc and timing.nc
     *("regime", "bound", "f1", "precision", "recall"),
     *("n_points", "n_compared", "n_failed", "n_unresolved"),

@@ -51,6 +51,7 @@ from gapsweep.study.oscillator_table import OscillatorTable, with_points
 from gapsweep.study.problems import EXAMPLES, problems
 from gapsweep.study.schema import TAKEN
 from gapsweep.study.system_tables import ContactTable, SystemTable, wrong_matrices
+from gapsweep.study.uncertain import UncertainTable, with_data
 from gapsweep.study.units import with_numbers
 
 # Key of the table with the model's parameters in a block or a history; not a key of a file.
@@ -296,6 +297,7 @@ class StudySpec(TomlTable):
     history: list[HistoryTable] = Field([])
     bench: BenchTable | None = None
     branches: BranchesTable | None = None
+    uncertain: UncertainTable | None = None
     claims: ClaimsTable | None = None
     report: ReportTable | None = None
 
@@ -318,6 +320,7 @@ class StudySpec(TomlTable):
         own = given.get("parameters") or {}
         if not isinstance(own, dict) or not all(isinstance(name, str) for name in own):
             return given | {"sweep": []}  # reports only the problem of [parameters]
+        given = _with_medians(given)
         is_system = given.get("system") is not None
         taken = TAKEN if is_system else TAKEN.union(OscillatorTable.model_fields)
         names = _parameters(given)
@@ -368,7 +371,8 @@ class StudySpec(TomlTable):
         left_out: tuple[str, ...] = _OF_OSCILLATORS if self.system else ("contact",)
         left_out = left_out if self.parameters else (*left_out, "parameters")
         tables = self.model_dump(exclude_none=True)
-        for table in (*tables["sweep"], *tables["history"]):
+        uncertain = [tables["uncertain"]] if self.uncertain else []
+        for table in (*tables["sweep"], *tables["history"], *uncertain):
             table |= table.pop("parameter")
         return {name: table for name, table in tables.items() if name not in left_out}
 
@@ -392,6 +396,8 @@ class StudySpec(TomlTable):
         ]
         if any(one.is_auto and one.protocol for one in self.representations):
             wrong.append("'auto' chooses solver settings; leave out the protocol")
+        if self.uncertain and self.branches:
+            wrong.append("branches: not together with [uncertain]; write a separate study")
         if any(one.is_auto for table in self.history for one in table.representation):
             wrong.append("history: 'auto' is not allowed; write a representation, as 'piecewise'")
         if any(method.label.is_auto for method in methods):
@@ -402,6 +408,7 @@ class StudySpec(TomlTable):
             if len({getattr(block, name) is None for block in self.sweep}) > 1:
                 wrong.append(f"sweep: give {name} in every block, or in none")
         n_points = sum(block.count for block in self.sweep)
+        n_points *= self.uncertain.count if self.uncertain else 1
         if n_points > MAX_POINTS:
             number = n_points if n_points < 10**15 else "more than 10^15"
             wrong.append(f"{number} sweep points: must be <= {MAX_POINTS}; coarsen a grid")
@@ -422,6 +429,34 @@ def _parameters(tables: Any) -> Any:
     if isinstance(tables, dict) and tables.get("system") is not None:
         return given
     return [*OscillatorTable.model_fields, *given]
+
+
+def _with_medians(given: dict[str, Any]) -> dict[str, Any]:
+    """Return a study's tables; a missing value of an uncertain number is its median."""
+    try:
+        uncertain = UncertainTable.model_validate(given.get("uncertain"))
+    except ValidationError:  # reported with the other problems
+        return given
+    of_oscillator = given.get("oscillator", {})
+    if given.get("system") is None and isinstance(of_oscillator, dict):
+        known = {n: uncertain.median(n) for n in OscillatorTable.model_fields}
+        known = {name: value for name, value in known.items() if value is not None}
+        given = given | {"oscillator": {**known, **of_oscillator}}
+    walls = {name: uncertain.median(name) for name in ("K_c", "gap")}
+    blocks = given.get("sweep")
+    if not isinstance(blocks, list):
+        return given
+    return given | {"sweep": [_walled(block, walls) for block in blocks]}
+
+
+def _walled(block: Any, walls: Mapping[str, Any]) -> Any:
+    """Return a block with these values of stiffness and gap if it has none."""
+    if not isinstance(block, dict):
+        return block
+    more = {name: value for name, value in walls.items() if value is not None}
+    if {"j_1", "j_2"} & block.keys():
+        more.pop("gap", None)
+    return {**more, **block}
 
 
 def _with_swept(table: Any, blocks: Any) -> Any:
@@ -512,7 +547,7 @@ def _line(text: str, error: ValueError) -> str:
 
 def check(tables: dict[str, Any], source: str = "study") -> StudySpec:
     """Check the tables of a study; see `parse`."""
-    tables = with_numbers(with_points(tables, source))
+    tables = with_numbers(with_data(with_points(tables, source), source))
     try:
         return StudySpec.model_validate(tables)
     except ValidationError as error:

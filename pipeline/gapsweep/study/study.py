@@ -35,7 +35,8 @@ from gapsweep.study.least_model import (
     without_what_has_no_effect,
 )
 from gapsweep.study.parametric_model import ParametricModel
-from gapsweep.study.points import FIXED, SWEEPS, Kind, Points, canonical
+from gapsweep.study.points import FIXED, SWEEPS, Kind, Points, canonical, columns_of
+from gapsweep.study.samples import SAMPLE, Samples
 from gapsweep.study.spec import (
     HistoryTable,
     ModuleTable,
@@ -164,6 +165,8 @@ class Study:
         if self.spec.branches:
             of_branches = self.spec.branches.problems(axes, known, self.spec.contact)
             lines = chain(lines, of_branches, self._problems_of_range())
+        if self.spec.uncertain:
+            lines = chain(lines, self._problems_of_uncertain())
         problems = [f"{self.source}: {line}" for line in lines]
         if problems:
             raise StudyError(*problems)
@@ -347,6 +350,11 @@ class Study:
         system, modules = self.spec.system, (self.spec.claims, self.spec.report)
         return bool(self.own_laws or (system and system.user_function)) or any(modules)
 
+    @property
+    def nominal(self) -> "Study":
+        """The study without uncertainty, at the nominal values of its numbers."""
+        return Study(self.spec.model_copy(update={"uncertain": None}), self.source)
+
     def with_engine(self, engine: str) -> "Study":
         """Return the study with another engine."""
         solver = self.spec.solver.model_copy(update={"engine": engine})
@@ -373,9 +381,29 @@ class Study:
         known = {**self.spec.model, **self.spec.parameters, **OF_WALLS}
         default = {n: x for n, x in known.items() if n in swept}
         return [
-            expanded(block, default) | {START: self._starts(block.initial_condition, i)}
+            expanded(block, default)
+            | ({SAMPLE: self._samples} if self._samples else {})
+            | {START: self._starts(block.initial_condition, i)}
             for i, block in enumerate(self.spec.sweep)
         ]
+
+    @cached_property
+    def _samples(self) -> Samples | None:
+        """The samples of uncertain numbers; None without [uncertain]."""
+        table = self.spec.uncertain
+        return None if table is None else table.draw()
+
+    def _problems_of_uncertain(self) -> Iterator[str]:
+        """Numbers of [uncertain] that the study does not have or that leave their range."""
+        assert self.spec.uncertain is not None
+        of_laws = set() if self.spec.system else set(self.spec.parameters)
+        known: dict[str, Any] = {**self.spec.model, **OF_WALLS}
+        walls = [name for name in ("K_c", "gap", "j_1", "j_2") if name in self._axes]
+        walls += ["j_1", "j_2"] if "gap" in self._axes else []
+        known |= dict.fromkeys([*walls, *columns_of(self.structure)[-self.structure.n_states :]])
+        known = {name: value for name, value in known.items() if name not in of_laws}
+        about = known, self._axes, self.structure, self.model.parts
+        yield from (f"uncertain.{line}" for line in self.spec.uncertain.problems(*about))
 
     def _starts(self, given: Any, block: int) -> Starts:
         where = f"sweep[{block}].initial_condition"

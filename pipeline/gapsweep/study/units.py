@@ -59,6 +59,8 @@ def _parameter(key: Any, table: dict[Any, Any]) -> Any:
     """Return the name in `UNITS` of the parameter that a key of a table stands for."""
     if key == "amplitude":
         return f"forcing: amplitude{f' at power {power}' if (power := table.get('power')) else ''}"
+    if key in ("above", "below"):
+        return table.get("quantity", key)
     if key == "period":
         return "forcing: period"
     return table.get("second", key) if key == "range" else key

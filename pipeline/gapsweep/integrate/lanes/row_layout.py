@@ -42,6 +42,13 @@ _LAYER_DEGREES, _LAYER_TIGHT = (8, 12), 2e-5
 
 # Numbers of things that each have rows.
 _COUNTS = ("harmonics", "cubics", "modulations")
+# Blocks of the equation of motion per unit mass, by which parameters act on a motion. Those with
+# rows for every cubic spring or load are last.
+SOURCES = (
+    *("stiffness", "damping", "lag_force", "of_speed", "of_place", "of_lag", "pull"),
+    *("lower", "upper", "lower_stiffness", "upper_stiffness", "contact_damping"),
+    *("cubic", "push"),
+)
 # Names of the blocks of rows and, by the counts of a `RowLayout`, how many rows each has.
 _ONE = (
     # the clock, with the digits that its sum has lost; of the last step the length and beginning
@@ -101,6 +108,8 @@ class RowLayout:
         Degree of the polynomials of a step; no constant of the code.
     tangent : int
         1 if the variational equation is integrated too, else 0; a constant of the code for tanh.
+    columns : int
+        Parameters by which the motion is differentiated, see `lanes.columns`; with a tangent only.
     """
 
     n: int = 1
@@ -121,10 +130,12 @@ class RowLayout:
     laws: tuple[tuple[int, int, int], ...] = ()
     order: int = 12
     tangent: int = 0
+    columns: int = 0
 
     derived: ClassVar[tuple[str, ...]] = (
         *("n_states", "all_lanes", "n_terms", "n_series", "first_gap", "n_turning", "n_rows"),
-        *("n_rates", "width", "gap_end", "spring_series"),
+        *("n_rates", "width", "gap_end", "spring_series", "column_size"),
+        *("lower_source", "upper_source"),
     )
 
     @property
@@ -152,7 +163,9 @@ class RowLayout:
     def of_code(self) -> "RowLayout":
         """The layout that stands for all those with the same code."""
         tangent = self.tangent if self.is_tanh else 0
-        found = replace(self, order=self.degrees[-1], tangent=tangent, is_free=False, harmonics=1)
+        columns = min(self.columns, 1)
+        found = replace(self, order=self.degrees[-1], tangent=tangent, columns=columns)
+        found = replace(found, is_free=False, harmonics=1)
         if self.is_plain:
             return known(found)
         # a Taylor step without springs or modulations has no loops; to other methods they cost
@@ -164,7 +177,10 @@ class RowLayout:
     @property
     def counted(self) -> tuple[str, ...]:
         """Names of the numbers that code reads at run time; all others are its constants."""
-        return () if self.is_plain else (*_COUNTS, *self._item_blocks(), "spring_series", "n_rows")
+        columns = ("columns", "column", "column_size", "push_source") if self.columns else ()
+        if self.is_plain:
+            return columns
+        return (*_COUNTS, *self._item_blocks(), "spring_series", "n_rows", *columns)
 
     @cached_property
     def of_motion(self) -> "RowLayout":
@@ -236,7 +252,33 @@ class RowLayout:
     @property
     def n_kept(self) -> int:
         """Number of series of a step and of all solutions of the variational equation."""
-        return self.n_series + self.tangent * self.n_states * self.n_rates
+        return self.n_series + (self.tangent * self.n_states + self.columns) * self.n_rates
+
+    @cached_property
+    def sources(self) -> dict[str, int]:
+        """First row within a parameter column of the derivative of every block in `SOURCES`."""
+        sizes = [self.blocks[name] for name in SOURCES]
+        return dict(zip(SOURCES, accumulate(sizes, initial=self.n_states), strict=False))
+
+    @property
+    def lower_source(self) -> int:
+        """First row within a parameter column of the derivatives of the lower walls' places."""
+        return self.sources["lower"]
+
+    @property
+    def upper_source(self) -> int:
+        """First row within a parameter column of the derivatives of the upper walls' places."""
+        return self.sources["upper"]
+
+    @property
+    def push_source(self) -> int:
+        """First row within a parameter column of the derivatives of loads."""
+        return self.sources["push"]
+
+    @property
+    def column_size(self) -> int:
+        """Number of rows of a parameter column: its state, then derivatives of `SOURCES`."""
+        return self.n_states + sum(self.blocks[name] for name in SOURCES)
 
     @property
     def spring_series(self) -> int:
@@ -357,11 +399,12 @@ class RowLayout:
     @cached_property
     def first(self) -> dict[str, int]:
         """First row of every block."""
-        return dict(zip(self.blocks, accumulate(self.blocks.values(), initial=0), strict=False))
+        first = dict(zip(self.blocks, accumulate(self.blocks.values(), initial=0), strict=False))
+        return first | {"column": sum(self.blocks.values())}
 
     @cached_property
     def n_rows(self) -> int:
-        return sum(self.blocks.values())
+        return sum(self.blocks.values()) + self.columns * self.column_size
 
     @cached_property
     def numbers(self) -> NDArray[Any]:
@@ -370,13 +413,13 @@ class RowLayout:
         An array of one record: numba takes ten microseconds for each argument that is a record.
         """
         given = [field.name for field in fields(self) if field.name != "laws"]
-        names = *given, *self.derived, *self.blocks
+        names = *given, *self.derived, *self.first
         values = tuple(int(getattr(self, name)) for name in names)
         return np.array([values], dtype=_record_of(names))
 
     def __getattr__(self, name: str) -> int:
         """Return the first row of a block, and store it as an attribute."""
-        if name.startswith("_") or name not in self.blocks:
+        if name.startswith("_") or name not in self.first:
             raise AttributeError(name)
         self.__dict__[name] = self.first[name]
         return self.first[name]

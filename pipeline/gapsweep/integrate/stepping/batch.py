@@ -197,6 +197,15 @@ class Batch:
         return columns.transpose(0, 2, 1).copy()
 
     @property
+    def columns(self) -> Array | None:
+        """Derivatives of end states by parameters, shape (n, n_states, n_columns), or None."""
+        at = self.at
+        if not at.columns:
+            return None
+        rows = self._rows(at.column, at.columns * at.column_size)
+        return rows.reshape(-1, at.columns, at.column_size)[..., : at.n_states].transpose(0, 2, 1)
+
+    @property
     def n_contacts(self) -> NDArray[np.int64]:
         """Numbers of wall crossings, in and out, each counted once."""
         # Below zero: the motion began on a wall and has not left it.

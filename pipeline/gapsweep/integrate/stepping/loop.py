@@ -195,12 +195,14 @@ def _resolve(at, lanes, k, coefficients, work):
     lanes[at.n_steps, k] += 1.0
     if at.tangent > 0:
         kept = at.n_series * at.n_terms
-        for j in range(at.n_states):
+        for j in range(at.n_states + at.columns):
             first = at.tangent_state + j * at.n_states
+            if j >= at.n_states:
+                first = at.column + (j - at.n_states) * at.column_size
             _advance_state(at, lanes, k, first, kept, step, coefficients, work)
             kept += (at.n + at.m) * at.n_terms
             if at.is_damped:
-                _jump(at, lanes, k, first)
+                _jump(at, lanes, k, first, j >= at.n_states)
     return is_done
 
 
@@ -222,24 +224,28 @@ def _lose(at, lanes, k, step, coefficients, work):
 
 
 @internal
-def _jump(at, lanes, k, first):
+def _jump(at, lanes, k, first, is_column):
     """Change a solution of the variational equation, in rows from `first` on, where the damping of
-    contacts begins or ends, as `tangent._jump` does."""
+    contacts begins or ends, as `tangent._jump` does; a column has derivatives of the walls."""
     for contact in range(at.contacts):
         mode, before = lanes[at.mode + contact, k], lanes[at.mode_0 + contact, k]
         if mode in (before, 2.0 * before) or before == 2.0 * mode:
             continue
         change = (1.0 if abs(mode) == ON else 0.0) - (1.0 if abs(before) == ON else 0.0)
         change *= lanes[at.contact_damping + contact, k]
+        moving = 0.0
+        if is_column:
+            wall = at.upper_source if mode + before > 0.0 else at.lower_source
+            moving = lanes[first + wall + contact, k]
         if at.is_plain:
-            lanes[first + 1, k] -= change * lanes[first, k]
+            lanes[first + 1, k] -= change * (lanes[first, k] - moving)
         else:
             along = 0.0
             for i in range(at.n):
                 along += lanes[at.direction + contact * at.n + i, k] * lanes[first + i, k]
             for i in range(at.n):
                 pull = lanes[at.pull + i * at.contacts + contact, k]
-                lanes[first + at.n + i, k] -= change * pull * along
+                lanes[first + at.n + i, k] -= change * pull * (along - moving)
 
 
 @internal

@@ -363,12 +363,17 @@ class Equation:
     def forcing(self):
         """Series of the forcing, by coordinate."""
         lanes, n = self._lanes, self._lanes.layout.n
-        names = "harmonics", "multiple", "phase"
-        found = _harmonics(lanes, lanes[self._clock], lambda i: lanes.item("push", i, n), n, names)
+        found = self.harmonics(lambda i: lanes.item("push", i, n))
         if lanes.layout.pieces:
             for total, piece in zip(found, piece_series(lanes), strict=True):
                 total[: len(piece)] = [a + b for a, b in zip(total, piece, strict=False)]
         return found
+
+    def harmonics(self, amplitudes):
+        """Series of loads with the amplitudes of a function of their number, by coordinate."""
+        lanes, n = self._lanes, self._lanes.layout.n
+        names = "harmonics", "multiple", "phase"
+        return _harmonics(lanes, lanes[self._clock], amplitudes, n, names)
 
     def each_spring(self, totals, body):
         """Emit `body`, a function of a `Spring` and of totals, for every spring of a system."""
@@ -520,11 +525,16 @@ class StepSeries:
             q.append(total * (1.0 / ((n + 1) * (n + 2))))
 
 
-def extend_lags(equation, q, z, n):
-    """Append coefficient n + 1 to the series of the first-order states."""
+def extend_lags(equation, q, z, n, source=None):
+    """Append coefficient n + 1 to the series of the first-order states.
+
+    `source` returns coefficient n of what else changes the states, by state.
+    """
     if not z or len(z[0]) > n + 1:
         return
     state = [x[n + 1] * float(n + 1) for x in q] + [x[n] for x in q] + [x[n] for x in z]
-    new = [dot(row, state, equation.zero) * (1.0 / (n + 1)) for row in equation.lags]
+    more = source(n) if source else [equation.zero] * len(z)
+    rates = [dot(row, state, total) for row, total in zip(equation.lags, more, strict=True)]
+    new = [rate * (1.0 / (n + 1)) for rate in rates]
     for series, term in zip(z, new, strict=True):
         series.append(term)

@@ -19,6 +19,7 @@ from gapsweep.model.contact_modes import ON
 
 from .law_series import contact_forces
 from .series import Equation, Modes, Spring, extend, extend_lags, speeds
+from .source import Source, column_rows
 from .terms import product_term, square_term
 
 
@@ -53,8 +54,11 @@ def _slopes(lanes, coefficients, one):
     return slopes
 
 
-def _variation(lanes, one, square, slopes, depths):
-    """Series, of coordinates and of first-order states, of the solution in the first rows."""
+def _variation(lanes, one, square, slopes, depths, source=None):
+    """Series, of coordinates and of first-order states, of the solution in the first rows.
+
+    A parameter column has a `Source`.
+    """
     layout = lanes.layout
     state = [lanes[layout.tangent_state + i] for i in range(layout.n_states)]
     y = [[state[i], state[layout.n + i]] for i in range(layout.n)]
@@ -77,6 +81,8 @@ def _variation(lanes, one, square, slopes, depths):
 
         return one.each_spring(totals, add)
 
+    of_lags = source.lags if source else None
+
     def to(order):
         for n in range(len(y[0]) - 2, order - 1):
             for terms, direction in zip(gaps, one.direction, strict=False):
@@ -93,6 +99,7 @@ def _variation(lanes, one, square, slopes, depths):
                 of_speed = product_term(depth, speeds(terms), n)
                 forces = [*forces, chi * (of_speed + product_term(speeds(depth), terms, n))]
             totals, new = [], []
+            more = source.accelerations(n) if source else None
             for springs in one.springs:
                 total = None
                 for k, x in zip(springs, y, strict=True):
@@ -103,12 +110,12 @@ def _variation(lanes, one, square, slopes, depths):
                     total = fma(c * float(n + 1), x[n + 1], total)
                 for a, x in zip(one.others[i], z, strict=True):
                     total = fma(a, x[n], total)
-                total = one.pulled(i, forces, -total)
+                total = one.pulled(i, forces, more[i] - total if source else -total)
                 new.append(total * (1.0 / ((n + 1) * (n + 2))))
-            extend_lags(one, y, z, n)
+            extend_lags(one, y, z, n, of_lags)
             for series, term in zip(y, new, strict=True):
                 series.append(term)
-        extend_lags(one, y, z, order - 1)
+        extend_lags(one, y, z, order - 1, of_lags)
 
     extend(one, y + z, to)
     return y, z
@@ -154,11 +161,12 @@ def _depths(lanes, coefficients, modes):
     return found
 
 
-def _jump(lanes, one):
+def _jump(lanes, one, source=None):
     """Return a function of an end state that returns the state after changes of contact modes.
 
     The speed changes by ``-c (b.y) M^-1 b`` where damping c begins at a wall, and by the opposite
-    where it ends at a wall; the force of a contact that never pulls ends and begins at zero.
+    where it ends at a wall; the force of a contact that never pulls ends and begins at zero. A
+    parameter column, with a `Source`, has ``b.y`` less the derivative of the wall's place.
     """
     layout, changes = lanes.layout, []
     rows = map(lanes.rows, ("mode", "mode_0", "contact_damping"))
@@ -166,12 +174,13 @@ def _jump(lanes, one):
         is_on, was_on = (absolute(each).equals(ON) for each in (mode, before))
         is_at_zero = mode.equals(before * 2.0) | before.equals(mode * 2.0)
         change = where(is_on, damping, 0.0) - where(was_on, damping, 0.0)
-        changes.append(where(is_at_zero, 0.0, change))
+        changes.append((where(is_at_zero, 0.0, change), mode + before > 0.0))
 
     def jump(*state):
         ends, n = list(state), layout.n
-        for k, change in enumerate(changes):
+        for k, (change, is_above) in enumerate(changes):
             along = ends[0] if one.is_plain else dot(one.direction[k], ends[:n], one.zero)
+            along = along - source.moving(k, is_above) if source else along
             for i in range(n):
                 pull = change if one.is_plain else change * one.pull[i][k]
                 ends[n + i] = fma(-pull, along, ends[n + i])
@@ -217,6 +226,13 @@ def _tangent_step(typingctx, at, lanes, coefficients, rtol, unclear):
         else:
             with cgutils.for_range(builder, ir.Constant(I64, layout.n_states)) as loop:
                 advance(loop.index)
+        if layout.columns:
+            with cgutils.for_range(builder, rows.counts["columns"]) as loop:
+                column, kept = column_rows(rows, series, loop.index)
+                source = Source(rows, series, one, modes, square, column)
+                found = _variation(column, one, square, slopes, depths, source)
+                jump = _jump(rows, one, source) if layout.is_damped else None
+                commit_solution(column, kept, found, step, keeps, jump)
         return context.get_dummy_value()
 
     return signature, codegen

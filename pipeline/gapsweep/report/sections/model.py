@@ -12,11 +12,11 @@ from gapsweep.report.inputs import Inputs
 from gapsweep.report.parts import Part
 from gapsweep.report.scales import plain, shortened
 
-_EQUATION = "ẍ + (2ζω_n + c / m) ẋ + ω_n² x + (α x³ + F) / m = (p₀ + p cos ωt) / m"
-_RATES = ", with ω and ω_n in rad/s"
+_EQUATION = "ẍ + {damping} ẋ + ω_n² x + {force} = {load}{moving}, with ω and ω_n in rad/s"
 # Terms of an unbalance and a moving base, and their numbers: shown if there is one.
-_MOVING = " + (u / m + a) ω² cos ωt + (1 − s) (2ζω_n + c / m) a ω sin ωt"
+_MOVING = " + (u / m + a) ω² cos ωt + (1 − s) {damping} a ω sin ωt"
 _OF_MOVING = ("unbalance", "base_amplitude", "base_damping")
+_OPTIONAL = ("alpha", "mean_load", "c", "damping")  # terms that are shown if they are not zero
 # Parameters of the equation in the order of the section: symbol and unit.
 _NUMBERS = {
     "zeta": ("ζ", ""),
@@ -37,7 +37,7 @@ _NUMBERS = {
 _RATIO = _NUMBERS["K_ratio"]
 # Settings that a contact may have separately.
 _OWN = {"representation": "", "K_c": "K_c", "gap": "j₁/j₂", "K_ratio": "r", "damping": "c_c"}
-_EQUATION_OF_SYSTEMS = "M q̈ + C q̇ + K q + Σ α (a·q)³ a + Σ F(b·q) b = loads"
+_EQUATION_OF_SYSTEMS = "M q̈ + C q̇ + K q{cubic} + Σ F(b·q) b = loads"
 _EQUATION_OF_LAGS = " − D z, ż = E q̇ + G q + H z"
 _MATRICES = {"mass": "M", "damping": "C", "stiffness": "K"}
 _OF_LAGS = {"force": "D", "of_speed": "E", "of_place": "G", "of_lags": "H"}
@@ -60,16 +60,25 @@ def _oscillator(responses: xr.Dataset) -> list[tuple[str, str]]:
         wave = [("Wave", f"in place of the cosine of p: {len(forces)} points in a period")]
     held = {n: responses[n].values if n in responses else fixed[n] for n in _NUMBERS}
     is_moving = bool(np.any(held["unbalance"]) or np.any(held["base_amplitude"]))
+    absent = {name for name in _OPTIONAL if not np.any(held[name])}
+    absent |= set() if is_moving else {*_OF_MOVING}
     numbers = [
         f"{symbol} {_text(held[name])} {unit}".strip()
         for name, (symbol, unit) in _NUMBERS.items()
-        if (is_moving or name not in _OF_MOVING) and (name != "damping" or np.any(held[name]))
+        if name not in absent
     ]
+    damping = "2ζω_n" if "c" in absent else "(2ζω_n + c / m)"
+    equation = _EQUATION.format(
+        damping=damping,
+        force="F / m" if "alpha" in absent else "(α x³ + F) / m",
+        load="(p / m) cos ωt" if "mean_load" in absent else "(p₀ + p cos ωt) / m",
+        moving=_MOVING.format(damping=damping) * is_moving,
+    )
     numbers.append(_walls(responses))
     if any(label.is_fitted for label in labels_of(responses)):
         numbers.append(f"fits over ±{1e3 * study['fit']['range']:g} mm")
     return [
-        ("Equation", _EQUATION + _MOVING * is_moving + _RATES),
+        ("Equation", equation),
         ("Numbers", ", ".join(numbers)),
         *wave,
         *_laws(responses),
@@ -102,7 +111,8 @@ def _system(responses: xr.Dataset) -> list[tuple[str, str]]:
         parts = (f"{plain(term['depth'])}{_turning(term)}" for term in terms)
         rows.append((f"F of {name}", f"times 1 + {' + '.join(parts)}"))
     rows += _numbers_of_contacts(responses, study.get("contact", {}))
-    equation = _EQUATION_OF_SYSTEMS + (_EQUATION_OF_LAGS if lags else "")
+    cubic = " + Σ α (a·q)³ a" if held["cubic"] else ""
+    equation = _EQUATION_OF_SYSTEMS.format(cubic=cubic) + (_EQUATION_OF_LAGS if lags else "")
     names = ", ".join(held["coordinates"])
     return [
         ("Equation", f"{equation}; x = b·q, q = ({names})"),

@@ -1,0 +1,244 @@
+"""Measured sweeps: frequencies, values and directions in SI units.
+
+A table has a column of frequencies (``omega`` or ``frequency``), a column of one quantity
+(``amplitude``, ``x_max`` or ``peak``, ``x_min``, ``force_max``) and, if it is known, a column
+``sweep`` with the words up and down. The name of a column ends in its unit: ``frequency [Hz]``,
+``amplitude (mm)``, ``peak_um``. Without a column ``sweep``, rising frequencies are a sweep up and
+falling ones a sweep down. ``amplitude up [mm]`` and ``amplitude down [mm]`` in two columns are two
+sweeps.
+"""
+
+from __future__ import annotations
+
+import csv
+import re
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from os import PathLike, fspath
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.io import loadmat
+
+from gapsweep.design.demands import QUANTITIES
+from gapsweep.design.machine import DIRECTIONS
+from gapsweep.errors import ModelError
+from gapsweep.quantities import without_units, written
+from gapsweep.response.result import RESPONSE
+
+Array = NDArray[np.float64]
+
+_OTHER_NAMES = {
+    **dict.fromkeys(("frequency", "freq", "f"), "omega"),
+    **dict.fromkeys(("peak", "maximum"), "x_max"),
+    **dict.fromkeys(("trough", "minimum"), "x_min"),
+    "force": "force_max",
+    "direction": "sweep",
+}
+_NAMES = ("omega", "sweep", *QUANTITIES)
+_BRACKETS = re.compile(r"(.*?)\s*(?:\[(.*)\]|\((.*)\)|/\s*(.*))\s*")
+_EXAMPLE = "frequency [Hz], amplitude [mm], sweep"
+_FEWEST = 3  # points of a sweep
+
+
+@dataclass(frozen=True, slots=True)
+class Sweep:
+    """Values of one quantity over frequencies, in the order of the measurement."""
+
+    direction: str  # up or down
+    omega: Array  # [Hz]
+    values: Array  # in the unit of the quantity
+
+
+@dataclass(frozen=True, slots=True)
+class _Column:
+    name: str
+    direction: str  # empty unless the name has it
+    units: str
+    title: str  # as in the file
+
+
+def sweeps(measured: Any) -> tuple[str, list[Sweep]]:
+    """Return the measured quantity, and its sweeps.
+
+    Parameters
+    ----------
+    measured : str, path, mapping, pandas.DataFrame or xarray.Dataset
+        A CSV or ``.mat`` file, or a table by the names of its columns. Units of an xarray variable
+        may be its attribute ``units`` instead. A ``.mat`` file has arrays named as
+        ``frequency_Hz``, ``amplitude_mm``.
+
+    Raises
+    ------
+    ModelError
+        If the table cannot be read, a unit is missing or wrong, a number is missing, or the
+        frequencies are not sorted.
+    """
+    where, table = _table(measured)
+    columns = [(_column(where, title), values) for title, values in table.items()]
+    of_omega = [each for each in columns if each[0].name == "omega"]
+    of_values = [each for each in columns if each[0].name in QUANTITIES]
+    words = [values for column, values in columns if column.name == "sweep"]
+    if len(of_omega) != 1:
+        found = ", ".join(table) or "none"
+        raise ModelError(f"{where}: columns {found}: must be as {_EXAMPLE}")
+    names = sorted({column.name for column, _ in of_values})
+    if len(names) != 1:
+        said = " and ".join(names) or ", ".join(table)
+        raise ModelError(f"{where}: columns {said}: must hold one quantity, as {_EXAMPLE}")
+    omega = _numbers(where, *of_omega[0])
+    several: list[Sweep] = []
+    for column, values in of_values:
+        measured_values = _numbers(where, column, values)
+        if len(measured_values) != len(omega):
+            raise ModelError(
+                f"{where}: {column.title}: {len(measured_values)} values for {len(omega)} "
+                "frequencies; must be as many"
+            )
+        if column.direction:
+            parts = [(column.direction, np.arange(len(omega)))]
+        elif words:
+            parts = _by_words(where, np.ravel(words[0]), len(omega))
+        else:
+            parts = _by_order(omega)
+        several += [_sweep(where, name, omega[rows], measured_values[rows]) for name, rows in parts]
+    return names[0], several
+
+
+def _sweep(where: str, direction: str, omega: Array, values: Array) -> Sweep:
+    """A sweep in its order, from points in this or the opposite order."""
+    steps = np.diff(omega)
+    if not (np.all(steps > 0.0) or np.all(steps < 0.0)):
+        k = int(np.flatnonzero(steps * np.sign(steps.sum() or 1.0) <= 0.0)[0])
+        raise ModelError(
+            f"{where}: {omega[k]:g} Hz before {omega[k + 1]:g} Hz in the sweep {direction}: "
+            "frequencies must be sorted and different"
+        )
+    if len(omega) < _FEWEST:
+        said = f"has {len(omega)} points; must have >= {_FEWEST}"
+        raise ModelError(f"{where}: the sweep {direction} at {omega[0]:g} Hz {said}")
+    if np.sign(steps[0]) != DIRECTIONS[direction]:
+        omega, values = omega[::-1], values[::-1]
+    return Sweep(direction, omega.copy(), values.copy())
+
+
+def _by_words(where: str, words: NDArray[Any], n: int) -> list[tuple[str, NDArray[np.intp]]]:
+    """Rows of each direction of a column of words."""
+    said = [str(word).strip().lower() for word in words]
+    wrong = [word for word in said if word not in DIRECTIONS]
+    if wrong or len(said) != n:
+        raise ModelError(
+            f"{where}: sweep = {wrong[0] if wrong else len(said)!r}: must be up or down"
+        )
+    every = np.array(said)
+    return [(name, np.flatnonzero(every == name)) for name in DIRECTIONS if name in said]
+
+
+def _by_order(omega: Array) -> list[tuple[str, NDArray[np.intp]]]:
+    """Rows of sweeps by their order: up while the frequency rises, down while it falls."""
+    steps = np.sign(np.diff(omega))
+    turns = np.flatnonzero(steps[1:] != steps[:-1]) + 1
+    if len(turns) != 1:  # one direction, or unsorted, which is an error later
+        return [("down" if steps.sum() < 0 else "up", np.arange(len(omega)))]
+    rows = np.split(np.arange(len(omega)), turns + 1)
+    return [
+        ("up" if steps[0] > 0 else "down", rows[0]),
+        ("up" if steps[-1] > 0 else "down", rows[1]),
+    ]
+
+
+def _numbers(where: str, column: _Column, values: Any) -> Array:
+    """Values of a column in the unit of its quantity."""
+    units = "Hz" if column.name == "omega" else RESPONSE[column.name].units
+    allowed = "Hz, rad/s or rpm" if units == "Hz" else f"as {written(units)}"
+    example = {"Hz": "Hz", "m": "mm"}.get(units, written(units))
+    if not column.units:
+        remedy = f"{column.title.strip()} [{example}]"
+        raise ModelError(f"{where}: {column.title.strip()}: has no unit; write {remedy}")
+    try:
+        # The name is no parameter: its unit is given.
+        factor = without_units(column.title, f"1 {column.units}", units)
+        if isinstance(factor, str):
+            raise ModelError("")
+    except ModelError:
+        said = f"unit {column.units!r}: must be {allowed}"
+        raise ModelError(f"{where}: {column.title.strip()}: {said}") from None
+    try:
+        found = np.ravel(np.asarray(values, float))
+    except (TypeError, ValueError):
+        raise ModelError(f"{where}: {column.title.strip()}: must be numbers") from None
+    wrong = np.flatnonzero(~np.isfinite(found))
+    if wrong.size:
+        said = f"row {wrong[0] + 1} is {found[wrong[0]]}"
+        raise ModelError(
+            f"{where}: {column.title.strip()}: {said}; leave out rows without a number"
+        )
+    if column.name == "omega" and found.size and found.min() <= 0.0:
+        raise ModelError(f"{where}: {column.title.strip()}: {found.min():g}: must be > 0")
+    return found * float(factor)
+
+
+def _column(where: str, title: str) -> _Column:
+    """The quantity, direction and unit that the title of a column names."""
+    match = _BRACKETS.fullmatch(title)
+    words = match[1] if match else title
+    units = next(filter(None, match.groups()[1:]), "") if match else ""
+    text = re.sub(r"[\s_]+", "_", words.strip().lower())
+    direction = next((each for each in DIRECTIONS if text.endswith(f"_{each}")), "")
+    text = text.removesuffix(f"_{direction}") if direction else text
+    name = _OTHER_NAMES.get(text, text)
+    if name not in _NAMES and not units and "_" in text:  # as amplitude_mm
+        start, _, end = re.sub(r"\s+", "_", words.strip()).rpartition("_")
+        start = start.lower()
+        name, units = _OTHER_NAMES.get(start, start), end
+    return _Column(name, direction, units.strip(), title)
+
+
+def _table(measured: Any) -> tuple[str, Mapping[str, Any]]:
+    """A name of the table for messages, and its columns by their titles."""
+    if isinstance(measured, str | PathLike):
+        path = Path(fspath(measured))
+        reader = _mat if path.suffix.lower() == ".mat" else _csv
+        return str(path), reader(path)
+    if hasattr(measured, "to_dataframe") and hasattr(measured, "variables"):  # of xarray
+        flat = measured.to_dataframe().reset_index()
+        units = {str(name): measured[name].attrs.get("units", "") for name in flat}
+        return "measured", {
+            f"{name} [{units[name]}]" if units[name] else str(name): flat[name].to_numpy()
+            for name in flat
+        }
+    try:
+        names: Iterable[Any] = measured.keys()
+        return "measured", {str(name): np.asarray(measured[name]) for name in names}
+    except (AttributeError, TypeError):
+        said = "must be a file, a table by the names of its columns, a DataFrame or a Dataset"
+        raise ModelError(f"measured = {measured!r:.80}: {said}") from None
+
+
+def _csv(path: Path) -> dict[str, list[Any]]:
+    """Columns of a CSV file, with the separator of its first line."""
+    try:
+        lines = path.read_text(encoding="utf-8-sig").splitlines()
+    except (OSError, ValueError) as error:
+        raise ModelError(f"{path}: cannot be read: {error}") from None
+    lines = [line for line in lines if line.strip() and not line.lstrip().startswith("#")]
+    if not lines:
+        raise ModelError(f"{path}: is empty; the first line must be as {_EXAMPLE}")
+    separator = max(",;\t", key=lines[0].count)
+    titles, *rows = csv.reader(lines, delimiter=separator, skipinitialspace=True)
+    for number, row in enumerate(rows, 2):
+        if len(row) != len(titles):
+            said = f"{len(row)} columns, the first line has {len(titles)}"
+            raise ModelError(f"{path}: row {number}: {said}")
+    return {title: [row[k] or "nan" for row in rows] for k, title in enumerate(titles)}
+
+
+def _mat(path: Path) -> dict[str, Any]:
+    """Arrays of a MATLAB file by their names."""
+    try:
+        found = loadmat(path, squeeze_me=True)
+    except Exception as error:  # scipy raises errors of many kinds for damaged files
+        raise ModelError(f"{path}: cannot be read: {error}") from None
+    return {name: values for name, values in found.items() if not name.startswith("__")}

@@ -1,0 +1,508 @@
+"""Derivatives of quantities of periodic orbits by parameters.
+
+A periodic response is a state y that a whole period maps onto itself, ``φ(T; y, p) = y``. Its
+derivative by a parameter follows from the monodromy matrix M and the parameter column, both of
+which the engine integrates with the motion [1]_::
+
+    dy/dp = (I - M)⁻¹ ∂φ/∂p
+
+An extremum X of the displacement changes by ``dX/dp = x_p + x_y dy/dp``: the velocity is zero
+there, so that the change of its time does not count. A contact begins and ends where the gap passes
+a wall, at times that change by ``(dwall/dp - dx/dp) / v``.
+
+References
+----------
+.. [1] P. Müller, "Calculation of Lyapunov exponents for dynamic systems with discontinuities",
+   Chaos, Solitons & Fractals 5 (1995) 1671-1681.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gapsweep.errors import ModelError
+from gapsweep.integrate.compiled import prepared
+from gapsweep.integrate.motions import Motions
+from gapsweep.integrate.problem import Laws, Models, Problems, Shifts, Solver
+from gapsweep.model.oscillator import Oscillator
+from gapsweep.model.parameters import Parameter
+from gapsweep.response.equilibrium import Rates
+from gapsweep.status import Status
+
+Array = NDArray[np.float64]
+Numbers = NDArray[np.intp]
+Mask = NDArray[np.bool_]
+
+# Relative shift of a parameter, and the multiples of it with their weights: central differences
+# of fourth order, or one-sided ones of third order at the end of a parameter's range. Only rows of
+# the equation are differenced, which are rational functions of the parameters; errors are 1e-12.
+_SHIFT = 5e-4
+_CENTRAL = (-2.0, -1.0, 1.0, 2.0), (1.0 / 12, -8.0 / 12, 8.0 / 12, -1.0 / 12)
+_ONE_SIDED = (0.0, 1.0, 2.0, 3.0), (-11.0 / 6, 3.0, -1.5, 1.0 / 3)
+_FROM_ZERO = 1e-3  # shift of a parameter that is zero
+_NEWTON_STEPS = 8
+# Newton steps below these shares of the orbit's size, and of the rounding errors of a period as the
+# step amplifies them, end the search; so does a step that is no shorter than half of the one before
+# it, if it is below the third share.
+_CLOSED, _ROUNDING, _NEARLY = 1e-14, 16 * np.finfo(float).eps, 1e-8
+
+_STILL = 1e-9  # speed at a turning point, as a share of the largest speed
+
+
+@dataclass(frozen=True, slots=True)
+class Cases:
+    """Parameter sets, and the parameters by which quantities are differentiated.
+
+    Attributes
+    ----------
+    models : sequence of Oscillator or System
+    laws : sequence of tuple of ContactLaw
+    omega : ndarray, shape (n,)
+        Frequency [Hz] of each set; 0 for unforced systems.
+    parameters : tuple of Parameter
+    """
+
+    models: Sequence[Any]
+    laws: Sequence[Laws]
+    omega: Array
+    parameters: tuple[Parameter, ...]
+
+    def __len__(self) -> int:
+        return len(self.omega)
+
+    def take(self, rows: Numbers) -> Cases:
+        """Return some of the parameter sets."""
+        models, laws = ([each[i] for i in rows.tolist()] for each in (self.models, self.laws))
+        return Cases(models, laws, self.omega[rows], self.parameters)
+
+    def shifts(self) -> Shifts:
+        """Return the models with shifted parameters."""
+        n, n_shifts = len(self), len(_CENTRAL[0])
+        pairs: dict[tuple[int, int], int] = {}
+        ids = zip(map(id, self.models), map(id, self.laws), strict=True)
+        which = np.array([pairs.setdefault(pair, len(pairs)) for pair in ids])
+        firsts = [int(np.flatnonzero(which == k)[0]) for k in range(len(pairs))]
+        systems: list[Any] = []
+        laws: list[Laws] = []
+        system, omega, weights = [], [], []
+        for parameter in self.parameters:
+            numbers, own = np.empty((n_shifts, len(pairs)), np.intp), np.empty((n_shifts, n))
+            if parameter.name == "omega":
+                steps, factors = (np.array(each)[:, None] for each in _CENTRAL)
+                omega.append(self.omega * (1.0 + _SHIFT * steps))
+                own[:] = factors / (_SHIFT * self.omega)
+            else:
+                omega.append(np.broadcast_to(self.omega, (n_shifts, n)))
+            for k, first in enumerate(firsts):
+                model, law, rate = self.models[first], self.laws[first], float(self.omega[first])
+                size = max(map(abs, parameter.values(model, law, rate)))
+                if parameter.name == "omega":
+                    shifted: list[Any] = [(model, law)] * n_shifts
+                else:
+                    step = _SHIFT * size or _FROM_ZERO
+                    shifted, factor = _shifted(parameter, model, law, rate, step)
+                    own[:, which == k] = factor[:, None]
+                numbers[:, k] = len(systems) + np.arange(n_shifts)
+                systems += [each[0] for each in shifted]
+                laws += [each[1] for each in shifted]
+            system.append(numbers[:, which])
+            weights.append(own)
+        rows = np.array(system).ravel()
+        models = Models(
+            systems=systems, laws=laws, system=rows, law=rows, omega=np.array(omega).ravel()
+        )
+        names = tuple(parameter.name for parameter in self.parameters)
+        by_omega = np.array([name == "omega" for name in names])
+        return Shifts(names=names, models=models, weights=np.array(weights), by_omega=by_omega)
+
+
+def _shifted(
+    parameter: Parameter, model: Any, laws: Laws, omega: float, step: float
+) -> tuple[list[Any], Array]:
+    """Models and laws with shifted parameters, and their weights in the derivative."""
+    for (multiples, factors), by in ((_CENTRAL, step), (_ONE_SIDED, step), (_ONE_SIDED, -step)):
+        try:
+            found = [parameter.shifted(model, laws, omega, m * by)[:2] for m in multiples]
+        except ModelError:  # beyond the end of the parameter's range
+            continue
+        return found, np.array(factors) / by
+    raise ModelError(f"parameter {parameter.name!r}: has no range to differentiate it in")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class OrbitGradients:
+    """Quantities of n periodic orbits, and their derivatives by parameters.
+
+    Attributes
+    ----------
+    names : tuple of str
+        The quantities.
+    value : ndarray, shape (n, n_quantities)
+    gradient : ndarray, shape (n, n_quantities, n_parameters)
+        NaN where the quantity is, or has no derivative.
+    state : ndarray, shape (n, n_states)
+        Initial state of each orbit.
+    state_gradient : ndarray, shape (n, n_states, n_parameters)
+    monodromy : ndarray, shape (n, n_states, n_states)
+    is_ok : ndarray of bool, shape (n,)
+        Whether Newton's method has found the orbit.
+    """
+
+    names: tuple[str, ...]
+    value: Array
+    gradient: Array
+    state: Array
+    state_gradient: Array
+    monodromy: Array
+    is_ok: NDArray[np.bool_]
+
+
+def orbit_gradients(
+    cases: Cases,
+    states: Array,
+    multiples: NDArray[np.int64],
+    solver: Solver,
+    period: Array | None = None,
+) -> OrbitGradients:
+    """Return quantities of periodic orbits near states, and their derivatives.
+
+    Parameters
+    ----------
+    cases : Cases
+        n parameter sets of one kind (`Models.by_kind`).
+    states : ndarray, shape (n, n_states)
+        States near the orbits: at forcing phase zero, or at a maximum of the first coordinate.
+    multiples : ndarray of int, shape (n,)
+        Forcing periods of each orbit.
+    solver : Solver
+    period : ndarray, shape (n,), optional
+        Periods [s] of unforced orbits, near which they are.
+    """
+    return Orbits(cases, states, multiples, solver, period).gradients()
+
+
+class Orbits:
+    """Newton's method for orbits, and the motions from which their quantities follow."""
+
+    def __init__(
+        self,
+        cases: Cases,
+        states: Array,
+        multiples: NDArray[np.int64],
+        solver: Solver,
+        period: Array | None = None,
+    ) -> None:
+        self.models = Models.of(cases.models, cases.laws, cases.omega)
+        self.shifts = cases.shifts()
+        self._integrate = prepared(self.models, solver, self.shifts)
+        self.is_forced = bool(cases.omega[0] > 0.0)
+        self.y, self.n = states.copy(), self.models.systems[0].n
+        self.period = np.array(period) if period is not None else multiples / cases.omega
+        if self.is_forced:
+            self.period = multiples / cases.omega
+
+    def run(self, which: Numbers, t_end: Array, *, records: bool) -> Motions:
+        """Motions of some orbits from their initial states, with tangent and columns."""
+        return self._integrate(
+            Problems(
+                which=which,
+                start=self.y[which],
+                t_0=np.zeros(len(which)),
+                t_end=t_end,
+                record_from=np.full(len(which), 0.0 if records else np.inf),
+                tangent=True,
+                contacts=records,
+                contact_time=records,
+            )
+        )
+
+    def solved(self, found: Motions, right: Array) -> tuple[Array, Array]:
+        """Solutions of the orbits' linear equations for right sides, shape (n, n_states, k).
+
+        Returns
+        -------
+        change : ndarray, shape (n, n_states, k)
+            Of the initial state.
+        longer : ndarray, shape (n, k)
+            Change of the period [s]; that of the forcing is fixed.
+        """
+        assert found.monodromy is not None
+        n_states = self.y.shape[1]
+        matrix = np.eye(n_states) - found.monodromy
+        if not self.is_forced:
+            rate = Rates(self.models)(np.arange(len(self.y)), found.state.T).T
+            row = np.zeros((len(matrix), 1, n_states + 1))
+            row[:, 0, self.n] = 1.0  # the speed of the first coordinate stays zero
+            matrix = np.concatenate([matrix, -rate[:, :, None]], axis=2)
+            matrix = np.concatenate([matrix, row], axis=1)
+            right = np.concatenate([right, np.zeros_like(right[:, :1])], axis=1)
+        parts = np.concatenate([matrix, right], axis=2)
+        is_finite = np.asarray(np.isfinite(parts).all(axis=(1, 2)))
+        with np.errstate(all="ignore"):
+            matrix = np.where(is_finite[:, None, None], matrix, np.eye(matrix.shape[1]))
+            try:
+                found_all = np.linalg.solve(matrix, right)
+            except np.linalg.LinAlgError:  # an orbit on a fold
+                found_all = np.linalg.pinv(matrix) @ right
+        found_all[~is_finite] = np.nan
+        longer = np.zeros_like(found_all[:, 0]) if self.is_forced else found_all[:, n_states]
+        return np.asarray(found_all[:, :n_states]), np.asarray(longer)
+
+    def closed(self) -> tuple[Motions, Mask]:
+        """Motions over a period after Newton's method, and whether each orbit closes."""
+        rows, last = np.arange(len(self.y)), np.full(len(self.y), np.inf)
+        for left in range(_NEWTON_STEPS, -1, -1):
+            found = self.run(rows, self.period, records=True)
+            missed = (found.state - self.y)[:, :, None]
+            errors = np.eye(self.y.shape[1]) * np.abs(self.y)[:, None, :]
+            step, longer = self.solved(found, np.concatenate([missed, errors], axis=2))
+            size = np.abs(self.y).max(axis=1)
+            length = np.abs(step[:, :, 0]).max(axis=1) / size
+            rounding = _ROUNDING * np.abs(step[:, :, 1:]).sum(axis=2).max(axis=1) / size
+            is_best = (length <= rounding) | (length > 0.5 * last)
+            is_alive = (found.status == Status.OK) & np.isfinite(length)
+            is_ok = is_alive & ((length <= _CLOSED) | (is_best & (length <= _NEARLY)))
+            moves = is_alive & ~is_ok
+            if not (left and moves.any()):
+                break
+            self.y[moves] += step[moves, :, 0]
+            self.period[moves] += longer[moves, 0]
+            last = np.where(moves, length, last)
+        return found, is_ok
+
+    def gradients(self) -> OrbitGradients:
+        """Quantities of the orbits and their derivatives."""
+        found, is_ok = self.closed()
+        assert found.columns is not None and found.monodromy is not None  # noqa: PT018
+        change, longer = self.solved(found, found.columns)
+        reading = _Reading(self, found, change, longer)
+        quantities = reading.quantities()
+        values, slopes = zip(*quantities.values(), strict=True)
+        value, gradient = np.stack(values, axis=1), np.stack(slopes, axis=1)
+        value[~is_ok], gradient[~is_ok] = np.nan, np.nan
+        return OrbitGradients(
+            names=tuple(quantities),
+            value=value,
+            gradient=gradient,
+            state=self.y,
+            state_gradient=reading.state_gradient,
+            monodromy=found.monodromy,
+            is_ok=is_ok,
+        )
+
+
+class _Reading:
+    """Quantities of orbits, from motions that end at their extrema and at walls."""
+
+    def __init__(self, orbits: Orbits, found: Motions, change: Array, longer: Array) -> None:
+        self.orbits, self.found, self.longer = orbits, found, longer
+        self.events, self.model = found.events(), orbits.models.systems[0]
+        self.is_system = not isinstance(self.model, Oscillator)
+        n, contacts = self.model.n, len(self.model.contacts)
+        self.directions = np.array(self.model.directions, float).reshape(contacts, n)
+        self.first_gap = n if self.is_system else 0
+        self.walls = _Walls(orbits.models, orbits.shifts)
+        self._turns = self._turning_points()
+        turned = _extremes(*self._turns, self.first_gap + contacts if self.is_system else n)
+        grazed = self._nearest()
+        passed = np.repeat(np.arange(len(orbits.y)), self.events.n_contacts)
+        which = np.concatenate([turned[0], grazed[0], passed])
+        times = np.concatenate([turned[1], grazed[1], self.events.t_contacts])
+        ends = orbits.run(which, times, records=False)
+        assert ends.columns is not None and ends.monodromy is not None  # noqa: PT018
+        moved = ends.columns + ends.monodromy @ change[which]
+        first, last = len(turned[0]), len(which) - len(passed)
+        self._turned = *turned, ends.state[:first], moved[:first]
+        self._grazed = grazed[0], grazed[2], ends.state[first:last], moved[first:last]
+        self._passed = passed, ends.state[last:], moved[last:]
+        # A column by the frequency is that of the speed over the phase.
+        self.state_gradient = change.copy()
+        by_omega = np.flatnonzero(orbits.shifts.by_omega)
+        for column in by_omega.tolist():
+            speed = orbits.y[:, n : 2 * n] / orbits.models.omega[:, None]
+            self.state_gradient[:, n : 2 * n, column] += speed
+
+    def quantities(self) -> dict[str, tuple[Array, Array]]:
+        """Values, shape (n,), and derivatives, shape (n, n_parameters), by quantity."""
+        low, high = self._extreme_values()
+        found: dict[str, tuple[Array, Array]] = {}
+        names = [f"[{x}]" if self.is_system else "" for x in self.model.coordinates]
+        for i, label in enumerate(names):
+            found[f"x_max{label}"], found[f"x_min{label}"] = high(i), low(i)
+            (top, d_top), (bottom, d_bottom) = high(i), low(i)
+            found[f"amplitude{label}"] = 0.5 * (top - bottom), 0.5 * (d_top - d_bottom)
+        for k, contact in enumerate(self.model.contacts):
+            label = f"[{contact}]" if self.is_system else ""
+            ends = low(self.first_gap + k), high(self.first_gap + k)
+            if self.is_system:
+                found[f"contact_x_max{label}"], found[f"contact_x_min{label}"] = ends[::-1]
+            found[f"force_max{label}"] = self._largest_force(k, ends)
+            found[f"contact_share{label}"] = self._share(k)
+        if self.model.contacts:
+            found["graze"] = self._graze()
+        y, dy, n = self.orbits.y, self.state_gradient, self.model.n
+        for i, label in enumerate(names):
+            found[f"x_end{label}"] = y[:, i], dy[:, i]
+            found[f"v_end{label}"] = y[:, n + i], dy[:, n + i]
+        if not self.orbits.is_forced:
+            found["period"] = self.orbits.period, self.longer
+        return found
+
+    def _extreme_values(self) -> Any:
+        """Functions of a quantity's number that return its least and its largest values."""
+        which, _, of, side, states, moved = self._turned
+        n, n_rows, n_parameters = self.model.n, len(self.orbits.y), moved.shape[2]
+        along = np.concatenate([np.eye(n), self.directions])[of]
+        shape = n_rows, self.first_gap + len(self.directions) + n, 2
+        value, slope = np.full(shape, np.nan), np.full((*shape, n_parameters), np.nan)
+        value[which, of, side] = (along * states[:, :n]).sum(axis=1)
+        slope[which, of, side] = np.einsum("ki,kip->kp", along, moved[:, :n])
+        return (
+            lambda i: (value[:, i, 0], slope[:, i, 0]),
+            lambda i: (value[:, i, 1], slope[:, i, 1]),
+        )
+
+    def _share(self, contact: int) -> tuple[Array, Array]:
+        """Share of a period beyond the walls of a contact, and its derivatives."""
+        assert self.found.contact_time is not None
+        period, n = self.orbits.period, self.model.n
+        share = self.found.contact_time[:, contact] / period
+        which, states, moved = (each[self.events.contacts_of == contact] for each in self._passed)
+        b = self.directions[contact]
+        gap, speed = states[:, :n] @ b, states[:, n : 2 * n] @ b
+        side, wall = self.walls.nearest(contact, which, gap)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            later = (wall - np.einsum("i,kip->kp", b, moved[:, :n])) / speed[:, None]
+        begins = np.where(speed * side > 0.0, -1.0, 1.0)  # the contact begins there
+        time = np.zeros((len(period), later.shape[1]))
+        np.add.at(time, which, begins[:, None] * later)
+        low, high = self.walls.place[:, contact].T
+        start = self.orbits.y[:, :n] @ b
+        time += np.where((start < low) | (start > high), 1.0, 0.0)[:, None] * self.longer
+        time[low == high] = np.nan
+        if any(laws[contact].losses.never_pulls for laws in self.orbits.models.laws):
+            time[:] = np.nan  # it ends where its force is zero, at no wall
+        return share, (time - share[:, None] * self.longer) / period[:, None]
+
+    def _largest_force(
+        self, contact: int, ends: tuple[tuple[Array, Array], tuple[Array, Array]]
+    ) -> tuple[Array, Array]:
+        """Largest force of a contact [N]; without derivatives if the contact is damped."""
+        if self.found.contact_force is None:
+            return self.walls.largest_force(contact, *ends)
+        return self.found.contact_force[:, contact], np.full_like(ends[0][1], np.nan)
+
+    def _turning_points(self) -> tuple[Numbers, Array, Array, Numbers]:
+        """Orbits, times [s], values [m] and numbers of the quantities of all turning points."""
+        events, y, n = self.events, self.orbits.y, self.model.n
+        which = np.repeat(np.arange(len(y)), events.n_extrema)
+        found = which, events.t_extrema, events.extrema, events.extrema_of
+        if self.orbits.is_forced:
+            return found
+        # An unforced orbit starts at a maximum, which is no event.
+        along = np.concatenate([np.eye(n), self.directions])
+        speed = np.abs(y[:, n : 2 * n] @ along.T)
+        rows, of = np.nonzero(speed <= _STILL * np.abs(y[:, n : 2 * n]).max(axis=1)[:, None])
+        begins = rows, np.zeros(len(rows)), (y[:, :n] @ along.T)[rows, of], of
+        which, t, value, of = (np.concatenate(pair) for pair in zip(found, begins, strict=True))
+        return which, t, value, of
+
+    def _nearest(self) -> tuple[Numbers, Array, Numbers]:
+        """Orbits, times [s] and contacts of the turning points nearest to walls."""
+        which, t, value, of = self._turns
+        contact = of - self.first_gap
+        its = np.flatnonzero((contact >= 0) & (len(self.directions) > 0))
+        which, t, contact = which[its], t[its], contact[its]
+        off = np.abs(self.walls.beyond(contact, which, value[its])[0])
+        order = np.lexsort((off, which))
+        places = order[np.diff(which[order], prepend=-1) != 0]
+        return which[places], t[places], contact[places]
+
+    def _graze(self) -> tuple[Array, Array]:
+        """Distances of these turning points beyond the walls [m], and their derivatives."""
+        which, contact, states, moved = self._grazed
+        n, n_rows = self.model.n, len(self.orbits.y)
+        along = self.directions[contact]
+        gap = (along * states[:, :n]).sum(axis=1)
+        d_gap = np.einsum("ki,kip->kp", along, moved[:, :n])
+        value, slope = np.full(n_rows, np.nan), np.full((n_rows, moved.shape[2]), np.nan)
+        value[which], side = self.walls.beyond(contact, which, gap)
+        sign = 2.0 * side - 1.0
+        slope[which] = sign[:, None] * (d_gap - self.walls.moving[which, contact, side])
+        return value, slope
+
+
+def _extremes(
+    motion: Numbers, t: Array, value: Array, of: Numbers, n: int
+) -> tuple[Numbers, Array, Numbers, Numbers]:
+    """Smallest and largest extremum of n quantities of every motion.
+
+    Returns
+    -------
+    which, t, of, side : ndarray
+        Motions, times [s], quantities, and 0 for the smallest or 1 for the largest.
+    """
+    key = motion * n + of
+    order = np.lexsort((value, key))
+    is_first = np.diff(key[order], prepend=-1) != 0
+    is_last = np.diff(key[order], append=-1) != 0
+    places = np.concatenate([order[is_first], order[is_last]])
+    side = np.repeat([0, 1], [is_first.sum(), is_last.sum()])
+    return motion[places], t[places], of[places], side
+
+
+class _Walls:
+    """Stiffnesses [N/m] and places [m] of the lower and the upper walls, and their derivatives."""
+
+    def __init__(self, models: Models, shifts: Shifts) -> None:
+        n, contacts = len(models), len(models.laws[0])
+        self.stiffness, self.place = (
+            _numbers_of(models).reshape(n, contacts, 2, 2).transpose(2, 0, 1, 3)
+        )
+        moved = _numbers_of(shifts.models).reshape(*shifts.weights.shape, contacts, 2, 2)
+        with np.errstate(invalid="ignore"):  # no wall is at infinity
+            found = np.einsum("psn,psnkab->ankbp", shifts.weights, moved)
+        self.stiffening, self.moving = np.where(np.isfinite(found), found, 0.0)
+
+    def nearest(self, contact: int, which: Numbers, gap: Array) -> tuple[Array, Array]:
+        """Sides (-1, +1) of the walls nearest to gaps, and derivatives of their places."""
+        off = np.abs(self.place[which, contact] - gap[:, None])
+        side = (off[:, 1] <= off[:, 0]).astype(int)
+        return 2.0 * side - 1.0, self.moving[which, contact, side]
+
+    def beyond(self, contact: Numbers, which: Numbers, gap: Array) -> tuple[Array, Numbers]:
+        """Distances of gaps beyond the nearest wall with a spring [m], and its side, 0 or 1."""
+        beyond = (gap[:, None] - self.place[which, contact]) * (-1.0, 1.0)
+        felt = np.where(self.stiffness[which, contact] > 0.0, beyond, -np.inf)
+        side = np.abs(felt).argmin(axis=1)
+        return np.asarray(felt[np.arange(len(gap)), side]), side
+
+    def largest_force(
+        self, contact: int, low: tuple[Array, Array], high: tuple[Array, Array]
+    ) -> tuple[Array, Array]:
+        """Largest force between two gaps [N], and its derivatives."""
+        forces, slopes = [np.zeros(len(low[0]))], [np.zeros_like(low[1])]
+        for side, (gap, moved) in enumerate((low, high)):
+            sign = 2.0 * side - 1.0
+            stiffness, depth = (
+                self.stiffness[:, contact, side],
+                sign * (gap - self.place[:, contact, side]),
+            )
+            deeper = sign * (moved - self.moving[:, contact, side])
+            slope = stiffness[:, None] * deeper
+            slope += self.stiffening[:, contact, side] * depth[:, None]
+            forces.append(np.where(depth > 0.0, stiffness * depth, 0.0))
+            slopes.append(np.where((depth > 0.0)[:, None], slope, 0.0))
+        largest = np.argmax(forces, axis=0)
+        rows = np.arange(len(largest))
+        return np.array(forces)[largest, rows], np.array(slopes)[largest, rows]
+
+
+def _numbers_of(models: Models) -> Array:
+    """Stiffnesses of lower and upper walls, and their places; shape (n, n_contacts, 4)."""
+    return models.of_laws(lambda law: (law.K_c * law.K_ratio, law.K_c, *law.walls))

@@ -1,0 +1,350 @@
+"""Parameters fitted to simulated measurements, and intervals in which demands hold."""
+
+import math
+
+import numpy as np
+import pandas as pd
+import pytest
+from scipy.io import savemat
+
+import gapsweep as gs
+from gapsweep.design.measured import sweeps
+from gapsweep.integrate.problem import Models, Solver
+from gapsweep.report.marks import marks_of
+from gapsweep.response.respond import respond_models
+
+# The public oscillator: m 1, c .05, k 1, walls at .1745, K_c 2, F .03.
+PUBLIC = gs.Oscillator(mass=1.0, omega_n=1 / (2 * math.pi), zeta=0.025, forcing=0.03)
+PUBLIC_LAW = gs.Piecewise(2.0, gs.Gap(0.1745, 0.1745))
+FOLD_AT = 0.2148945996744911  # gap at which its fold is at 1.35 rad/s, by mpmath
+RATE = 1.35 / (2 * math.pi)
+
+
+# --- choose ---------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("omega", [RATE, (RATE, 1.1 * RATE)])
+def test_the_fold_of_the_public_oscillator_ends_an_interval(omega):
+    demand = gs.at_most("amplitude", 0.25)
+    found = gs.choose("gap", (0.15, 0.3), PUBLIC, PUBLIC_LAW, so_that=demand, omega=omega)
+    (only,) = found
+    assert only.low == pytest.approx(FOLD_AT, rel=1e-10)
+    assert only.high == 0.3
+    assert "fold" in only.low_limit
+    assert only.low_omega == pytest.approx(RATE, rel=1e-12)
+
+
+def test_a_peak_within_a_band_ends_an_interval():
+    """A linear oscillator has the largest amplitude F / (c sqrt(k/m - c²/4m²))."""
+    between, linear = (0.01, 0.05), gs.Piecewise(0.0, gs.Gap(1.0, 1.0))
+    found = gs.choose(
+        "forcing", between, PUBLIC, linear, so_that=gs.at_most("amplitude", 0.5), omega=(0.1, 0.21)
+    )
+    (only,) = found
+    assert only.high == pytest.approx(0.5 * 0.05 * math.sqrt(1.0 - 0.025**2), rel=1e-8)
+    assert only.high_omega == pytest.approx(math.sqrt(1.0 - 2 * 0.025**2) / (2 * math.pi), rel=1e-4)
+
+
+def test_no_contact_ends_where_the_linear_response_reaches_the_wall():
+    amplitude = 0.03 / math.hypot(1.0 - 0.8**2, 0.05 * 0.8)
+    found = gs.choose(
+        "gap", (0.05, 0.3), PUBLIC, PUBLIC_LAW, so_that=gs.no_contact(),
+        omega=0.8 / (2 * math.pi), starts=[[0.0, 0.0]],
+    )  # fmt: skip
+    assert [each.low for each in found] == [pytest.approx(amplitude, rel=1e-8)]
+
+
+def test_a_demand_that_never_holds_says_so_in_one_line():
+    demand = gs.at_most("amplitude", 1e-3)
+    found = gs.choose("gap", (0.15, 0.3), PUBLIC, PUBLIC_LAW, so_that=demand, omega=RATE)
+    assert len(found) == 0
+    assert "nowhere" in found.summary
+    assert "\n" not in repr(found)
+
+
+def drawn_machines(n, seed):
+    """Oscillators with the range of a gap, a frequency [Hz] and the limit of an amplitude [m]."""
+    random = np.random.default_rng(seed)
+    for _ in range(n):
+        omega_n, mass = 10 ** random.uniform(-1, 2), 10 ** random.uniform(-1, 1)
+        stiffness, static = mass * (2 * math.pi * omega_n) ** 2, 10 ** random.uniform(-5, -2)
+        zeta = random.uniform(0.01, 0.08)
+        machine = gs.Oscillator(mass=mass, omega_n=omega_n, zeta=zeta, forcing=static * stiffness)
+        law = gs.Piecewise(random.uniform(0.5, 10.0) * stiffness, gs.Gap(static, static))
+        between = (random.uniform(0.2, 1.0) * static, random.uniform(5.0, 15.0) * static)
+        limit = random.uniform(1.0, 8.0) * static
+        yield machine, law, between, omega_n * random.uniform(0.5, 1.8), limit
+
+
+class BruteForce:
+    """Largest amplitudes of each machine on a grid of gaps, and the states of these responses.
+
+    Responses start from rest, beyond both walls, and from the largest response at the gap before
+    and after.
+    """
+
+    def __init__(self, machines, n):
+        self.machines = machines
+        self.omega = np.array([each[3] for each in machines])
+        self.limits = np.array([each[4] for each in machines])
+        self.gaps = np.array([np.linspace(*between, n) for _, _, between, _, _ in machines]).T
+        self.largest, self.states = self.from_displacement(0.0)
+        for displaced in (-1.5, 1.5):
+            self.keep(slice(None), *self.from_displacement(displaced))
+        for order, step in ((range(1, n), 1), (range(n - 2, -1, -1), -1)):
+            for k in order:
+                self.keep(k, *self.respond(self.gaps[k], self.states[k - step]))
+
+    def from_displacement(self, displaced):
+        states = (displaced * self.gaps)[..., None] * [1.0, 0.0]
+        found = [self.respond(*each) for each in zip(self.gaps, states, strict=True)]
+        return tuple(map(np.array, zip(*found, strict=True)))
+
+    def keep(self, k, amplitude, ends):
+        is_larger = amplitude > self.largest[k]
+        self.largest[k] = np.where(is_larger, amplitude, self.largest[k])
+        self.states[k] = np.where(is_larger[..., None], ends, self.states[k])
+
+    def respond(self, gaps, states):
+        laws = [
+            (gs.Piecewise(law.K_c, gs.Gap(gap, gap)),)
+            for (_, law, *_), gap in zip(self.machines, gaps.tolist(), strict=True)
+        ]
+        models = Models.of([each[0] for each in self.machines], laws, self.omega)
+        found = respond_models(models, Solver.of(), states, gs.Steady())
+        # Just beyond a fold a slow transient is unresolved: no attractor.
+        amplitude = np.where(
+            found.columns["status"] == gs.Status.OK, found.columns["amplitude"], 0.0
+        )
+        return amplitude, np.where(np.isfinite(found.ends), found.ends, states)
+
+    def holds(self):
+        return (self.largest <= self.limits).T
+
+    def changes_at(self, i, end, within):
+        """Whether the largest attractor of a machine violates its limit on one side of an end."""
+        holds = self.holds()[i]
+        gaps = self.gaps[:, i]
+        k = int(np.searchsorted(gaps, end))
+        near, side = (k, 1.0) if holds[k - 1] else (k - 1, -1.0)
+        machine, law, _, omega, limit = self.machines[i]
+        (x, v), amplitudes = self.states[near, i], []
+        steps = [*np.geomspace(abs(gaps[near] - end), within, 40), -within]
+        for step in steps:
+            wall = gs.Gap(end + side * step, end + side * step)
+            found = gs.respond(machine, gs.Piecewise(law.K_c, wall), omega=omega, x_0=x, v_0=v)
+            x, v = found.x_end, found.v_end
+            amplitudes.append(found.amplitude if found.status == gs.Status.OK else 0.0)
+        return amplitudes[-2] > limit >= amplitudes[-1]
+
+
+@pytest.mark.parametrize(
+    ("n", "n_gaps"),
+    [(2, 200), pytest.param(20, 2000, marks=[pytest.mark.extended, pytest.mark.slow])],
+)
+def test_intervals_are_those_of_a_grid_of_gaps(n, n_gaps):
+    machines = list(drawn_machines(n, seed=1))
+    brute = BruteForce(machines, n_gaps)
+    for i, (machine, law, between, omega, limit) in enumerate(machines):
+        demand = gs.at_most("amplitude", limit)
+        found = gs.choose("gap", between, machine, law, so_that=demand, omega=omega)
+        np.testing.assert_array_equal(
+            [gap in found for gap in brute.gaps[:, i].tolist()], brute.holds()[i]
+        )
+        ends = [end for each in found for end in (each.low, each.high) if end not in between]
+        assert all(brute.changes_at(i, end, 1e-6 * between[1]) for end in ends)
+
+
+# --- fit ------------------------------------------------------------------------------------------
+
+
+def measured_sweeps(machine, law, omega, noise, seed):
+    """Sweeps up and down with noise, as a share of the largest amplitude; and the noise [m]."""
+    table = {"frequency [Hz]": [], "amplitude [m]": [], "sweep": []}
+    for direction, order in (("up", omega), ("down", omega[::-1])):
+        x = v = 0.0
+        for frequency in order:
+            found = gs.respond(machine, law, omega=frequency, x_0=x, v_0=v)
+            x, v = found.x_end, found.v_end
+            for column, value in zip(
+                table.values(), (frequency, found.amplitude, direction), strict=True
+            ):
+                column.append(value)
+    exact = np.array(table["amplitude [m]"])
+    sigma = noise * exact.max()
+    table["amplitude [m]"] = exact + sigma * np.random.default_rng(seed).normal(size=len(exact))
+    return table, sigma
+
+
+def drawn_fits(n, seed):
+    """Yield errors of gap and K_c over standard errors; n drawn machines with 1 % noise."""
+    random = np.random.default_rng(seed)
+    for k in range(n):
+        zeta, omega_n = random.uniform(0.01, 0.06), 10 ** random.uniform(0, 1.5)
+        mass, static = 10 ** random.uniform(-1, 1), 10 ** random.uniform(-4, -3)
+        stiffness = mass * (2 * math.pi * omega_n) ** 2
+        gap, K_c = static * random.uniform(0.25, 0.75) / (2 * zeta), 10 ** random.uniform(-0.3, 1.3)
+        machine = gs.Oscillator(mass=mass, omega_n=omega_n, zeta=zeta, forcing=static * stiffness)
+        law = gs.Piecewise(K_c * stiffness, gs.Gap(gap, gap))
+        omega = omega_n * np.linspace(0.7, 1.7, 60)
+        table, sigma = measured_sweeps(machine, law, omega, 0.01, 1000 * seed + k)
+        a, b = random.uniform(0.2, 0.8, 2)
+        free = {
+            "gap": (gap * 10**-a, gap * 10 ** (1 - a)),
+            "K_c": (law.K_c * 100**-b, law.K_c * 100 ** (1 - b)),
+        }
+        found = gs.fit(table, machine, law, free=free, noise=sigma)
+        yield [
+            abs(found.values[name] - true) / found.errors[name]
+            for name, true in (("gap", gap), ("K_c", law.K_c))
+        ]
+
+
+def test_fitted_parameters_are_within_their_errors():
+    assert np.all(np.array([*drawn_fits(1, seed=1)]) < 3.0)
+
+
+@pytest.mark.extended
+@pytest.mark.slow
+def test_errors_of_fifty_fits_cover_the_true_parameters():
+    errors = np.array([*drawn_fits(50, seed=2)])
+    assert np.all((errors < 3.0).mean(axis=0) >= 0.98)
+    assert np.all((errors < 2.0).mean(axis=0) >= 0.90)
+
+
+def test_a_parameter_that_nothing_depends_on_cannot_be_identified():
+    """Sweeps whose amplitudes stay within the gap say nothing of the walls."""
+    far = gs.Piecewise(2.0, gs.Gap(5.0, 5.0))
+    table, sigma = measured_sweeps(PUBLIC, far, np.linspace(0.1, 0.2, 8), 0.01, 3)
+    found = gs.fit(
+        table, PUBLIC, far, free={"K_c": (1.0, 4.0), "forcing": (0.01, 0.09)}, noise=sigma
+    )
+    assert math.isinf(found.errors["K_c"])
+    assert any("K_c cannot be identified" in note for note in found.notes)
+    assert abs(found.values["forcing"] - 0.03) < 3.0 * found.errors["forcing"]
+
+
+def test_the_figure_of_a_fit_shows_measured_points_and_residuals():
+    law = gs.Piecewise(2.0, gs.Gap(0.1745, 0.1745))
+    table, sigma = measured_sweeps(PUBLIC, law, np.linspace(0.1, 0.2, 6), 0.01, 4)
+    found = gs.fit(table, PUBLIC, law, free={"forcing": (0.01, 0.09)}, noise=sigma)
+    above, below = found.plot().axes
+    for axes, values in ((above, found.measured), (below, found.residual)):
+        shown = np.concatenate(
+            [each.y for each in marks_of(axes) if (each.series or "").startswith("measured")]
+        )
+        np.testing.assert_allclose(np.sort(shown), np.sort(1e3 * values))
+
+
+# --- measured sweeps ------------------------------------------------------------------------------
+
+ROWS = [(9.0, 0.5), (9.5, 0.6), (10.0, 0.7), (10.5, 0.8)]
+
+
+def written_csv(path, header, rows=ROWS):
+    path.write_text("\n".join([header, *(", ".join(map(str, row)) for row in rows)]))
+    return path
+
+
+@pytest.mark.parametrize(
+    "header",
+    ["frequency [Hz], amplitude [mm]", "omega (Hz);amplitude (mm)", "f_Hz, amplitude_mm"],
+)
+def test_titles_of_columns_hold_units(tmp_path, header):
+    path = written_csv(tmp_path / "sweep.csv", header)
+    if ";" in header:
+        path.write_text(path.read_text().replace(",", ";"))
+    name, (only,) = sweeps(path)
+    assert (name, only.direction) == ("amplitude", "up")
+    np.testing.assert_allclose(only.omega, [row[0] for row in ROWS])
+    np.testing.assert_allclose(only.values, [1e-3 * row[1] for row in ROWS], rtol=1e-14)
+
+
+def test_sweeps_from_rpm_columns_of_both_directions_and_other_tables(tmp_path):
+    rows = [(600, 1.0, 2.0), (660, 3.0, 4.0), (720, 5.0, 6.0)]
+    path = written_csv(tmp_path / "a.csv", "omega [rpm], peak up [um], peak down [um]", rows)
+    name, (up, down) = sweeps(path)
+    assert name == "x_max"
+    np.testing.assert_allclose(up.omega, [10.0, 11.0, 12.0])
+    np.testing.assert_allclose(down.values, [6e-6, 4e-6, 2e-6], rtol=1e-14)
+    savemat(tmp_path / "a.mat", {"omega_rpm": [600, 660, 720], "x_max_um": [1.0, 3.0, 5.0]})
+    np.testing.assert_allclose(sweeps(tmp_path / "a.mat")[1][0].values, up.values)
+    frame = pd.DataFrame({"omega [Hz]": up.omega, "x_max [m]": up.values})
+    np.testing.assert_array_equal(sweeps(frame)[1][0].values, up.values)
+    dataset = frame.rename(columns={"omega [Hz]": "omega", "x_max [m]": "x_max"})
+    dataset = dataset.set_index("omega").to_xarray()
+    dataset["omega"].attrs["units"], dataset["x_max"].attrs["units"] = "Hz", "m"
+    np.testing.assert_array_equal(sweeps(dataset)[1][0].values, up.values)
+
+
+@pytest.mark.parametrize(
+    ("header", "rows", "words"),
+    [
+        ("frequency, amplitude [mm]", ROWS, ["frequency", "unit", "[Hz]"]),
+        ("frequency [Hz], amplitude", ROWS, ["amplitude", "unit", "[mm]"]),
+        ("frequency [Hz], amplitude [s]", ROWS, ["amplitude", "'s'"]),
+        ("frequency [Hz], amplitude [parrots]", ROWS, ["parrots"]),
+        ("frequency [1/s], amplitude [mm]", ROWS, ["1/s", "rad/s"]),
+        ("frequency [Hz], loudness [mm]", ROWS, ["loudness"]),
+        ("frequency [Hz], amplitude [mm]", [*ROWS, (11.0, "nan")], ["row 5", "nan"]),
+        ("frequency [Hz], amplitude [mm]", [*ROWS, (11.0, "")], ["row 5"]),
+        ("frequency [Hz], amplitude [mm]", [*ROWS, (11.0,)], ["row 6", "1 columns"]),
+        ("frequency [Hz], amplitude [mm]", [*ROWS, (1, 1), (3, 1), (2, 1)], ["sorted"]),
+        ("frequency [Hz], amplitude [mm], sweep", [(9, 1, "left")] * 4, ["left", "up or down"]),
+        ("frequency [Hz], amplitude [mm]", ROWS[:2], ["2 points"]),
+        ("frequency [Hz], amplitude [mm]", [(-1.0, 1.0), *ROWS], ["> 0"]),
+    ],
+)
+def test_a_bad_table_is_refused_in_one_line(tmp_path, header, rows, words):
+    path = written_csv(tmp_path / "sweep.csv", header, rows)
+    with pytest.raises(gs.ModelError) as raised:
+        gs.fit(path, PUBLIC, PUBLIC_LAW, free={"gap": (0.1, 0.3)})
+    assert "\n" not in str(raised.value)
+    assert all(word in str(raised.value) for word in words), raised.value
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ({"free": {}}, ["free"]),
+        ({"free": {"gap": (0.3, 0.1)}}, ["ascending"]),
+        ({"free": {"gapp": (0.1, 0.3)}}, ["gapp"]),
+        ({"free": {"omega": (0.1, 0.3)}}, ["omega"]),
+        (
+            {"free": dict.fromkeys(("gap", "K_c", "mass", "zeta"), (0.1, 0.3))},
+            ["4 points", "4 free"],
+        ),
+        ({"free": {"gap": (0.1, 0.3)}, "noise": -1.0}, ["noise"]),
+        ({"free": {"gap": (0.1, 0.3)}, "noise": "2 s"}, ["noise", "s"]),
+    ],
+)
+def test_bad_arguments_of_a_fit_are_refused_in_one_line(tmp_path, arguments, words):
+    path = written_csv(tmp_path / "sweep.csv", "frequency [Hz], amplitude [mm]")
+    with pytest.raises(gs.ModelError) as raised:
+        gs.fit(path, PUBLIC, PUBLIC_LAW, **arguments)
+    assert "\n" not in str(raised.value)
+    assert all(word in str(raised.value) for word in words), raised.value
+
+
+@pytest.mark.parametrize(
+    ("arguments", "word"),
+    [
+        ({"so_that": "small"}, "so_that"),
+        ({"omega": (2.0, 1.0)}, "omega"),
+        ({"omega": None}, "omega"),
+        ({"between": (0.3, 0.1)}, "ascending"),
+        ({"parameter": "gapp"}, "gapp"),
+        ({"starts": [[0.0, 0.0, 0.0]]}, "starts"),
+        ({"between": (-0.1, 0.1)}, "j_1"),
+    ],
+)
+def test_bad_arguments_of_choose_are_refused_in_one_line(arguments, word):
+    good = {"parameter": "gap", "between": (0.1, 0.3), "so_that": gs.no_chaos(), "omega": RATE}
+    with pytest.raises(gs.ModelError, match=word) as raised:
+        gs.choose(oscillator=PUBLIC, law=PUBLIC_LAW, **(good | arguments))
+    assert "\n" not in str(raised.value)
+
+
+def test_a_demand_of_an_unknown_quantity_is_refused():
+    with pytest.raises(gs.ModelError, match="loudness"):
+        gs.at_most("loudness", 1.0)
