@@ -23,7 +23,9 @@ RATE = 1.35 / (2 * math.pi)
 # --- choose ---------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("omega", [RATE, (RATE, 1.1 * RATE)])
+@pytest.mark.parametrize(
+    "omega", [RATE, pytest.param((RATE, 1.1 * RATE), marks=pytest.mark.extended)]
+)
 def test_the_fold_of_the_public_oscillator_ends_an_interval(omega):
     demand = gs.at_most("amplitude", 0.25)
     found = gs.choose("gap", (0.15, 0.3), PUBLIC, PUBLIC_LAW, so_that=demand, omega=omega)
@@ -140,7 +142,7 @@ class BruteForce:
 
 @pytest.mark.parametrize(
     ("n", "n_gaps"),
-    [(2, 200), pytest.param(20, 2000, marks=[pytest.mark.extended, pytest.mark.slow])],
+    [(1, 200), pytest.param(20, 2000, marks=[pytest.mark.extended, pytest.mark.slow])],
 )
 def test_intervals_are_those_of_a_grid_of_gaps(n, n_gaps):
     machines = list(drawn_machines(n, seed=1))
