@@ -56,12 +56,12 @@ class ReferenceScene:
     @property
     def directions(self) -> Array:
         """Directions of the contacts, shape (n_contacts, n)."""
-        raise NotImplementedError
+        return np.reshape(self.system.directions, (-1, self.n))
 
     @property
     def n_states(self) -> int:
         """Length of (q, v, z)."""
-        raise NotImplementedError
+        return int(self.system.n_states)
 
     def rhs(self, modes: Modes) -> Callable[[float, Array], State]:
         """Return the right-hand side of the equation of motion in some contact modes."""
@@ -74,7 +74,7 @@ class ReferenceScene:
     @property
     def n(self) -> int:
         """Number of coordinates."""
-        return int(self.directions.shape[1])
+        return int(self.system.n)
 
     def gap(self, contact: int, q: Sequence[float] | Array) -> float:
         """Displacement of a contact between its walls [m]."""
@@ -141,7 +141,7 @@ class ReferenceScene:
     @property
     def pull(self) -> Array:
         """Accelerations by unit forces of the contacts [1/kg], shape (n, n_contacts)."""
-        raise NotImplementedError
+        return np.asarray(np.linalg.inv(np.atleast_2d(self.system.mass)) @ self.directions.T)
 
     @property
     def compliance(self) -> Array:
@@ -153,9 +153,9 @@ class ReferenceScene:
         law = self.laws[contact]
         if modes is None or self.contact_force == "as_written":
             return lambda x: float(law.derivative(x))
-        mode = modes[contact]
-        stiffness = law.K_c if mode > 0 else law.K_ratio * law.K_c
-        return lambda x: stiffness if MODES[abs(mode)].acts else 0.0
+        acts = MODES[abs(modes[contact])].acts
+        stiffness = self.pressure(contact, modes[contact]).stiffness if acts else 0.0
+        return lambda x: stiffness
 
     def modes_at(self, t: float, y: State) -> tuple[int, ...]:
         """Initial contact modes; on a wall the velocity decides, then the acceleration."""
@@ -180,17 +180,20 @@ class ReferenceScene:
         At a wall the velocity decides, then the acceleration.
         """
         contact, wall = hit.contact, hit.at
+
+        def changed(mode: int) -> tuple[int, ...]:
+            return (*modes[:contact], mode, *modes[contact + 1 :])
+
         if hit.force is not None:
-            mode = MODES[abs(modes[contact])].after_zero * hit.side
-            return tuple(mode if k == contact else other for k, other in enumerate(modes))
-        free = tuple(0 if k == contact else mode for k, mode in enumerate(modes))
+            return changed(MODES[abs(modes[contact])].after_zero * hit.side)
+        free = changed(0)
         rates = np.asarray(self.rhs(free)(t, np.array(y)))
         v, a = (self.gap(contact, rates[i * self.n :]) for i in (0, 1))
         # A contact shorter than a picosecond cannot be distinguished from a touch.
         heading = v if abs(v) > _TOUCH * abs(a) else a
         for mode in (1, -1):
             if wall == self.wall(contact, mode) and mode * heading > 0.0:
-                return tuple(mode if k == contact else other for k, other in enumerate(modes))
+                return changed(mode)
         return free
 
 
@@ -245,18 +248,6 @@ class OscillatorScene(ReferenceScene):
 
     __slots__ = ()
 
-    @property
-    def directions(self) -> Array:
-        return np.ones((1, 1))
-
-    @property
-    def pull(self) -> Array:
-        return np.full((1, 1), 1.0 / self.system.mass)
-
-    @property
-    def n_states(self) -> int:
-        return 2
-
     def gap(self, contact: int, q: Sequence[float] | Array) -> float:
         return float(q[0])
 
@@ -292,18 +283,6 @@ class SystemScene(ReferenceScene):
     """Right-hand side of a system, with arrays."""
 
     __slots__ = ()
-
-    @property
-    def directions(self) -> Array:
-        return np.asarray(self.system.directions)
-
-    @property
-    def pull(self) -> Array:
-        return np.asarray(np.linalg.inv(self.system.mass) @ self.directions.T)
-
-    @property
-    def n_states(self) -> int:
-        return int(self.system.n_states)
 
     def knots(self, t_end: float) -> list[float]:
         found = {t_end}
@@ -342,7 +321,7 @@ class SystemScene(ReferenceScene):
         linear, directions = first_order(system), self.directions
         inverse = np.linalg.inv(system.mass)
         cubics = [(c.along, inverse @ c.along * c.alpha) for c in system.cubic]
-        pull = inverse @ directions.T
+        pull = self.pull
         contacts = range(len(self.laws))
         lossy = [law.losses.damping > 0.0 for law in self.laws]
         damped = linear.copy()
