@@ -126,7 +126,10 @@ _ELSEWHERE = {
 _MODULES = ("systems",)
 
 # These return datasets; importing one of them registers the accessor ``ds.gapsweep``.
-_RETURN_DATASETS = ("basins", "branches", "open", "query", "risk", "run", "special_curve")
+_RETURN_DATASETS = (
+    *("basins", "branches", "gradient", "open", "query", "risk", "run"),
+    *("special_curve", "special_gradient"),
+)
 
 __all__ = [
     "Arctan",

@@ -54,6 +54,10 @@ def test_twice_the_samples_compute_only_the_new_ones(client, tmp_path):
         ds = gs.query(gs.Study.from_dict(tables), client, cache=tmp_path / "c")
         counts.append([ds.attrs[name] for name in ("n_points", "n_hits", "n_computed")])
     assert counts == [[256, 0, 256], [512, 256, 256]]
+    header, *rows = ds.gapsweep.to_csv().splitlines()
+    gap = header.split(",").index("drawn_gap [mm]")
+    drawn = [float(row.split(",")[gap]) for row in rows]
+    np.testing.assert_allclose(drawn, 1e3 * ds["drawn_gap"], rtol=1e-12)
 
 
 def test_safe_values_come_first_in_the_report(client, tmp_path):

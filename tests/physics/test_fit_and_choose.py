@@ -10,6 +10,7 @@ from scipy.io import savemat
 import gapsweep as gs
 from gapsweep.design.measured import sweeps
 from gapsweep.integrate.problem import Models, Solver
+from gapsweep.report.marks import marks_of
 from gapsweep.response.respond import respond_models
 
 # The public oscillator: m 1, c .05, k 1, walls at .1745, K_c 2, F .03.
@@ -176,8 +177,8 @@ def measured_sweeps(machine, law, omega, noise, seed):
 
 
 def drawn_fits(n, seed):
-    """Errors of gap and K_c over their standard errors, for n drawn machines with 1 % noise."""
-    random, errors = np.random.default_rng(seed), []
+    """Yield errors of gap and K_c over standard errors; n drawn machines with 1 % noise."""
+    random = np.random.default_rng(seed)
     for k in range(n):
         zeta, omega_n = random.uniform(0.01, 0.06), 10 ** random.uniform(0, 1.5)
         mass, static = 10 ** random.uniform(-1, 1), 10 ** random.uniform(-4, -3)
@@ -193,21 +194,20 @@ def drawn_fits(n, seed):
             "K_c": (law.K_c * 100**-b, law.K_c * 100 ** (1 - b)),
         }
         found = gs.fit(table, machine, law, free=free, noise=sigma)
-        errors.append(
-            [(found.values[name] - true) / found.errors[name]
-             for name, true in (("gap", gap), ("K_c", law.K_c))]
-        )  # fmt: skip
-    return np.abs(errors)
+        yield [
+            abs(found.values[name] - true) / found.errors[name]
+            for name, true in (("gap", gap), ("K_c", law.K_c))
+        ]
 
 
 def test_fitted_parameters_are_within_their_errors():
-    assert np.all(drawn_fits(1, seed=1) < 3.0)
+    assert np.all(np.array([*drawn_fits(1, seed=1)]) < 3.0)
 
 
 @pytest.mark.extended
 @pytest.mark.slow
 def test_errors_of_fifty_fits_cover_the_true_parameters():
-    errors = drawn_fits(50, seed=2)
+    errors = np.array([*drawn_fits(50, seed=2)])
     assert np.all((errors < 3.0).mean(axis=0) >= 0.98)
     assert np.all((errors < 2.0).mean(axis=0) >= 0.90)
 
@@ -222,6 +222,18 @@ def test_a_parameter_that_nothing_depends_on_cannot_be_identified():
     assert math.isinf(found.errors["K_c"])
     assert any("K_c cannot be identified" in note for note in found.notes)
     assert abs(found.values["forcing"] - 0.03) < 3.0 * found.errors["forcing"]
+
+
+def test_the_figure_of_a_fit_shows_measured_points_and_residuals():
+    law = gs.Piecewise(2.0, gs.Gap(0.1745, 0.1745))
+    table, sigma = measured_sweeps(PUBLIC, law, np.linspace(0.1, 0.2, 6), 0.01, 4)
+    found = gs.fit(table, PUBLIC, law, free={"forcing": (0.01, 0.09)}, noise=sigma)
+    above, below = found.plot().axes
+    for axes, values in ((above, found.measured), (below, found.residual)):
+        shown = np.concatenate(
+            [each.y for each in marks_of(axes) if (each.series or "").startswith("measured")]
+        )
+        np.testing.assert_allclose(np.sort(shown), np.sort(1e3 * values))
 
 
 # --- measured sweeps ------------------------------------------------------------------------------

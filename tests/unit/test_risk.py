@@ -13,8 +13,11 @@ import xarray as xr
 from tests.builders.studies import SECTION, changed, small_study
 
 import gapsweep as gs
-from gapsweep.analysis.datasets.risk import risk_of
+import gapsweep.report.accessor  # registers ds.gapsweep
+from gapsweep.analysis.datasets.recommendations import advice
+from gapsweep.analysis.datasets.risk import risk_of, safety
 from gapsweep.execution.plan import plan
+from gapsweep.report.marks import marks_of
 from gapsweep.study.samples import drawn
 from gapsweep.study.uncertain import UncertainTable
 
@@ -282,6 +285,47 @@ def test_correlated_numbers():
     np.testing.assert_allclose(logs.std(axis=1), [0.05, 0.1], rtol=0.01)
 
 
+def marks_in(axes):
+    """Marks of an axes by the name of their data."""
+    return {each.series: each for each in marks_of(axes)}
+
+
+def a_run():
+    """Made-up risk over two frequencies, as `risk_of` returns it from responses of a study."""
+    of, settings = of_ratio(0.05, 0.1), {"samples": 64, "repeats": 4, "seed": 1, "indices": True}
+    samples = drawn(of, **settings)
+    found = made_up(samples, np.where(is_large(samples), 3e-3, 1e-3))
+    found["amplitude"].attrs["units"] = "m"
+    other = made_up(samples, 1e-3).assign(amplitude=found["amplitude"] / 2.0)
+    both = xr.concat([found, other], dim="omega").assign_coords(omega=[1.0, 2.0])
+    both = both.expand_dims(representation=["piecewise"]).transpose("representation", ...)
+    events = {"large": {"quantity": "amplitude", "above": 2e-3}}
+    return risk_of(both, UncertainTable.of_call(of, events, settings))
+
+
+def test_figures_show_the_dataset():
+    found = a_run()
+    shown = marks_in(found.gapsweep.risk("large"))
+    np.testing.assert_array_equal(shown["piecewise"].y, found["probability"].squeeze())
+    ends = np.reshape(shown["piecewise, 95 % interval"].y, (2, 3))
+    np.testing.assert_array_equal(ends[:, 0], found["low"].squeeze())
+    np.testing.assert_array_equal(ends[:, 1], found["high"].squeeze())
+    shown = marks_in(found.gapsweep.quantiles("amplitude"))
+    np.testing.assert_allclose(shown["piecewise"].y, [3.0, 1.5])  # mm
+    np.testing.assert_allclose(np.reshape(shown["piecewise, 5% to 95%"].y, (2, 3))[0, :2], [1, 3])
+    shown = marks_in(found.gapsweep.tornado("large", omega=1.0))
+    total = found["total"].isel(omega=0).squeeze().values
+    np.testing.assert_allclose(np.reshape(shown["total"].x, (2, 3))[:, 1], np.sort(total))
+    with pytest.raises(gs.DatasetError, match="probability"):
+        found.drop_vars("probability").gapsweep.risk("large")
+
+
+def test_safe_values_are_judged_by_whole_intervals():
+    p = xr.DataArray([[0.001, 0.04, 0.06, 0.2]], dims=("event", "gap"))
+    risk = xr.Dataset({"probability": p, "low": p - 0.001, "high": p + 0.02}, {"event": ["large"]})
+    assert safety(risk, "gap", "large", 0.05)["safe"].values.tolist() == [1, 0, -1, -1]
+
+
 EVENT = {"name": "large", "quantity": "amplitude", "above": 1e-3}
 MISTAKES = {
     "negative sd": ({"gap": {"normal": 4e-4, "sd": -1e-5}}, r"gap\.sd = -1e-05: must be > 0"),
@@ -316,6 +360,14 @@ def test_mistakes_have_one_line(mistake):
     with pytest.raises(gs.StudyError, match=words) as caught:
         study(uncertain=uncertain, **changes)
     assert len(caught.value.problems) == 1
+
+
+def test_advice_and_branches_are_for_nominal_values():
+    uncertain = study()
+    assert uncertain.nominal.grid.shape == (3, 1, 1, 3, 1)
+    assert advice(uncertain).sizes == advice(gs.Study.from_dict(small_study())).sizes
+    with pytest.raises(gs.StudyError, match=r"branches: not together with \[uncertain\]"):
+        study(branches={})
 
 
 def test_mistakes_of_calls():

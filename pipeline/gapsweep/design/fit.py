@@ -100,6 +100,12 @@ class Fit:
     oscillator: Any = field(compare=False)
     law: Any = field(compare=False)
 
+    def plot(self) -> Any:
+        """Return the figure of `gapsweep.plot`: measured points over branches, and residuals."""
+        from gapsweep import plot
+
+        return plot(self)
+
     def __repr__(self) -> str:
         lines = [f"<gapsweep.Fit of {self.quantity} at {len(self.omega)} points>"]
         for name, value in self.values.items():
@@ -386,7 +392,7 @@ def _result(
     errors = np.abs(by_place) * in_places
     family = points.machine.family
     laws = dict(zip(family.example.contacts, family.laws_at(named), strict=True))
-    minima = _distinct(points, several)
+    minima = _distinct(points, several, np.isfinite(in_places))
     notes = _notes(points, place, in_places, correlation, minima)
     n_off = int((~is_on).sum())
     if n_off:
@@ -431,11 +437,13 @@ def _covariance(slopes: Array, noise: float) -> Array:
     return covariance
 
 
-def _distinct(points: _Points, several: list[Any]) -> tuple[dict[str, float], ...]:
-    """Minima that differ, with their misfit."""
+def _distinct(
+    points: _Points, several: list[Any], is_known: NDArray[np.bool_]
+) -> tuple[dict[str, float], ...]:
+    """Minima that differ in a parameter that is known, with their misfit."""
     kept: list[Any] = []
     for each in several:
-        if all(np.abs(each[1] - other[1]).max() > ALIKE for other in kept):
+        if all(np.abs(each[1] - other[1])[is_known].max(initial=0.0) > ALIKE for other in kept):
             kept.append(each)
     names = points.machine.family.names
     return tuple(

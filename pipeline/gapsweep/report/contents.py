@@ -58,8 +58,8 @@ def results(inputs: Inputs) -> Iterator[Part]:
 
 
 SECTIONS = (
-    Section(uncertainty.sections),
     Section(answer.sections, template="_answer.html", script="answer"),
+    Section(uncertainty.sections),
     Section(findings.sections, template="_findings.html"),
     Section(model.sections, template="_pairs.html"),
     Section(own.sections, RESULTS, "_own.html"),

@@ -12,13 +12,14 @@ from matplotlib.figure import Figure
 
 from gapsweep.analysis.dimensions import Array
 from gapsweep.analysis.spectra import spectrum
+from gapsweep.design.fit import Fit
 from gapsweep.errors import ModelError
 from gapsweep.integrate.problem import Model
 from gapsweep.integrate.simulate import simulate
 from gapsweep.integrate.trajectory import SystemTrajectory, Trajectory
 from gapsweep.model.contact import ContactLaw
 from gapsweep.quantities import written
-from gapsweep.report import marks
+from gapsweep.report import fit_figure, marks
 from gapsweep.report.style import MATPLOTLIB, NOT_PERIODIC, WALL
 from gapsweep.response.result import Response
 from gapsweep.variables import CONTACT, COORDINATE, objects
@@ -51,15 +52,21 @@ class Picture(Figure):
 
 
 def plot(
-    run: Trajectory | Response, coordinate: str | None = None, *, start: float | None = None
+    run: Trajectory | Response | Fit,
+    coordinate: str | None = None,
+    *,
+    start: float | None = None,
 ) -> Figure:
     """Draw a motion: its history, phase portrait, stroboscopic section and amplitude spectrum.
+
+    Of a fit: the measured points over the stable and unstable branches of the fitted model, hollow
+    where they are not on its branch, and the residuals.
 
     Dashed: the walls; for systems, only those of contacts on that coordinate.
 
     Parameters
     ----------
-    run : Trajectory or Response
+    run : Trajectory, Response or Fit
         One motion, simulated with ``dense_output=True``, or one steady response, of which the
         motion from its last section point is simulated.
     coordinate : str, optional
@@ -92,6 +99,12 @@ def plot(
     >>> len(figure.axes)
     4
     """
+    if isinstance(run, Fit):
+        with rc_context(MATPLOTLIB):
+            figure = Picture(figsize=(7.0, 5.6))
+            above, below = figure.subplots(2, 1, height_ratios=(3, 1))
+            fit_figure.draw(above, below, run)
+        return figure
     if isinstance(run, Response):
         run, start = _steady_motion(run), 0.0 if start is None else start
     along, name, scale, unit = _quantity(run, coordinate)

@@ -8,6 +8,7 @@ import xarray as xr
 
 from gapsweep.errors import DatasetError
 from gapsweep.report.scales import shown_unit
+from gapsweep.study.samples import DRAWN
 from gapsweep.variables import PARTS, to_dataframe
 
 # Columns of a CSV file next to the dimensions by default, of those that the responses have.
@@ -68,8 +69,9 @@ def rows(
 
 
 def short(responses: xr.Dataset, names: Sequence[str]) -> list[str]:
-    """Return the names of variables that the responses have."""
-    return [name for name in names if name in responses.variables]
+    """Return the names of variables that the responses have, and of drawn values of samples."""
+    drawn = [str(name) for name in responses.coords if str(name).startswith(DRAWN)]
+    return [*drawn, *(name for name in names if name in responses.variables)]
 
 
 def chosen(wanted: Sequence[str], known: Sequence[str]) -> list[str]:

@@ -396,6 +396,8 @@ class StudySpec(TomlTable):
         ]
         if any(one.is_auto and one.protocol for one in self.representations):
             wrong.append("'auto' chooses solver settings; leave out the protocol")
+        if self.uncertain and self.branches:
+            wrong.append("branches: not together with [uncertain]; write a separate study")
         if any(one.is_auto for table in self.history for one in table.representation):
             wrong.append("history: 'auto' is not allowed; write a representation, as 'piecewise'")
         if any(method.label.is_auto for method in methods):

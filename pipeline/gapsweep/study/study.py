@@ -349,6 +349,11 @@ class Study:
         system, modules = self.spec.system, (self.spec.claims, self.spec.report)
         return bool(self.own_laws or (system and system.user_function)) or any(modules)
 
+    @property
+    def nominal(self) -> "Study":
+        """The study without uncertainty, at the nominal values of its numbers."""
+        return Study(self.spec.model_copy(update={"uncertain": None}), self.source)
+
     def with_engine(self, engine: str) -> "Study":
         """Return the study with another engine."""
         solver = self.spec.solver.model_copy(update={"engine": engine})

@@ -1,1 +1,1 @@
-"""Datasets of a study: static, histories, timing, basins, branches, recommendations."""
+"""Datasets of a study: static, histories, timing, basins, branches, risk, recommendations."""

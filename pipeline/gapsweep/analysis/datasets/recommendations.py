@@ -61,7 +61,7 @@ _PART = 65_536  # points whose numbers are in memory at a time
 
 
 def advice(study: Study, error: float | None = None, share: float = 0.95) -> xr.Dataset:
-    """Advice for every point of a study, and static screening of smooth laws.
+    """Advice for every point of a study at nominal values, and static screening of smooth laws.
 
     Parameters
     ----------
@@ -79,6 +79,7 @@ def advice(study: Study, error: float | None = None, share: float = 0.95) -> xr.
         study's smooth laws and, per family, the one with the smallest adequate parameter, in the
         displacements of `expected_range`. Attributes `error`, `share` and `allowed_force_error`.
     """
+    study = study.nominal
     model = study.model.default
     if not (model.is_forced and model.contacts):
         raise StudyError(f"{study.source}: system: advice needs a forcing and a contact")
