@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from gapsweep.model.contact import ContactLaw, Piecewise
 from gapsweep.model.contact_modes import MODES, SLACK
 from gapsweep.model.oscillator import Oscillator
-from gapsweep.model.system import Harmonic, first_order
-from gapsweep.model.waves import ForceByPieces, Wave
+from gapsweep.model.system import first_order
+from gapsweep.model.waves import Wave
 
 Array = NDArray[np.float64]
 State = tuple[float, ...]
@@ -234,10 +234,6 @@ class Watched:
     force: Pressure | None = None
 
 
-def _waves(system: Any) -> list[ForceByPieces]:
-    return [load for load in system.forcing if isinstance(load, ForceByPieces)]
-
-
 def scene_of(system: Any) -> type[ReferenceScene]:
     """Return the class of right-hand side for a model."""
     return OscillatorScene if isinstance(system, Oscillator) else SystemScene
@@ -286,7 +282,7 @@ class SystemScene(ReferenceScene):
 
     def knots(self, t_end: float) -> list[float]:
         found = {t_end}
-        for load in _waves(self.system):
+        for load in self.system.waves:
             ends = np.array(load.wave.ends)
             if load.k:
                 turns = np.arange(-1, math.ceil(t_end * self.omega) + 2)
@@ -333,11 +329,9 @@ class SystemScene(ReferenceScene):
         terms = [system.modulation.get(name, ()) for name in system.contacts]
         omega_rad = 2.0 * math.pi * self.omega
         loads = [
-            (h.growth(omega_rad) * (inverse @ h.amplitude), h.k, h.phase)
-            for h in system.forcing
-            if isinstance(h, Harmonic)
+            (h.growth(omega_rad) * (inverse @ h.amplitude), h.k, h.phase) for h in system.harmonics
         ]
-        waves = [(inverse @ w.amplitude, self._value(w.wave)) for w in _waves(system)]
+        waves = [(inverse @ w.amplitude, self._value(w.wave)) for w in system.waves]
 
         def rates(theta: float) -> list[float]:
             return [
