@@ -183,7 +183,7 @@ class Continuation:
             reference.take(np.zeros(len(normals), int)),
             limit.ASTRAY * distances,
         )
-        # Those that pass as many contacts lie on this side.
+        # Orbits with as many contacts lie on this side.
         behind = [
             each
             for each in found

@@ -61,7 +61,7 @@ def special_gradient(
     parameters : str or sequence of str
         As in `gapsweep.gradient`.
     oscillator, law
-        Those of the branches; required for branches from a file.
+        Model and law of the branches; required for branches from a file.
 
     Returns
     -------

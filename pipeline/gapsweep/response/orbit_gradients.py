@@ -216,7 +216,7 @@ class Orbits:
         Returns
         -------
         change : ndarray, shape (n, n_states, k)
-            Of the initial state.
+            Changes of the initial state.
         longer : ndarray, shape (n, k)
             Change of the period [s]; that of the forcing is fixed.
         """

@@ -38,7 +38,7 @@ class Source:
     Parameters
     ----------
     lanes, coefficients : LaneRows
-        Of the motion.
+        Rows and series of the motion.
     one : Equation
     modes : Modes
         At the beginning of the step.
