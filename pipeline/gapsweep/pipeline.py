@@ -277,7 +277,7 @@ def risk(
         Sobol points of a repeat, a power of two; independent repeats, from which intervals follow,
         at least 2. By default 1024 and 8.
     seed : int
-        Of the scrambling; 1 by default.
+        Seed of the scrambling; 1 by default.
     indices : bool
         Whether to compute Sobol indices, with ``d + 2`` times as many responses for d numbers.
     correlation : array_like, shape (d, d), optional
@@ -442,7 +442,7 @@ def report(folder: str | Path, study: Study | None = None) -> Path:
     Parameters
     ----------
     folder : path
-        Of the run; no file in it is ever executed.
+        Folder of the run; no file in it is ever executed.
     study : Study, optional
         A study whose own sections are computed first; None shows the stored sections.
 
@@ -464,7 +464,7 @@ def claims(folder: str | Path, study: Study | None = None) -> dict[str, Any]:
     Parameters
     ----------
     folder : path
-        Of the run; no file in it is ever executed. Claims that need an absent dataset are
+        Folder of the run; no file in it is ever executed. Claims that need an absent dataset are
         undecidable.
     study : Study, optional
         A study whose claims are decided and written to ``claims.json``; None reads the file.

@@ -78,7 +78,7 @@ class RunContext:
     Attributes
     ----------
     folder : Path
-        Of the run.
+        Folder of the run.
     study : Study
     plan : Plan, optional
         The sweep points and where they are stored, for stages that read them.
@@ -95,7 +95,7 @@ class RunContext:
     inputs : tuple of str
         Files of the run that the present stage is made from.
     made_from : str
-        Of the file of the present stage, as JSON.
+        Digests of the inputs of the present file, as JSON.
     digests : dict of str to str
         Digests of the sources, once they are known.
     """
@@ -169,7 +169,7 @@ class Stage:
         Parameters
         ----------
         folder : Path
-            Of the run.
+            Folder of the run.
         run : RunContext, optional
             Gives the digests of sources; not needed for a page, which has no sources.
         """
@@ -201,7 +201,7 @@ def make_files(
     Parameters
     ----------
     n_points : int
-        Of the study.
+        Sweep points of the study.
     retry_failed : bool
         Whether to rewrite files with failed motions.
     """

@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
+from tests.builders.attractors import attractors_of_scenes
 from tests.builders.cache import tile_rows
 from tests.builders.datasets import tables
 from tests.oracles import exact_orbits
@@ -15,7 +16,6 @@ from tests.oracles.section_points import orbit_distance, parts
 import gapsweep as gs
 from gapsweep.integrate.problem import Models, Solver
 from gapsweep.response import ensemble, thresholds
-from gapsweep.response.attractors import attractors_of_scenes
 from gapsweep.response.autonomous import PoincareMap
 from gapsweep.response.compiled import contracting_multiples, largest_parts
 from gapsweep.response.ensemble import Ensemble

@@ -6,10 +6,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
+from tests.builders.attractors import attractors_of_scenes
 
 import gapsweep as gs
 from gapsweep.integrate.problem import Models, Solver
-from gapsweep.response.attractors import attractors_of_scenes
 from gapsweep.response.autonomous import PoincareMap
 from gapsweep.response.ensemble import Ensemble
 from gapsweep.response.equilibrium import Rates, rates

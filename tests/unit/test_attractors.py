@@ -4,10 +4,11 @@ import math
 
 import numpy as np
 import pytest
+from tests.builders.attractors import attractors_of_scenes
 from tests.oracles.section_points import complex_points, orbit_distance
 
 from gapsweep.model.structure import Structure
-from gapsweep.response.attractors import NONE, Grouping, attractors_of_scenes
+from gapsweep.response.attractors import NONE, Grouping
 from gapsweep.response.result import Response, ResponseClass, Responses
 from gapsweep.response.section import own_neighbours, unit_of
 from gapsweep.status import Status

@@ -147,7 +147,8 @@ class Continuation:
         """The next orbit where steps are at their smallest; a half without one ends."""
         last = half.orbits[-1]
         # A branch that comes back to a kink has turned round there.
-        is_first = all(_way(last, kink) > limit.SAME_KINK for kink in half.kinks)
+        ways = (np.abs(last.unknowns - kink.unknowns).max() for kink in half.kinks)
+        is_first = all(way > limit.SAME_KINK for way in ways)
         behind = self._behind_kink(half.orbits, reference) if is_first else None
         if behind is not None:
             half.kinks.append(last)
@@ -182,7 +183,7 @@ class Continuation:
             reference.take(np.zeros(len(normals), int)),
             limit.ASTRAY * distances,
         )
-        # Those that pass as many contacts lie on this side.
+        # Orbits with as many contacts lie on this side.
         behind = [
             each
             for each in found
@@ -318,11 +319,6 @@ def _between(before: Orbit, orbit: Orbit, last: Orbit) -> float | None:
     ends = [np.array([*o.parameters, o.period, *o.x_max, *o.x_min]) for o in (before, last, orbit)]
     scale = np.maximum(np.abs(ends[0]), np.abs(ends[1])) + np.finfo(float).tiny
     return _share(*(each / scale for each in ends))
-
-
-def _way(one: Orbit, other: Orbit) -> float:
-    """Largest difference of the unknowns of two orbits."""
-    return float(np.abs(one.unknowns - other.unknowns).max())
 
 
 def _is_passed(orbits: Sequence[Orbit], orbit: Orbit) -> bool:

@@ -78,7 +78,7 @@ class CurveEquations(OrbitEquations):
         every = moved.reshape(-1, d)
         lanes = np.tile(np.arange(m), len(shifts))
         whole = super().evaluate(every, reference.take(lanes), difference)
-        # Those of the motions with the parameters as they are; an unknown tangent does no harm.
+        # Orbits at the parameters as they are; an unknown tangent does no harm.
         orbits = super().orbits(
             every, np.zeros_like(every), reference.take(lanes), whole, np.arange(len(every))
         )
@@ -119,7 +119,7 @@ def special_curve(
     between : tuple of float
         Range of the second parameter, ascending. The first parameter keeps its range.
     oscillator, law
-        Those of the branches, as in `gapsweep.branches`; required for branches from a file.
+        Model and law of the branches, as in `gapsweep.branches`; required for branches from a file.
     max_steps : int
         Largest number of points on either side, 2 to 100000.
 

@@ -267,7 +267,7 @@ class Family:
         Parameters
         ----------
         windows : tuple of Window
-            Of `names`, in their order.
+            Ranges of `names`, in their order.
         places : ndarray, shape (m, number of names)
         """
         columns = (

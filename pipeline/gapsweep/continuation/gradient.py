@@ -16,7 +16,7 @@ from gapsweep.model.doubts import doubts, warn_of
 from gapsweep.model.oscillator import Oscillator, called_as
 from gapsweep.model.parameters import Parameter
 from gapsweep.model.system import System
-from gapsweep.response.orbit_gradients import Cases, orbit_gradients
+from gapsweep.response.orbit_gradients import Cases, Orbits
 from gapsweep.response.respond import check_steady, respond_models
 from gapsweep.response.result import ResponseClass, Responses, Steady
 from gapsweep.variables import Variable, dataset, objects
@@ -165,13 +165,13 @@ def _gradients(
     labels: tuple[str, ...] = ()
     for rows, _ in models.take(periodic).by_kind():
         here = periodic[rows]
-        part = orbit_gradients(
+        part = Orbits(
             every.take(here),
             found.ends[here],
             columns["period_multiple"][here].astype(np.int64),
             tight,
             period[here],
-        )
+        ).gradients()
         labels = part.names
         for name in _VARIABLES:
             values = getattr(part, name)

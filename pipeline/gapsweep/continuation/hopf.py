@@ -31,7 +31,8 @@ def hopf_point(equations: OrbitEquations, orbit: Orbit, reference: Reference) ->
         return float(_nearest(values, rate).real) / rate
 
     place = float(orbit.unknowns[-1])
-    found = root_scalar(growth, x0=place, x1=_beside(place), xtol=limit.HOPF_LOCATED, maxiter=30)
+    near = place + (1e-6 if place < 0.5 else -1e-6)
+    found = root_scalar(growth, x0=place, x1=near, xtol=limit.HOPF_LOCATED, maxiter=30)
     if not (
         found.converged and 0.0 <= found.root <= 1.0 and abs(growth(found.root)) < limit.HOPF_RATE
     ):
@@ -64,10 +65,6 @@ def hopf_point(equations: OrbitEquations, orbit: Orbit, reference: Reference) ->
         identity=Identity((state / size)[None, :], 0.0),
         special=int(Special.HOPF),
     )
-
-
-def _beside(place: float) -> float:
-    return place + 1e-6 if place < 0.5 else place - 1e-6
 
 
 def _nearest(values: NDArray[np.complex128], rate: float) -> complex:

@@ -27,7 +27,7 @@ from gapsweep.integrate.problem import Model, Solver
 from gapsweep.integrate.simulate import AnyLaw
 from gapsweep.model.oscillator import called_as
 from gapsweep.model.parameters import Parameter
-from gapsweep.response.orbit_gradients import Cases, Orbits, orbit_gradients
+from gapsweep.response.orbit_gradients import Cases, Orbits
 
 Array = NDArray[np.float64]
 
@@ -61,7 +61,7 @@ def special_gradient(
     parameters : str or sequence of str
         As in `gapsweep.gradient`.
     oscillator, law
-        Those of the branches; required for branches from a file.
+        Model and law of the branches; required for branches from a file.
 
     Returns
     -------
@@ -165,7 +165,8 @@ class _Orbit:
         """Place of a graze relative to that of the special point, and its derivatives."""
         a, state = 0.0, self._start[:-1]
         for _ in range(_STEPS):
-            found = orbit_gradients(self._cases(a), state[None, :], self._multiple, self._solver)
+            orbits = Orbits(self._cases(a), state[None, :], self._multiple, self._solver)
+            found = orbits.gradients()
             here = [name.startswith("graze") for name in found.names].index(True)
             (distance,), (slope,) = found.value[:, here], found.gradient[:, here]
             size = float(np.abs(state).max())

@@ -53,7 +53,7 @@ class Fit:
         Fitted parameters and their standard errors, in the unit of each; the error is infinite
         where the sweeps do not determine a parameter.
     covariance, correlation : ndarray, shape (p, p)
-        Of the parameters in the order of `values`.
+        Covariance and correlation of the parameters, in the order of `values`.
     noise : float
         Standard deviation of the measured values: as given, or estimated from the residuals.
     quantity : str

@@ -79,7 +79,7 @@ class Machine:
         Parameters
         ----------
         values : ndarray, shape (n, number of parameters)
-            Of the parameters `family.names`.
+            Values of the parameters `family.names`.
         omega : ndarray, shape (n,)
             Forcing frequencies [Hz]; 0 if the model is not forced.
         states : ndarray, shape (n, n_states)

@@ -87,7 +87,7 @@ class Plan:
     ----------
     study : Study
     cache : Cache, optional
-        Of the results; None if there is none yet.
+        Cache of the results; None if there is none yet.
     status : ndarray of int8, shape (n_cells,)
         Stored status of the point of each number, `MISSING`, or `ABSENT` without a point.
     is_missing : ndarray of bool, shape (n_cells,)

@@ -39,7 +39,6 @@ from gapsweep.explorer.question import (
     MAX_APPROXIMATIONS,
     Dial,
     Question,
-    Scale,
     asked,
     dials,
     labels,
@@ -275,10 +274,12 @@ class Page:
     def _clicked(self, event: Tap) -> None:
         """Show the motion of the response nearest to the click."""
         low, high = self._question.band
+        peaks = (float(np.nanmax(c.x_max, initial=1e-9)) for c in self._curves.values())
         # The figure is about three times as wide as high.
-        scale = (high - low, 3.0 * self._highest())
+        scale = (high - low, 3.0 * max(peaks, default=1.0))
         shown = [*self._curves.values(), *self._points]
-        found = nearest(shown, event.x, event.y * self._length.factor, scale)
+        length = self._question.machine.length(self._question.shown)
+        found = nearest(shown, event.x, event.y * length.factor, scale)
         if found is not None:
             curve, k = found
             self._have(curve.label)
@@ -292,11 +293,6 @@ class Page:
             start[machine.states.index(name)] = place * machine.state(name).factor
         self._ask(start=tuple(start.tolist()))
 
-    @property
-    def _length(self) -> Scale:
-        """Scale of the displacement that is shown."""
-        return self._question.machine.length(self._question.shown)
-
     def _setting_clicked(self, event: Tap) -> None:
         """Show the motion from rest at the clicked point of the map."""
         over = self._dials[self._question.over]  # parameter of the map's second axis
@@ -304,11 +300,6 @@ class Page:
         value = min(max(event.y, over.scaled(over.low)), over.scaled(over.high))
         self._set({"omega": min(max(event.x, low), high), over.name: over.at(value)})
         self._ask(start=())
-
-    def _highest(self) -> float:
-        return max(
-            (float(np.nanmax(c.x_max, initial=1e-9)) for c in self._curves.values()), default=1.0
-        )
 
     def _have(self, label: str) -> None:
         """Add the law of a stored point to the approximations; the last one goes if there are 3."""

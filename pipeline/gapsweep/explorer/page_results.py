@@ -150,7 +150,8 @@ def answers(question: Question) -> Iterator[Curve | Motion | Plane]:
         If a law cannot be built, as a fit outside its range.
     """
     walls = np.abs([each for each in question.clearance if math.isfinite(each)])
-    highest = max(*walls.tolist(), _LEAST) if walls.any() else _least(question)
+    least = _LEAST if question.machine.is_oscillator else 1e-3 * question.model.deflection
+    highest = max(*walls.tolist(), _LEAST) if walls.any() else least
     for label in (EXACT, *question.approximations):
         curve = from_rest(question, label)
         yield curve
@@ -164,11 +165,6 @@ def answers(question: Question) -> Iterator[Curve | Motion | Plane]:
         yield from basins(question, label, _BEYOND * highest)
     for label in shown:
         yield from response_map(question, label)
-
-
-def _least(question: Question) -> float:
-    """Smallest range of initial displacements of a displacement without walls."""
-    return _LEAST if question.machine.is_oscillator else 1e-3 * question.model.deflection
 
 
 def frequencies(question: Question) -> Array:

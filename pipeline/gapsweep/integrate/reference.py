@@ -371,7 +371,7 @@ def _solve(
     Parameters
     ----------
     passed : Watched, optional
-        What the motion has passed just before.
+        The wall or zero force that the motion has passed just before.
     """
     exits = _exits(scene, modes)
     solution = solve_ivp(

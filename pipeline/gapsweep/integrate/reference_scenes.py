@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from gapsweep.model.contact import ContactLaw, Piecewise
 from gapsweep.model.contact_modes import MODES, SLACK
 from gapsweep.model.oscillator import Oscillator
-from gapsweep.model.system import Harmonic, first_order
-from gapsweep.model.waves import ForceByPieces, Wave
+from gapsweep.model.system import first_order
+from gapsweep.model.waves import Wave
 
 Array = NDArray[np.float64]
 State = tuple[float, ...]
@@ -56,12 +56,12 @@ class ReferenceScene:
     @property
     def directions(self) -> Array:
         """Directions of the contacts, shape (n_contacts, n)."""
-        raise NotImplementedError
+        return np.reshape(self.system.directions, (-1, self.n))
 
     @property
     def n_states(self) -> int:
         """Length of (q, v, z)."""
-        raise NotImplementedError
+        return int(self.system.n_states)
 
     def rhs(self, modes: Modes) -> Callable[[float, Array], State]:
         """Return the right-hand side of the equation of motion in some contact modes."""
@@ -74,7 +74,7 @@ class ReferenceScene:
     @property
     def n(self) -> int:
         """Number of coordinates."""
-        return int(self.directions.shape[1])
+        return int(self.system.n)
 
     def gap(self, contact: int, q: Sequence[float] | Array) -> float:
         """Displacement of a contact between its walls [m]."""
@@ -139,7 +139,7 @@ class ReferenceScene:
     @property
     def pull(self) -> Array:
         """Accelerations by unit forces of the contacts [1/kg], shape (n, n_contacts)."""
-        raise NotImplementedError
+        return np.asarray(np.linalg.inv(np.atleast_2d(self.system.mass)) @ self.directions.T)
 
     @property
     def compliance(self) -> Array:
@@ -181,17 +181,20 @@ class ReferenceScene:
         At a wall the velocity decides, then the acceleration.
         """
         contact, wall = hit.contact, hit.at
+
+        def changed(mode: int) -> tuple[int, ...]:
+            return (*modes[:contact], mode, *modes[contact + 1 :])
+
         if hit.force is not None:
-            mode = MODES[abs(modes[contact])].after_zero * hit.side
-            return tuple(mode if k == contact else other for k, other in enumerate(modes))
-        free = tuple(0 if k == contact else mode for k, mode in enumerate(modes))
+            return changed(MODES[abs(modes[contact])].after_zero * hit.side)
+        free = changed(0)
         rates = np.asarray(self.rhs(free)(t, np.array(y)))
         v, a = (self.gap(contact, rates[i * self.n :]) for i in (0, 1))
         # A contact shorter than a picosecond cannot be distinguished from a touch.
         heading = v if abs(v) > _TOUCH * abs(a) else a
         for mode in (1, -1):
             if wall == self.wall(contact, mode) and mode * heading > 0.0:
-                return tuple(mode if k == contact else other for k, other in enumerate(modes))
+                return changed(mode)
         return free
 
 
@@ -238,10 +241,6 @@ class Watched:
     force: Pressure | None = None
 
 
-def _waves(system: Any) -> list[ForceByPieces]:
-    return [load for load in system.forcing if isinstance(load, ForceByPieces)]
-
-
 def scene_of(system: Any) -> type[ReferenceScene]:
     """Return the class of right-hand side for a model."""
     return OscillatorScene if isinstance(system, Oscillator) else SystemScene
@@ -251,18 +250,6 @@ class OscillatorScene(ReferenceScene):
     """Right-hand side of an oscillator in plain floats, ten times as fast as with arrays."""
 
     __slots__ = ()
-
-    @property
-    def directions(self) -> Array:
-        return np.ones((1, 1))
-
-    @property
-    def pull(self) -> Array:
-        return np.full((1, 1), 1.0 / self.system.mass)
-
-    @property
-    def n_states(self) -> int:
-        return 2
 
     def gap(self, contact: int, q: Sequence[float] | Array) -> float:
         return float(q[0])
@@ -301,21 +288,9 @@ class SystemScene(ReferenceScene):
 
     __slots__ = ()
 
-    @property
-    def directions(self) -> Array:
-        return np.asarray(self.system.directions)
-
-    @property
-    def pull(self) -> Array:
-        return np.asarray(np.linalg.inv(self.system.mass) @ self.directions.T)
-
-    @property
-    def n_states(self) -> int:
-        return int(self.system.n_states)
-
     def knots(self, t_end: float) -> list[float]:
         found = {t_end}
-        for load in _waves(self.system):
+        for load in self.system.waves:
             ends = np.array(load.wave.ends)
             if load.k:
                 turns = np.arange(-1, math.ceil(t_end * self.omega) + 2)
@@ -350,7 +325,7 @@ class SystemScene(ReferenceScene):
         linear, directions = first_order(system), self.directions
         inverse = np.linalg.inv(system.mass)
         cubics = [(c.along, inverse @ c.along * c.alpha) for c in system.cubic]
-        pull = inverse @ directions.T
+        pull = self.pull
         contacts = range(len(self.laws))
         lossy = [bool(law.losses) for law in self.laws]
         dampers = [self.damping(k, modes) for k in contacts]
@@ -359,11 +334,9 @@ class SystemScene(ReferenceScene):
         terms = [system.modulation.get(name, ()) for name in system.contacts]
         omega_rad = 2.0 * math.pi * self.omega
         loads = [
-            (h.growth(omega_rad) * (inverse @ h.amplitude), h.k, h.phase)
-            for h in system.forcing
-            if isinstance(h, Harmonic)
+            (h.growth(omega_rad) * (inverse @ h.amplitude), h.k, h.phase) for h in system.harmonics
         ]
-        waves = [(inverse @ w.amplitude, self._value(w.wave)) for w in _waves(system)]
+        waves = [(inverse @ w.amplitude, self._value(w.wave)) for w in system.waves]
 
         def rates(theta: float) -> list[float]:
             return [

@@ -24,7 +24,7 @@ class OwnLaw:
     Attributes
     ----------
     module, name : str
-        Of a function or table; or a file of measured forces and the unit of its displacements.
+        Module and name of a function or table; or file and unit of measured forces.
     source : Snapshot or ForceTable
         The code that defines the function, or the table itself.
     parameters : tuple of (str, float)

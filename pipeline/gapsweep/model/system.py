@@ -434,6 +434,16 @@ class System:
         return self.n, self.n_lags, len(self.contacts), len(self.cubic), harmonics, terms
 
     @property
+    def harmonics(self) -> list[Harmonic]:
+        """Harmonic and constant loads, in the order of `forcing`."""
+        return [load for load in self.forcing if isinstance(load, Harmonic)]
+
+    @property
+    def waves(self) -> list[ForceByPieces]:
+        """Loads by pieces, in the order of `forcing`."""
+        return [load for load in self.forcing if isinstance(load, ForceByPieces)]
+
+    @property
     def directions(self) -> Array:
         """Directions of the contacts, shape (n_contacts, n)."""
         return np.array([*self.contacts.values()]).reshape(-1, self.n)

@@ -15,12 +15,12 @@ from gapsweep.report.dynamics import CURVES, dots
 from gapsweep.report.labelled import axes_of, axis_of, scene_along, titled
 from gapsweep.report.scales import axis_label
 from gapsweep.report.selection import missing_variable, too_many
+from gapsweep.response.absolute import N_PERIODS
 from gapsweep.study.grid import CONTACT, START
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-_N_IMPACTS = 64  # forcing periods of a response that is not periodic
 _TOUCHED = "walls_touched"
 _KINDS = "no_wall lower_wall upper_wall both_walls always_on_lower_wall always_on_upper_wall"
 
@@ -28,7 +28,7 @@ _KINDS = "no_wall lower_wall upper_wall both_walls always_on_lower_wall always_o
 def impacts(
     dataset: xr.Dataset,
     /,
-    n_periods: int = _N_IMPACTS,
+    n_periods: int = N_PERIODS,
     *,
     along: str | None = None,
     ax: "Axes | None" = None,

@@ -94,7 +94,7 @@ def key_of_marks(shown: xr.Dataset, variable: str = "", other: str = "") -> Iter
     Parameters
     ----------
     variable : str
-        What is drawn; if empty, all responses are drawn alike.
+        Variable that is drawn; if empty, all responses are drawn alike.
     other : str
         Colour of responses that are not periodic; empty: grey.
     """

@@ -25,7 +25,7 @@ class Inputs:
     static : Dataset, optional
         Force errors, and the parameter of tanh from which on it has no false well.
     work_precision, stability : Dataset, optional
-        Of the benchmark.
+        Results of the benchmark.
     branches, curves : Dataset, optional
         Branches of periodic orbits, and curves of their special points.
     risk : Dataset, optional

@@ -66,7 +66,7 @@ def for_page(parts: Iterable[Mapping[str, Any]], most: int, folder: str) -> list
     most : int
         Figures of groups on one page; with more, every part of a group has its own page.
     folder : str
-        Of the pages of parts.
+        Folder of the pages of parts.
 
     Returns
     -------

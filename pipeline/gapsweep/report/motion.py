@@ -117,6 +117,7 @@ def plot(
     t = np.maximum(run.t_end - period * back, run.t_0)
     x, v = (scale * each.reshape(t.size, -1) @ along for each in run.sample(t)[:2])
     at_end = t >= run.t_end - _N_PERIODS * period
+    is_forced = run.inputs["omega"] is not None
     labels = f"{name}{unit}", f"velocity{unit.replace(']', '/s]')}"
     with rc_context(MATPLOTLIB):
         figure = Picture(figsize=(9.0, 6.0))
@@ -128,7 +129,7 @@ def plot(
         phase.set(xlabel=labels[0], ylabel=labels[1], title="Phase portrait")
         points = dict(zip("xy", _section(run, float(t[0]), scale * along), strict=True))
         marks.put(section, [marks.points(colour=NOT_PERIODIC, size=2.0, **points)])
-        section.set(xlabel=labels[0], ylabel=labels[1], title=_SECTIONS[_is_forced(run)])
+        section.set(xlabel=labels[0], ylabel=labels[1], title=_SECTIONS[is_forced])
         for axes in (phase, section):
             axes.locator_params(nbins=5)
         section.set(xlim=phase.get_xlim(), ylim=phase.get_ylim())  # same axes as the phase portrait
@@ -213,10 +214,6 @@ def _both(factor: float, law: ContactLaw) -> list[float]:
     """Positions of both walls of a contact on `factor` times the coordinate."""
     places = (-law.gap.j_1, law.K_c * law.K_ratio), (law.gap.j_2, law.K_c)
     return [place / factor for place, stiffness in places if stiffness]  # no wall without stiffness
-
-
-def _is_forced(run: Trajectory) -> bool:
-    return run.inputs["omega"] is not None
 
 
 def _section(run: Trajectory, start: float, along: Array) -> tuple[Array, Array]:

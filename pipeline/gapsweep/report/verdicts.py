@@ -127,11 +127,11 @@ class Judged:
 class Contact:
     """A case: stiffness [N/m] and gap [mm], and the verdict on every law.
 
-    Those of a contact that is no length are in its unit (`in_metres` is False); they are NaN and
-    empty if each contact of a system has its own. `floors` are the errors of the exact law with
-    other settings, `floor_cost_ratio` its cost ratio, `n_chaotic` its chaotic sweep points, `swept`
-    the values of other swept parameters, `at` the position in the files, and `unjudged` the reason
-    if no law can be judged.
+    Numbers of a contact that is no length are in its unit (`in_metres` is False); stiffness and gap
+    are NaN and empty if each contact of a system has its own. `floors` are the errors of the exact
+    law with other settings, `floor_cost_ratio` its cost ratio, `n_chaotic` its chaotic sweep
+    points, `swept` the values of other swept parameters, `at` the position in the files, and
+    `unjudged` the reason if no law can be judged.
     """
 
     K_c: float

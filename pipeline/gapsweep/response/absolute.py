@@ -27,7 +27,7 @@ def absolute_range(response: Response) -> tuple[Any, Any]:
     Parameters
     ----------
     response : Response
-        Of `gapsweep.respond`, one or an array of them.
+        Result of `gapsweep.respond`, one or an array of them.
 
     Returns
     -------

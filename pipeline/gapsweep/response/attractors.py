@@ -179,20 +179,6 @@ class Grouping:
         )
 
 
-def attractors_of_scenes(
-    responses: Responses,
-    scene: ArrayLike,
-    *,
-    unit: Array,
-    symmetric: ArrayLike,
-    counted: ArrayLike | None = None,
-) -> Attractors:
-    """Group the responses of many cases into attractors, all at once; see `Grouping`."""
-    grouping = Grouping(unit)
-    grouping.add(responses, scene, counted)
-    return grouping.attractors(symmetric)
-
-
 # --- which are the same ---------------------------------------------------------------------------
 
 

@@ -47,8 +47,7 @@ def largest_forces(laws: Sequence[ContactLaw], x_min: Array, x_max: Array) -> Ar
         law, low, high = laws[here[0]], x_min[here], x_max[here]
         turns = _searched_turns(law, 2.0**power) if law.turns is None else law.turns
         x = np.array([low, high, *(np.clip(turn, low, high) for turn in turns)])
-        largest = np.fmax.reduce(np.abs(_force(law, x)))
-        found[here] = largest
+        found[here] = np.fmax.reduce(np.abs(_values(law, law.force, x)))
     return found
 
 
@@ -57,10 +56,6 @@ def _searched_turns(law: ContactLaw, reach: float) -> tuple[float, ...]:
     """Displacements [m] of all extrema of a law's force within ``±reach``, found by search."""
     turns, _ = sign_changes(lambda x: _values(law, law.derivative, x), search_points(law, reach))
     return tuple(turns.tolist())
-
-
-def _force(law: ContactLaw, x: Array) -> Array:
-    return np.asarray(_values(law, law.force, x))
 
 
 def _values(law: ContactLaw, function: Any, x: Any) -> Any:

@@ -162,14 +162,8 @@ class OrbitGradients:
     is_ok: NDArray[np.bool_]
 
 
-def orbit_gradients(
-    cases: Cases,
-    states: Array,
-    multiples: NDArray[np.int64],
-    solver: Solver,
-    period: Array | None = None,
-) -> OrbitGradients:
-    """Return quantities of periodic orbits near states, and their derivatives.
+class Orbits:
+    """Newton's method for orbits, and the motions from which their quantities follow.
 
     Parameters
     ----------
@@ -183,11 +177,6 @@ def orbit_gradients(
     period : ndarray, shape (n,), optional
         Periods [s] of unforced orbits, near which they are.
     """
-    return Orbits(cases, states, multiples, solver, period).gradients()
-
-
-class Orbits:
-    """Newton's method for orbits, and the motions from which their quantities follow."""
 
     def __init__(
         self,
@@ -227,7 +216,7 @@ class Orbits:
         Returns
         -------
         change : ndarray, shape (n, n_states, k)
-            Of the initial state.
+            Changes of the initial state.
         longer : ndarray, shape (n, k)
             Change of the period [s]; that of the forcing is fixed.
         """

@@ -31,7 +31,6 @@ from gapsweep.model.structure import general_form
 from gapsweep.model.system import System, first_order
 from gapsweep.model.table import ForceTable
 from gapsweep.model.user_law import UserLaw
-from gapsweep.model.waves import ForceByPieces
 from gapsweep.study.points import OF_CONTACT, Points
 
 Array = NDArray[np.float64]
@@ -326,19 +325,17 @@ class _Linear:
         system, n = self.system, self.system.n
         left, steady = starts.astype(complex), np.zeros((len(starts), len(self.seen)))
         swings = [steady]
-        waves = [load for load in system.forcing if isinstance(load, ForceByPieces)]
-        cosines = [load for load in system.forcing if not isinstance(load, ForceByPieces)]
-        for load in waves:  # from rest, whatever its course
+        for load in system.waves:  # from rest, whatever its course
             driven = self.modes[:, n : 2 * n] @ np.linalg.solve(system.mass, load.amplitude)
             steady = steady + _gains(self.rates, self.seen * driven)
-        for k in sorted({load.k for load in cosines}):
+        for k in sorted({load.k for load in system.harmonics}):
             turns = 2.0j * math.pi * k * omega
             load = sum(
                 np.multiply.outer(
                     each.growth(abs(turns) / k if k else 0.0 * omega) * np.exp(1j * each.phase),
                     each.amplitude,
                 )
-                for each in cosines
+                for each in system.harmonics
                 if each.k == k
             )
             if not k:
@@ -355,7 +352,7 @@ class _Linear:
         transient = np.fmin(parts, np.sqrt(np.multiply.outer(work, self.energy)))
         # The mean of |cos| is 2/π, so that a harmonic has at most 4/π of the amplitude of a sum.
         share = 1.0 if len(swings) <= 2 else 0.25 * math.pi
-        swing = np.max(swings, axis=0) * (0.0 if waves else share)
+        swing = np.max(swings, axis=0) * (0.0 if system.waves else share)
         return steady, swing, transient
 
     def moved(self, g_0: Array) -> Array:

@@ -197,7 +197,8 @@ class ParametricModel:
         names = [name for name in axes if name in self.spec.model]
         others = tuple(i for i, name in enumerate(axes) if name not in names)
         places = np.argwhere(requested.any(axis=others)) if names else np.empty((0, 0), np.intp)
-        return _named(names, axes, places)
+        rows = (zip(names, place, strict=True) for place in places.tolist())
+        return [{name: axes[name][i] for name, i in row} for row in rows]
 
     def at(self, some: Mapping[str, float]) -> Model:
         """Return the model with these values of some parameters, and defaults of the others.
@@ -377,10 +378,3 @@ def _form(model: Model) -> tuple[Any, ...]:
 
 def _are_alike(a: Model, b: Model) -> bool:
     return _form(a) == _form(b) and np.array_equal(structure_of(a).row(a), structure_of(b).row(b))
-
-
-def _named(names: list[str], axes: Axes, places: NDArray[np.intp]) -> list[dict[str, float]]:
-    """Return the values of parameters, by name, for each row of positions on their axes."""
-    return [
-        {name: axes[name][i] for name, i in zip(names, one, strict=True)} for one in places.tolist()
-    ]

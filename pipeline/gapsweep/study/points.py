@@ -141,7 +141,7 @@ def identity_of(kind: Kind) -> str:
             name: versions()[name] for name in deciding(kind.contacts, kind.solver.engine)
         },
     }
-    return _json(whole)
+    return json.dumps(whole, sort_keys=True, separators=(",", ":"), allow_nan=False)
 
 
 @dataclass(frozen=True, slots=True)
@@ -260,7 +260,3 @@ def _key(begun: Callable[[], Any], row: bytes, previous: bytes) -> bytes:
     digest = begun()
     digest.update(row + previous)
     return bytes(digest.digest())
-
-
-def _json(value: Any) -> str:
-    return json.dumps(value, sort_keys=True, separators=(",", ":"), allow_nan=False)

@@ -40,7 +40,6 @@ from gapsweep.study.samples import SAMPLE, Samples
 from gapsweep.study.spec import (
     HistoryTable,
     ModuleTable,
-    SolverTable,
     StudySpec,
     check,
     read,
@@ -367,7 +366,8 @@ class Study:
 
     def _protocol(self, name: str) -> tuple[Solver, float]:
         tables = [self.spec.solver] + ([self.spec.protocol[name]] if name else [])
-        given = {k: v for table in tables for k, v in _given(table).items()}
+        explicit = [table.model_dump(exclude_unset=True) for table in tables]
+        given = {k: v for one in explicit for k, v in one.items() if v is not None}
         jitter = given.pop("start_jitter", 0.0)
         try:
             return Solver.of(**given), jitter
@@ -649,7 +649,3 @@ def _snapshot(path: Path | None) -> Snapshot | None:
         return None if path is None else Snapshot.of_file(path)
     except ModelError as error:
         raise StudyError(str(error)) from None
-
-
-def _given(table: SolverTable) -> dict[str, Any]:
-    return {k: v for k, v in table.model_dump(exclude_unset=True).items() if v is not None}

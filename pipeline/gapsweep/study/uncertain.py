@@ -327,9 +327,9 @@ class UncertainTable(TomlTable):
         known : dict
             Values of the numbers that may be uncertain, by name; None without a value.
         axes : dict
-            Of the study.
+            Axes of the study.
         structure, parts
-            Of its models: dimensions within a point, with the names along them.
+            Structure of its models, and dimensions within a point, with the names along them.
         """
         for name, table in self.tables.items():
             of = self.parameter.get(name, table)
@@ -371,7 +371,7 @@ def outside(
     Parameters
     ----------
     kind : str
-        Of the distribution, for the message.
+        Kind of the distribution, for the message.
     nominal : str, optional
         How it acts on the nominal value, as of `Samples`.
     value : float

@@ -51,7 +51,7 @@ def never_reached(
         return ""
     within = tuple(i for i, dim in enumerate(dims) if dim in _IN_CASE)
     reach = np.maximum(x_max[rows], -x_min[rows])
-    # Over contacts.
+    # Largest values over contacts.
     reach, share = (
         each.reshape(*each.shape[: len(dims)], -1).max(axis=-1) for each in (reach, share[rows])
     )

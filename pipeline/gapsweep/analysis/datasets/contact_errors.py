@@ -172,7 +172,7 @@ def expected_range(
     A free motion of the undamped oscillator between turning points a < b has the speed
     ``v(x) = sqrt(2 (U(b) - U(x)) / m)``. Damping dissipates ``2 c ∫ v dx`` in a period; a harmonic
     force in phase with the velocity brings ``π p (b - a) / 2``. Both are equal at the resonance.
-    Of a fit, the range is cut at that of its data; it is ±`fit_range` if nothing is forced or
+    The range of a fit is cut at that of its data. It is ±`fit_range` if nothing is forced or
     damped, or a spring softens.
     """
     exact, end = law.exact, getattr(law, "fit_range", math.inf)

@@ -16,7 +16,7 @@ _POWERS = {
     **dict.fromkeys(("stiffness", "lag_force", "pull", "cubic", "push"), 2.0),
     **dict.fromkeys(("damping", "of_place", "of_lag"), 1.0),
 }
-# Those of contacts, of a plain oscillator per unit mass, and of others times a row of `pull`.
+# Powers for contacts: of a plain oscillator per unit mass, of others times a row of `pull`.
 _OF_PLAIN = {"lower_stiffness": 2.0, "upper_stiffness": 2.0, "contact_damping": 1.0}
 _OF_OTHERS = {"contact_damping": -1.0}
 # Blocks that have no derivative in a column: a parameter that changes them is refused.

@@ -49,33 +49,33 @@ def arguments(formula: Callable[..., Any]) -> list[str]:
     return [*signature(formula).parameters][1:]
 
 
-def with_callees(function: Any, known: dict[Any, Any], compiled: Callable[..., Any]) -> Any:
+def with_callees(function: Any, done: dict[Any, Any], compiled: Callable[..., Any]) -> Any:
     """Compile a function, and the plain Python functions that it calls by name.
 
     Parameters
     ----------
     function : callable
-        Returned as it is if it is neither known nor a plain function.
-    known : dict
+        Returned as it is if it is neither in `done` nor a plain function.
+    done : dict
         Compiled functions by function, which take their place; new ones are added.
     compiled : callable
         Compiles one function, as ``numba.njit``.
     """
     if isinstance(function, BuiltinFunctionType):
-        return known.get(function, function)
+        return done.get(function, function)
     if not isinstance(function, FunctionType):
         return function
-    if function not in known:
+    if function not in done:
         names, code = {**vars(builtins), **function.__globals__}, function.__code__
         cells = [CellType(cell.cell_contents) for cell in function.__closure__ or ()]
         defaults = function.__defaults__
         copy = FunctionType(code, names, function.__name__, defaults, tuple(cells))
-        known[function] = compiled(copy)  # before its callees: it may call itself
+        done[function] = compiled(copy)  # before its callees: it may call itself
         for name in names.keys() & {*code.co_names}:
-            names[name] = with_callees(names[name], known, compiled)
+            names[name] = with_callees(names[name], done, compiled)
         for cell in cells:
-            cell.cell_contents = with_callees(cell.cell_contents, known, compiled)
-    return known[function]
+            cell.cell_contents = with_callees(cell.cell_contents, done, compiled)
+    return done[function]
 
 
 def with_law_rows(exact: SceneTable, at: RowLayout, laws: Sequence[Array]) -> SceneTable:

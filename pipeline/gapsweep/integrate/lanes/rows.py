@@ -36,7 +36,7 @@ class LaneRows:
     def of_item(self, block, index, n_rows):
         """Return the rows of a block of `n_rows` for every load, spring or modulation from item
         `index` on."""
-        first = self._count(block)
+        first = self.count(block)
         return self.below(first, 1).below(index, n_rows)
 
     def item(self, block, index, n_rows=1):
@@ -44,7 +44,8 @@ class LaneRows:
         found = self.of_item(block, index, n_rows)
         return [found[i] for i in range(n_rows)]
 
-    def _count(self, name):
+    def count(self, name):
+        """Return a number of the layout, of which some are known at run time only."""
         return self.counts.get(name) or ir.Constant(I64, getattr(self.layout, name))
 
     def each(self, name, values, body):

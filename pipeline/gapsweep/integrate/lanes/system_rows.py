@@ -6,8 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from gapsweep.model.system import Harmonic, System, fraction
-from gapsweep.model.waves import N_TERMS, ForceByPieces
+from gapsweep.model.system import System, fraction
+from gapsweep.model.waves import N_TERMS
 
 from .row_layout import RowLayout
 from .scene_table import (
@@ -53,9 +53,9 @@ def layout_of(system: System) -> RowLayout:
         m=system.n_lags,
         contacts=len(system.contacts),
         cubics=len(system.cubic),
-        harmonics=sum(isinstance(load, Harmonic) for load in system.forcing),
+        harmonics=len(system.harmonics),
         modulations=terms,
-        pieces=N_TERMS if _waves(system) else 0,
+        pieces=N_TERMS if system.waves else 0,
         is_plain=False,
         is_free=not system.is_forced,
     )
@@ -95,7 +95,7 @@ def system_scenes(
         _fill(at, points, here, linear, stiffest, omega[here])
         if at.pieces:
             pieces.append(pieces_of(system, linear.inverse))
-            rows = n_pieces, n_pieces + len(pieces[-1]), any(not load.k for load in _waves(system))
+            rows = n_pieces, n_pieces + len(pieces[-1]), any(not load.k for load in system.waves)
             points[here[:, None], [at.first_piece, at.no_piece, at.is_record]] = rows
             n_pieces = rows[1]
     blocks = at.lower, at.upper, at.lower_stiffness, at.upper_stiffness
@@ -107,16 +107,12 @@ def system_scenes(
     return SceneTable(at, points, rtol)
 
 
-def _waves(system: System) -> list[ForceByPieces]:
-    return [load for load in system.forcing if isinstance(load, ForceByPieces)]
-
-
 def pieces_of(system: System, inverse: Array) -> Array:
     """Return the loads by pieces of a system, per unit mass, as rows of `SceneTable.pieces`.
 
     Loads with different knots are joined: the pieces end at the knots of all.
     """
-    loads = _waves(system)
+    loads = system.waves
     ends = np.unique(np.concatenate([load.wave.table[0] for load in loads]))
     found = np.zeros((len(ends), 1 + system.n * N_TERMS))
     found[:, 0] = ends
@@ -231,16 +227,15 @@ def _fill(
 def _put_loads(at: RowLayout, table: Array, put: Put, linear: _Linear) -> None:
     """Write forcing, periodic stiffness, and the speed that the forcing maintains."""
     system = linear.system
-    omega_rad, speed, push = table[at.omega_rad], np.zeros(table.shape[1]), []
+    omega_rad, speed = table[at.omega_rad], np.zeros(table.shape[1])
     for load in system.forcing:
         growth = load.growth(omega_rad)
-        if isinstance(load, Harmonic):
-            push.append(np.outer(linear.inverse @ load.amplitude, growth))
         force = float(np.linalg.norm(linear.unroot.T @ load.amplitude))
         speed += force * growth / (load.k * omega_rad + linear.slowest)
-    put("push", np.array(push))
     table[at.floor] = speed
-    harmonics = [load for load in system.forcing if isinstance(load, Harmonic)]
+    harmonics = system.harmonics
+    pushes = [np.outer(linear.inverse @ x.amplitude, x.growth(omega_rad)) for x in harmonics]
+    put("push", np.array(pushes))
     put("multiple", np.array([float(load.k) for load in harmonics]))
     put("phase", np.array([fraction(load.phase) for load in harmonics]))
     names = list(system.contacts)

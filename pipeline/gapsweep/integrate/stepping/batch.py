@@ -171,7 +171,7 @@ class Batch:
 
     @property
     def contact_loss(self) -> Array:
-        """As in `Motions`, shape (n,)."""
+        """Contact loss as in `Motions`, shape (n,)."""
         if not self.at.is_damped:
             return np.zeros(len(self.status))
         return self.points[:, self.at.contact_loss].copy()

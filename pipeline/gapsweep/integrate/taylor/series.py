@@ -450,7 +450,7 @@ class StepSeries:
     square : list of Vec
         Series of the square of a plain oscillator's coordinate, up to two degrees less.
     laws : list of ContactForce
-        Of contacts that are not located.
+        Forces of contacts that are not located.
     """
 
     laws = ()

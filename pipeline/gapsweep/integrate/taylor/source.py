@@ -18,19 +18,14 @@ from .series import Spring
 from .terms import product_term
 
 
-def _count(lanes, name):
-    """Return a number of the layout as a value of the code."""
-    return lanes.counts.get(name) or ir.Constant(I64, getattr(lanes.layout, name))
-
-
 def column_rows(lanes, coefficients, number):
     """Return lanes and coefficients as of a solution, for a run-time number of a column.
 
     The state of the column is in the rows of `tangent_state`.
     """
     layout, builder = lanes.layout, lanes.builder
-    before = builder.mul(number, _count(lanes, "column_size"))
-    first = builder.add(_count(lanes, "column"), before)
+    before = builder.mul(number, lanes.count("column_size"))
+    first = builder.add(lanes.count("column"), before)
     first = builder.sub(first, ir.Constant(I64, layout.tangent_state))
     solution = builder.add(number, ir.Constant(I64, layout.n_states))
     size = (layout.n + layout.m) * layout.n_terms
@@ -43,7 +38,7 @@ class Source:
     Parameters
     ----------
     lanes, coefficients : LaneRows
-        Of the motion.
+        Rows and series of the motion.
     one : Equation
     modes : Modes
         At the beginning of the step.
@@ -94,7 +89,7 @@ class Source:
 
     def _amplitudes(self, index):
         """Derivatives of the amplitudes of a load."""
-        rows = self._column.below(_count(self._lanes, "push_source"), 1)
+        rows = self._column.below(self._lanes.count("push_source"), 1)
         rows = rows.below(index, self._lanes.layout.n)
         return [rows[i] for i in range(self._lanes.layout.n)]
 

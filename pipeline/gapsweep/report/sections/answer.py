@@ -114,7 +114,7 @@ def _numbers(contact: Contact) -> tuple[str, list[list[str]]]:
 def _compared(inputs: Inputs) -> Iterator[Figured]:
     """Laws and the exact law in the case with the most verdicts; others can be chosen.
 
-    Of several, the one with most chaos, lost attractors and error.
+    Among equals it is the case with most chaos, lost attractors and error.
     """
     responses, found = inputs.responses, inputs.cases
     if not found or responses.sizes.get("omega", 1) < 2:

@@ -153,7 +153,8 @@ def _axes(responses: xr.Dataset) -> tuple[list[str], list[str]]:
 def _figures(inputs: Inputs, asked: xr.DataArray, label: str, axes: list[str]) -> Iterator[Figured]:
     """Figures of a representation, with other parameters at the values with the most points.
 
-    Of several, those at which most responses of the exact law are not periodic or coexist.
+    Among equals they are those at which most responses of the exact law are not periodic or
+    coexist.
     """
     responses, attractors = inputs.responses, inputs.attractors
     at = _most(asked, label, [_START] if axes[0] in STATE else axes, _interesting(inputs))
@@ -210,7 +211,7 @@ def _maps(
 def _interesting(inputs: Inputs) -> xr.DataArray:
     """Mask of the points at which the exact law is not periodic, or has several attractors.
 
-    Of the first law where the exact law was not computed.
+    If the exact law was not computed, the first law replaces it.
     """
     labels = inputs.responses[REPRESENTATION].values.tolist()
     law = {REPRESENTATION: labels.index(EXACT) if EXACT in labels else 0}
@@ -226,7 +227,7 @@ def _most(
 ) -> dict[str, int]:
     """Position of a representation with the most points along the dimensions `over`.
 
-    Of several, the one with most `interesting` points.
+    Among equals it is the one with most `interesting` points.
     """
     r = asked[REPRESENTATION].values.tolist().index(label)
     of_law = asked.isel({REPRESENTATION: r})
