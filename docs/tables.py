@@ -11,7 +11,7 @@ from gapsweep.analysis.datasets import histories, risk, static
 from gapsweep.analysis.datasets.timing import COSTS
 from gapsweep.cli.main import commands
 from gapsweep.continuation import dataset as continued
-from gapsweep.model.laws import LAWS
+from gapsweep.model.labels import FAMILIES
 from gapsweep.response.result import CLASS_FLAGS, KIND_FLAGS
 from gapsweep.response.search import TRANSITIONS
 from gapsweep.status import Status
@@ -68,7 +68,7 @@ def _row(name: str, over: Iterable[str], variable: Variable) -> tuple[str, ...]:
 
 
 def _laws() -> Iterator[tuple[str, ...]]:
-    for law in LAWS:
+    for law in FAMILIES.values():
         yield ", ".join(f"`{label}`" for label in law.examples), f"`{law.__name__}`", law.words
 
 

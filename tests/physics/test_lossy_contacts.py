@@ -54,6 +54,25 @@ def test_one_impact_has_the_restitution_of_the_closed_form(pulls, engine):
     assert run.monodromy[1, 1] == pytest.approx(-restitution, rel=1e-9)
 
 
+@BOTH
+@pytest.mark.parametrize(
+    ("scaled", "restitution"),
+    [(0.1, 0.937475579949905), (1.0, 0.593624260040040), (5.0, 0.196980245280519)],
+)
+def test_an_impact_of_hunt_crossley_has_its_restitution(scaled, restitution, engine):
+    """U - ln(1 + U) = -e U - ln(1 - e U) for U = chi u_0, whatever the stiffness and the mass."""
+    expected = scaled - math.log1p(scaled)
+    assert -restitution * scaled - math.log1p(-restitution * scaled) == pytest.approx(expected)
+    for K_c, mass, chi in ((1e4, 0.01, 1.0), (3.0, 2.0, 7.0)):
+        law = gs.HuntCrossley(K_c, gs.Gap(100.0, 0.0), chi=chi)
+        free, lasts = oscillator(0.0, mass, 0.0, 0.0), 10.0 * math.sqrt(mass / K_c)
+        run = gs.simulate(
+            free, law, 1.0, 0.0, scaled / chi, t_end=lasts, tangent=True, engine=engine, **TIGHT
+        )
+        assert -run.v_end * chi / scaled == pytest.approx(restitution, rel=1e-9)
+        assert run.n_contacts == 1
+
+
 ORBITS = {  # x_max, determinant and first multiplier
     True: (0.1808062719684468, 0.4207092935349863, -0.117338857855 + 0.637919184515j),
     False: (0.1806356044368126, 0.4513219785538716, -0.126202851011 + 0.659844541502j),
@@ -91,7 +110,7 @@ def test_force_and_time_of_a_damped_contact_are_those_while_it_acts(pulls):
     assert ended.worked == pytest.approx(ended.lost, rel=1e-9)
 
 
-def drawn(seed, never_pulls):
+def drawn(seed, kind):
     """A random system of one or two coordinates and one to three contacts, in both forms."""
     rng = np.random.default_rng(seed)
     n = int(rng.integers(1, 3))
@@ -108,11 +127,16 @@ def drawn(seed, never_pulls):
             rng.choice([0.0, 1.5]),
         )
         j_1, j_2 = rng.uniform(0.02, 0.4, 2)
-        pulls = not never_pulls or (j == 1)  # the second contact differs
-        walls.append(Wall(b, j_2, K_c, c, pulls=pulls))
+        if kind == "hunt-crossley" and j != 1:  # the second contact differs
+            named = {"c": 0.0, "chi": c}
+            law = gs.HuntCrossley(K_c, gs.Gap(j_1, j_2), K_ratio=ratio, chi=c)
+        else:
+            named = {"c": c, "pulls": kind != "never pulls" or j == 1}
+            pulls = named["pulls"]
+            law = gs.Piecewise(K_c, gs.Gap(j_1, j_2), K_ratio=ratio, damping=c, pulls=pulls)
+        walls.append(Wall(b, j_2, K_c, **named))
         if ratio:
-            walls.append(Wall([-each for each in b], j_1, ratio * K_c, c, pulls=pulls))
-        law = gs.Piecewise(K_c, gs.Gap(j_1, j_2), K_ratio=ratio, damping=c, pulls=pulls)
+            walls.append(Wall([-each for each in b], j_1, ratio * K_c, **named))
         laws[str(j)], contacts[str(j)] = law, b
     system = gs.System(
         mass=mass, damping=damping, stiffness=stiffness, contacts=contacts,
@@ -123,11 +147,11 @@ def drawn(seed, never_pulls):
 
 
 @pytest.mark.extended  # layouts of systems
-@pytest.mark.parametrize("never_pulls", [False, True])
-def test_drawn_systems_move_as_scipy_says(never_pulls):
+@pytest.mark.parametrize("kind", ["pulls", "never pulls", "hunt-crossley"])
+def test_drawn_systems_move_as_scipy_says(kind):
     """State, tangent, number of contacts, and determinant of the tangent."""
     for seed in range(6):
-        oracle, system, laws, start = drawn(seed, never_pulls)
+        oracle, system, laws, start = drawn(seed, kind)
         t_end, n = 2.0 * TURN / oracle.omega, system.n
         found = oracle.run(start, t_end)
         size = max(1.0, np.abs(found.tangent).max())  # what becomes of an error
@@ -216,6 +240,10 @@ REFUSED = [
     (refused(controller="ode45"), "damping.*ode45"),
     (refused(contact_force="as_written"), "as_written"),
     (refused(contact_force="as_written", engine="scipy"), "as_written"),
+    (lambda: gs.HuntCrossley(1.0, gs.Gap(0.1, 0.1), chi=-1.0), r"chi = -1: must be >= 0"),
+    (lambda: gs.HuntCrossley(1.0, gs.Gap(0.1, 0.1)), "missing.*chi"),
+    (lambda: gs.HuntCrossley(1.0, gs.Gap(0.1, 0.1), chi=1.0, damping=2.0), "damping"),
+    (lambda: gs.contact_law("huntcrossley-x", 1.0, gs.Gap(0.1, 0.1)), "huntcrossley-x.*>= 0"),
     (lambda: gs.Tanh(1.0, gs.Gap(0.1, 0.1), 1e3, damping=1.0), "damping.*Piecewise"),
     (
         lambda: gs.branches(
@@ -273,3 +301,37 @@ def test_studies_refuse_damping_of_smooth_laws():
         study(damping=[0.0, 1.2], representation=["piecewise", "tanh-1e3"])
     with pytest.raises(gs.ModelError, match="damping = 2: tanh-1e3 has no damping"):
         gs.contact_law("tanh-1e3", 1.0, gs.Gap(0.1, 0.1), damping=2.0)
+
+
+def test_a_label_has_the_chi_of_hunt_crossley():
+    law = gs.contact_law("huntcrossley-0.30", 20.0, gs.Gap(0.1, 0.1745), K_ratio=2.0)
+    assert law == gs.HuntCrossley(20.0, gs.Gap(0.1, 0.1745), chi=0.3, K_ratio=2.0)
+    assert gs.canonical_label("huntcrossley-3e-1") == "huntcrossley-0.3"
+    x, v = np.array([0.2, 0.2, -0.2, 0.0]), np.array([1.0, -1.0, -1.0, 1.0])
+    expected = [20.0 * 0.0255 * 1.3, 20.0 * 0.0255 * 0.7, -40.0 * 0.1 * 1.3, 0.0]
+    assert law.force(x, v) == pytest.approx(expected)
+
+
+@pytest.mark.parametrize("chi", [0.5, 5.0])
+def test_responses_to_hunt_crossley_lose_what_the_forcing_supplies(chi):
+    """Orbit, multipliers and largest force are those of the oracle, also on a branch along chi."""
+    law = gs.HuntCrossley(20.0, gs.Gap(0.0, 0.1745), K_ratio=0.0, chi=chi)
+    found = gs.respond(oscillator(), law, 0.95 / TURN, 0.1, 0.1, rtol=1e-11)
+    one, wall = np.eye(1), Wall([1.0], 0.1745, 20.0, chi=chi)
+    oracle = Lossy(one, 0.05 * one, one, [0.03], 0.95, [wall])
+    y = oracle.run([0.1, 0.1], 20 * TURN / 0.95, rtol=1e-8).y
+    for _ in range(6):  # Newton's method
+        ended = oracle.run(y, TURN / 0.95)
+        y = y - np.linalg.solve(ended.tangent - np.eye(2), ended.y - y)
+    ended = oracle.run(y, TURN / 0.95)
+    assert ended.worked == pytest.approx(ended.lost, rel=1e-9)
+    assert np.prod(found.multipliers).real == pytest.approx(math.exp(-ended.shrunk), rel=1e-8)
+    expected = np.linalg.eigvals(ended.tangent)
+    assert np.sort_complex(found.multipliers) == pytest.approx(np.sort_complex(expected), rel=1e-7)
+    assert found.force_max == pytest.approx(ended.largest, rel=1e-6)
+    branch = gs.branches(
+        oscillator(), law, "chi", between=(0.1, 6.0), omega=0.95 / TURN, rtol=1e-11
+    ).isel(branch=0)
+    along = branch.dropna("step", how="all", subset=["chi"])
+    x_max = np.interp(chi, along["chi"].values, along["x_max"].values)
+    assert x_max == pytest.approx(found.x_max, rel=1e-3)

@@ -156,7 +156,7 @@ class Family:
 
     def _check_free(self) -> None:
         model = self.example
-        lost = any(law.losses.damping for law in self._laws)
+        lost = any(law.losses for law in self._laws)
         if model.is_forced or model.decay_rate or lost:
             raise ModelError(
                 "along = 'amplitude': continues undamped free motions; "
@@ -298,7 +298,7 @@ def _names(of: Any) -> list[str]:
         return [*of.parameters]
     if isinstance(of, Oscillator):
         return [*OSCILLATOR]
-    names = [field.name for field in fields(of)]
+    names = [field.name for field in fields(of) if field.init]
     return [name for name in names if is_number(getattr(of, name)) or name == "gap"]
 
 

@@ -36,7 +36,7 @@ STARTS, APART = 3, 0.15  # best of them that are improved; their distance, as a 
 # Largest residual of a point: first as a share of the largest measured value, then in standard
 # deviations, of which 1.4826 medians are one.
 ON_BRANCH, OUTSIDE, MEDIAN = 0.2, 6.0, 1.4826
-ROUNDS = 3  # of least squares; sweeps are simulated again after each
+ROUNDS, SETTLED = 4, 1e-4  # of least squares, with new sweeps each; a shorter move ends them
 DIFFERENCE = 1e-4  # of central differences, as a share of a range
 ALIKE = 0.02  # minima closer than this share of the ranges are the same
 COVERS = 2.0  # standard errors on either side of an interval
@@ -334,16 +334,15 @@ def _starts(points: _Points, scale: float) -> list[Array]:
 def _minimum(points: _Points, place: Array, sigma: float, scale: float) -> Array:
     """Place of the minimum that a search from a place finds."""
     limit = ON_BRANCH * scale / sigma
+    values, states = points.swept(place[None, :])
     for _ in range(ROUNDS):
-        values, states = points.swept(place[None, :])
-        if not np.isfinite(values).any():
-            break
         moved = _Residuals(points, sigma, limit, states[0]).solved(place)
-        is_close = np.abs(moved - place).max() < 1e-3
+        is_close = np.abs(moved - place).max() < SETTLED
         place = moved
-        limit = _outside(points.swept(place[None, :])[0][0], points.values, sigma, scale)
         if is_close:
             break
+        values, states = points.swept(place[None, :])
+        limit = _outside(values[0], points.values, sigma, scale)
     return place
 
 

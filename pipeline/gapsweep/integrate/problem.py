@@ -127,6 +127,11 @@ class Models:
         """Number of contacts that are located, of the first row as of all."""
         return sum(isinstance(law, Piecewise) and law.located for law in self.laws[0])
 
+    @property
+    def is_lossy(self) -> bool:
+        """Whether contacts lose energy."""
+        return any(law.losses for laws in self.laws for law in laws)
+
     def of_systems(self, value: Callable[[Any], Any]) -> NDArray[Any]:
         """Return a function's value for every row's system, shape (n, ...)."""
         return np.array([value(system) for system in self.systems])[self.system]
@@ -178,21 +183,20 @@ class Models:
 
         Steps that pass a wall before they are cut there would see the jump of the force.
         """
-        losses = [law.losses for laws in self.laws for law in laws if law.losses.damping]
+        losses = [law.losses for laws in self.laws for law in laws if law.losses]
         if not losses:
             return
         setting = solver.runge_kutta_setting
         if setting and (solver.engine == "compiled" or solver.contact_force == "as_written"):
-            raise ModelError(
-                f"damping = {losses[0].damping:g}: not with {setting}; leave that setting out"
-            )
+            raise ModelError(f"{losses[0]}: not with {setting}; leave that setting out")
         for system, law in {*zip(self.system.tolist(), self.law.tolist(), strict=True)}:
             modulated, laws = self.systems[system].is_modulated, self.laws[law]
-            if any(m and each.losses.never_pulls for m, each in zip(modulated, laws, strict=True)):
-                raise ModelError(
-                    f"damping = {losses[0].damping:g}: a contact with periodic stiffness must "
-                    "pull; write pulls=True"
-                )
+            for each in [law.losses for law, m in zip(laws, modulated, strict=True) if m]:
+                if each.never_pulls or each.chi:
+                    raise ModelError(
+                        f"{each}: a contact with periodic stiffness must be a damper that pulls; "
+                        "write gs.Piecewise(K_c, gap, damping=60.0, pulls=True)"
+                    )
 
     def with_laws(self, value: Callable[[Laws], Laws]) -> "Models":
         """Return the rows with their laws replaced by a function of them."""

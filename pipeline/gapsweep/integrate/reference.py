@@ -132,7 +132,7 @@ def prepared(models: Models, solver: Solver) -> Integrate:
     """
     solver.check_located(models.n_located, len(models.laws[0]), is_oscillator=False)
     models.check_losses(solver)
-    is_lossy = any(law.losses.damping for laws in models.laws for law in laws)
+    is_lossy = models.is_lossy
     atol = models.absolute(solver)
 
     def integrate(problems: Problems) -> Motions:
@@ -342,13 +342,16 @@ def _add_losses(
     scene: ReferenceScene, run: _Record, modes: tuple[int, ...], segment: _Segment, lasted: float
 ) -> None:
     """Add a segment's part of `Motions.contact_loss`, contact times and largest forces."""
-    run.loss += scene.loss(modes) * lasted
     for contact, mode in enumerate(modes):
-        if not (MODES[abs(mode)].acts and scene.laws[contact].losses.damping):
-            run.time[contact] += lasted * MODES[abs(mode)].acts
+        run.time[contact] += lasted * MODES[abs(mode)].acts
+        if not (MODES[abs(mode)].acts and scene.laws[contact].losses):
             continue
-        run.time[contact] += lasted
-        force = _force_motion(gap_of(scene, segment.motion, contact), scene.pressure(contact, mode))
+        gap, damper = gap_of(scene, segment.motion, contact), scene.pressure(contact, mode)
+        # of a derivative by the speed that is linear in the gap
+        at_wall, slope = damper.damping, damper.stiffness * damper.chi
+        moved = float(gap.integrate(*gap.x[[0, -1]])[0]) - damper.wall * lasted if slope else 0.0
+        run.loss += float(scene.compliance[contact]) * (at_wall * lasted + slope * moved)
+        force = _force_motion(gap, damper)
         ends = force(segment.motion.x[[0, -1]])[:, 0]
         seen = np.abs(np.append(ends, extrema_of(force)[1]))
         run.force[contact] = max(run.force[contact], float(seen.max()))
@@ -501,6 +504,12 @@ def _force_motion(gap: PPoly, force: Pressure) -> PPoly:
     depth, speed = gap.c[:, :, 0].copy(), gap.c[:, :, 1]
     depth[-1] -= force.wall
     values = force.stiffness * depth + force.damping * speed
+    if force.chi:
+        product = np.zeros((2 * len(depth) - 1, depth.shape[1]))
+        for i, one in enumerate(depth):
+            product[i : i + len(speed)] += force.stiffness * force.chi * one * speed
+        product[-len(values) :] += values
+        values = product
     rates = np.zeros_like(values)
     rates[1:] = PPoly.construct_fast(values, gap.x).derivative().c
     return PPoly.construct_fast(np.stack([values, rates], axis=-1), gap.x)

@@ -96,17 +96,15 @@ class ReferenceScene:
         """Force of the exact law at the wall of a mode, as if the contact pulled."""
         law = self.laws[contact]
         stiffness = law.K_c if mode > 0 else law.K_ratio * law.K_c
-        return Pressure(stiffness, self.wall(contact, mode), law.losses.damping)
+        chi = math.copysign(law.losses.chi, mode)
+        return Pressure(stiffness, self.wall(contact, mode), law.losses.damping, chi)
 
-    def damping(self, contact: int, modes: Modes) -> float:
-        """Damping of a contact in its mode [N s/m]."""
+    def damping(self, contact: int, modes: Modes) -> "Pressure":
+        """Return the force of a contact that loses energy in its mode; without, no force."""
         acts = modes is not None and MODES[abs(modes[contact])].acts
-        return self.laws[contact].losses.damping if acts else 0.0
-
-    def loss(self, modes: Modes) -> float:
-        """Rate [1/s] at which contacts shrink volumes in state space."""
-        damping = [self.damping(k, modes) for k in range(len(self.laws))]
-        return float(damping @ self.compliance) if any(damping) else 0.0
+        if modes is None or not (acts and self.laws[contact].losses):
+            return Pressure(0.0, 0.0, 0.0, 0.0)
+        return self.pressure(contact, modes[contact])
 
     def watched(self, contact: int, mode: int) -> "list[Watched]":
         """Return what may end a mode: the gap at a wall, or the force at zero."""
@@ -129,12 +127,12 @@ class ReferenceScene:
 
     def jumped(self, y: State, before: tuple[int, ...], modes: tuple[int, ...]) -> State:
         """Return the state after a change of modes at a wall: only the tangent jumps."""
-        if not self.tangent or not any(law.losses.damping for law in self.laws):
+        if not self.tangent or not any(law.losses for law in self.laws):
             return y
         n, found = self.n, np.array(y)
         images = found[self.n_states :].reshape(self.n_states, self.n_states)  # a view
         for k, b in enumerate(self.directions):
-            change = self.damping(k, modes) - self.damping(k, before)
+            change = self.damping(k, modes).damping - self.damping(k, before).damping
             images[:, n : 2 * n] -= change * np.outer(images[:, :n] @ b, self.pull[:, k])
         return tuple(found.tolist())
 
@@ -148,14 +146,17 @@ class ReferenceScene:
         """``b'M^-1 b`` of every contact [1/kg], shape (n_contacts,)."""
         return np.asarray(np.einsum("ki,ik->k", self.directions, self.pull))
 
-    def slope(self, contact: int, modes: Modes) -> Callable[[float], float]:
+    def slope(self, contact: int, modes: Modes) -> Force:
         """Return the slope of the contact force that `force` returns."""
         law = self.laws[contact]
         if modes is None or self.contact_force == "as_written":
-            return lambda x: float(law.derivative(x))
-        acts = MODES[abs(modes[contact])].acts
-        stiffness = self.pressure(contact, modes[contact]).stiffness if acts else 0.0
-        return lambda x: stiffness
+            return lambda x, v: float(law.derivative(x))
+        mode = modes[contact]
+        stiffness = law.K_c if mode > 0 else law.K_ratio * law.K_c
+        stiffness = stiffness if MODES[abs(mode)].acts else 0.0
+        if not (chi := math.copysign(law.losses.chi, mode)):
+            return lambda x, v: stiffness
+        return lambda x, v: stiffness * (1.0 + chi * v)
 
     def modes_at(self, t: float, y: State) -> tuple[int, ...]:
         """Initial contact modes; on a wall the velocity decides, then the acceleration."""
@@ -204,10 +205,16 @@ class Pressure:
     stiffness: float
     wall: float
     damping: float
+    chi: float  # for speeds upwards
 
     def __call__(self, x: float, v: float) -> float:
         spring = self.stiffness * (x - self.wall)
+        spring = spring * (1.0 + self.chi * v) if self.chi else spring
         return spring + self.damping * v if self.damping else spring
+
+    def of_speed(self, x: float) -> float:
+        """Derivative of the force by the speed [N s/m]."""
+        return self.damping + self.stiffness * self.chi * (x - self.wall)
 
 
 @dataclass(frozen=True, slots=True)
@@ -263,11 +270,12 @@ class OscillatorScene(ReferenceScene):
         if not self.tangent:
             return f
         contact_slope = self.slope(0, modes)
-        damped = damping + self.damping(0, modes) / mass
+        damper = self.damping(0, modes)
 
         def with_tangent(t: float, y: Array) -> State:
-            x, _, *tangent = y.tolist()
-            slope = stiffness + 3.0 * cubic * x * x + contact_slope(x) / mass
+            x, v, *tangent = y.tolist()
+            slope = stiffness + 3.0 * cubic * x * x + contact_slope(x, v) / mass
+            damped = damping + damper.of_speed(x) / mass
             (a, a_dot), (b, b_dot) = tangent[:2], tangent[2:]
             images = a_dot, -damped * a_dot - slope * a, b_dot, -damped * b_dot - slope * b
             return (*f(t, y[:2]), *images)
@@ -319,11 +327,8 @@ class SystemScene(ReferenceScene):
         cubics = [(c.along, inverse @ c.along * c.alpha) for c in system.cubic]
         pull = self.pull
         contacts = range(len(self.laws))
-        lossy = [law.losses.damping > 0.0 for law in self.laws]
-        damped = linear.copy()
-        for k in contacts:
-            damper = self.damping(k, modes) * np.outer(pull[:, k], directions[k])
-            damped[n : 2 * n, n : 2 * n] -= damper
+        lossy = [bool(law.losses) for law in self.laws]
+        dampers = [self.damping(k, modes) for k in contacts]
         forces = [self.force(k, modes) for k in contacts]
         slopes = [self.slope(k, modes) for k in contacts]
         terms = [system.modulation.get(name, ()) for name in system.contacts]
@@ -355,12 +360,15 @@ class SystemScene(ReferenceScene):
             found[n : 2 * n] += push
             if not self.tangent:
                 return found
-            jacobian = damped.copy()
+            jacobian = linear.copy()
             for along, cubic in cubics:
                 jacobian[n : 2 * n, :n] -= 3.0 * (along @ state[:n]) ** 2 * np.outer(cubic, along)
             for k, rate in zip(contacts, rates(theta), strict=True):
-                slope = rate * slopes[k](float(directions[k] @ state[:n]))
-                jacobian[n : 2 * n, :n] -= slope * np.outer(pull[:, k], directions[k])
+                gap, speed = (float(directions[k] @ state[i : i + n]) for i in (0, n))
+                along = np.outer(pull[:, k], directions[k])
+                jacobian[n : 2 * n, :n] -= rate * slopes[k](gap, speed) * along
+                if lossy[k]:
+                    jacobian[n : 2 * n, n : 2 * n] -= dampers[k].of_speed(gap) * along
             images = y[n_states:].reshape(n_states, n_states)
             return np.concatenate([found, (images @ jacobian.T).ravel()])
 

@@ -269,6 +269,66 @@ class Piecewise(ContactLaw):
         return np.where(x > self.gap.j_2, self.K_c, below)
 
 
+@called_as("gs.HuntCrossley(1.4e4, gs.Gap(4e-4, 4e-4), chi=0.3), in N/m, m and s/m")
+@dataclass(frozen=True)
+class HuntCrossley(Piecewise):
+    """Hunt–Crossley contact: stiffness times depth d times 1 + χ times the speed of penetration.
+
+    The force is zero where a contact begins and ends. Label: ``huntcrossley-0.3`` for χ = 0.3 s/m.
+
+    Parameters
+    ----------
+    chi : float
+        Factor χ of the speed of penetration [s/m], ``>= 0``: a body that meets the wall at a low
+        speed u leaves it with the coefficient of restitution 1 − 2χu/3.
+
+    Examples
+    --------
+    >>> import gapsweep as gs
+    >>> stop = gs.HuntCrossley(1.4e4, gs.Gap(0.4e-3, 0.4e-3), chi=2.0)
+    >>> stop.force(0.5e-3, [0.01, 0.0, -0.1]).round(3).tolist()  # inwards, at rest, outwards
+    [1.428, 1.4, 1.12]
+    """
+
+    family: ClassVar[str] = "huntcrossley"
+    examples: ClassVar[tuple[str, ...]] = ("huntcrossley-0.3",)
+    words: ClassVar[str] = (
+        "K_c d (1 + χ u) with the depth d beyond a wall (r K_c d at the lower one) and its rate u, "
+        "0 between; χ [s/m] in the label"
+    )
+
+    located: bool = field(default=True, init=False)
+    damping: float = field(default=0.0, init=False)
+    pulls: bool = field(default=False, init=False)
+    chi: float = field(kw_only=True)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        object.__setattr__(self, "chi", checked("chi", self.chi, low=0.0))
+
+    @property
+    def losses(self) -> Losses:
+        return Losses(chi=self.chi)
+
+    @classmethod
+    def canonical(cls, label: str, parameter: str) -> str:
+        try:
+            return f"{checked('chi', float(parameter), low=0.0):.12g}"
+        except ValueError:
+            raise ModelError(
+                f"{label!r}: must be {cls.family} and its χ >= 0 in s/m, as {cls.examples[0]}"
+            ) from None
+
+    @classmethod
+    def of_label(cls, parameter: str, fit_range: float) -> dict[str, Any]:
+        return {"chi": float(parameter)}
+
+    def force(self, x: ArrayLike, v: ArrayLike = 0.0) -> Array:
+        x = numbers("x", x)
+        side = np.where(x > self.gap.j_2, 1.0, np.where(x < -self.gap.j_1, -1.0, 0.0))
+        return np.asarray(super().force(x) * (1.0 + self.chi * side * numbers("v", v)))
+
+
 def checked_gap(gap: Gap | Sequence[float]) -> Gap:
     """Return a `Gap`, made from the distances of its two walls [m] if these are given.
 

@@ -46,12 +46,23 @@ class Losses(NamedTuple):
         Force over the speed of penetration [N s/m].
     never_pulls : bool
         Whether the force is never less than zero, so that the contact has the mode `SLACK`.
+    chi : float
+        Relative increase of the spring's force over the speed of penetration [s/m].
     """
 
     damping: float = 0.0
     never_pulls: bool = False
+    chi: float = 0.0
 
     @property
-    def kind(self) -> tuple[bool, bool]:
-        """Whether energy is lost, and whether there is a mode `SLACK`."""
-        return self.damping > 0.0, self.never_pulls
+    def kind(self) -> tuple[bool, bool, bool]:
+        """Whether energy is lost, whether there is a mode `SLACK`, and whether there is a chi."""
+        return bool(self), self.never_pulls, self.chi > 0.0
+
+    def __bool__(self) -> bool:
+        """Whether energy is lost."""
+        return self.damping > 0.0 or self.chi > 0.0
+
+    def __str__(self) -> str:
+        """The number that loses energy, as ``damping = 60``."""
+        return f"chi = {self.chi:g}" if self.chi else f"damping = {self.damping:g}"

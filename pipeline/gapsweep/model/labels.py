@@ -15,20 +15,22 @@ from collections.abc import Callable
 from pathlib import Path
 
 from gapsweep.errors import ModelError
-from gapsweep.model.contact import FIT_RANGE, ContactLaw, Piecewise
+from gapsweep.model.contact import FIT_RANGE, ContactLaw, HuntCrossley, Piecewise
 from gapsweep.model.laws import LAWS
 from gapsweep.model.laws.fitted import Fitted
 from gapsweep.model.oscillator import Gap, called_as
 from gapsweep.model.own_law import OwnLaw
 from gapsweep.model.user_law import UserLaw
 
-EXAMPLES = ", ".join(example for law in LAWS for example in law.examples)
 # The label of a user's law, ``module:name``.
 FUNCTION = re.compile(r"[A-Za-z_][\w.]*:[A-Za-z_]\w*")
 
 
-# Every law that a label names, by its family, in the order of the user guide.
-FAMILIES: dict[str, type[ContactLaw]] = {law.family: law for law in LAWS}
+# Every law that a label names, by its family, in the order of the user guide. Contacts that lose
+# energy are located: they have no compiled formulas of `LAWS`.
+_EVERY: tuple[type[ContactLaw], ...] = (*LAWS, HuntCrossley)
+FAMILIES = {law.family: law for law in _EVERY}
+EXAMPLES = ", ".join(example for law in FAMILIES.values() for example in law.examples)
 
 
 class Representation(str):
@@ -87,6 +89,12 @@ class Representation(str):
     def is_own(self) -> bool:
         """Whether the law is a user's, ``module:name`` or ``file.csv:unit``."""
         return ":" in self.law
+
+    @property
+    def is_located(self) -> bool:
+        """Whether the times of contacts are located."""
+        kind = self.law_type
+        return kind is not None and issubclass(kind, Piecewise) and self.law != NOT_LOCATED
 
     @property
     def is_fitted(self) -> bool:

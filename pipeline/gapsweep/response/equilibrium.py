@@ -83,7 +83,7 @@ def _sides(ensemble: Ensemble, scene: int, y: Array) -> Iterator[Any]:
         choices.append(sorted(modes - {0} if low == high and len(modes) > 1 else modes))
     if all(len(modes) == 1 for modes in choices):
         # The modes have the damping of contacts, too.
-        is_lossy = any(law.losses.damping for law in laws)
+        is_lossy = any(law.losses for law in laws)
         yield tuple(mode for (mode,) in choices) if is_lossy else None
     elif all(isinstance(law, Piecewise) for law in laws):
         yield from product(*choices)

@@ -83,5 +83,6 @@ class Forces:
 
 def located(laws: Laws) -> Laws:
     """Return the laws with all contacts located, if all are exact; else the laws as they are."""
-    exact = [replace(law, located=True) for law in laws if isinstance(law, Piecewise)]
+    exact = [law for law in laws if isinstance(law, Piecewise)]
+    exact = [law if law.located else replace(law, located=True) for law in exact]
     return tuple(exact) if len(exact) == len(laws) else laws

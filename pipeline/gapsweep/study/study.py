@@ -186,7 +186,7 @@ class Study:
             swept = {n: axes[n] for n in self.spec.model if n in axes and self.model.is_oscillator}
             ends = [{name: end(axis) for name, axis in swept.items()} for end in (min, max)]
             laws = self.model.laws(one.law)
-            n_located = sum(law == EXACT or law.is_auto for law in laws)
+            n_located = sum(law.is_located or law.is_auto for law in laws)
             try:
                 models = [self.model.at(some) for some in ends]
                 is_classic = all(isinstance(m, Oscillator) and m.is_classic for m in models)

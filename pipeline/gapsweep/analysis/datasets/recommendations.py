@@ -129,7 +129,7 @@ def _screened(study: Study, share: float) -> tuple[list[str], dict[str, Any]]:
     """
     grid = study.grid
     own = dict.fromkeys(one.law for one in grid.representations)
-    smooth = [law for law in own if law.law_type not in (None, Piecewise)]
+    smooth = [law for law in own if law.law_type and not issubclass(law.law_type, Piecewise)]
     seeds = _SEEDS | (_FITTED if any(law.family in _FITTED for law in smooth) else {})
     others = tuple(i for i, dim in enumerate(grid.dims) if dim not in grid.scene_dims)
     asked = grid.requested.any(axis=others)

@@ -99,7 +99,9 @@ def with_law_rows(exact: SceneTable, at: RowLayout, laws: Sequence[Array]) -> Sc
     return found
 
 
-def with_losses(elastic: SceneTable, damping: Array, never_pulls: NDArray[np.bool_]) -> SceneTable:
+def with_losses(
+    elastic: SceneTable, damping: Array, never_pulls: NDArray[np.bool_], chi: Array
+) -> SceneTable:
     """Return a table of the same systems with contacts that lose energy.
 
     Parameters
@@ -110,11 +112,16 @@ def with_losses(elastic: SceneTable, damping: Array, never_pulls: NDArray[np.boo
         Damping of both walls, of an oscillator per unit mass.
     never_pulls : ndarray of bool, shape (n, n_contacts)
         Contacts with the mode `contact_modes.SLACK`.
+    chi : ndarray, shape (n, n_contacts)
+        `Losses.chi` [s/m].
     """
-    has_slack = bool(never_pulls.any())
-    found = _moved(elastic, replace(elastic.at, is_damped=True, has_slack=has_slack))
+    has_slack, has_chi = bool(never_pulls.any()), bool(chi.any())
+    at = replace(elastic.at, is_damped=True, has_slack=has_slack, has_chi=has_chi)
+    found = _moved(elastic, at)
     at, table = found.at, found.table[:-1]
     table[:, at.contact_damping : at.contact_damping + at.contacts] = damping
+    if has_chi:
+        table[:, at.chi : at.chi + at.contacts] = chi
     if has_slack:
         of_slack = np.where(never_pulls, damping, 0.0)
         table[:, at.slack_damping : at.slack_damping + at.contacts] = of_slack

@@ -97,6 +97,8 @@ class RowLayout:
         Whether located contacts lose energy.
     has_slack : bool
         Whether some of them never pull: they have the mode `contact_modes.SLACK`.
+    has_chi : bool
+        Whether the spring's force of some of them depends on the speed, see `Losses.chi`.
     laws : tuple of (int, int, int)
         Of a Taylor series the law of every contact: its place in `LAWS`, numbers of coefficients of
         numerator and denominator. Empty if contacts are located.
@@ -123,6 +125,7 @@ class RowLayout:
     is_located: bool = True
     is_damped: bool = False
     has_slack: bool = False
+    has_chi: bool = False
     is_taylor: bool = True
     laws: tuple[tuple[int, int, int], ...] = ()
     order: int = 12
@@ -306,7 +309,7 @@ class RowLayout:
             # damping of both walls, the largest force while it was recorded, and the integral of
             # the rate at which contacts shrink volumes in state space
             **{name: k * self.is_damped for name in ("contact_damping", "contact_force")},
-            "contact_loss": 1 * self.is_damped,
+            **{"contact_loss": 1 * self.is_damped, "chi": k * self.has_chi},
             # damping of contacts that never pull, 0 for others; whether the force was zero when
             # the present mode began
             **{name: k * self.has_slack for name in ("slack_damping", "switched")},

@@ -23,7 +23,7 @@ from gapsweep.model.contact_modes import ON, SLACK
 from gapsweep.status import Status
 
 from .passings import count_passings, record_passings
-from .record import has_room, load_series, record_steps
+from .record import has_room, load_depth, load_series, record_steps
 from .roots import Work, first_exit, polynomial
 
 # outcomes, as plain numbers for compiled code
@@ -62,8 +62,7 @@ def _watched(at, lanes, k, number, coefficients, series):
     mode, damping = lanes[at.mode + contact, k], lanes[at.slack_damping + contact, k]
     if mode == 0.0 or damping == 0.0:
         return -np.inf, np.inf
-    stiffness = lanes[(at.upper_stiffness if mode > 0.0 else at.lower_stiffness) + contact, k]
-    series[0] -= lanes[(at.upper if mode > 0.0 else at.lower) + contact, k]
+    stiffness, _ = load_depth(at, lanes, coefficients, k, contact, mode, series)
     for n in range(len(series)):
         rate = (n + 1) * series[n + 1] if n + 1 < len(series) else 0.0
         series[n] = stiffness * series[n] + damping * rate
@@ -179,7 +178,7 @@ def _resolve(at, lanes, k, coefficients, work):
     if not _advance_state(at, lanes, k, at.q, 0, step, coefficients, work):
         return False
     if at.is_damped:
-        _lose(at, lanes, k, step)
+        _lose(at, lanes, k, step, coefficients, work)
     has_passed = _commit_contacts(at, lanes, k, step, work)
     is_done = not has_passed and h == left
     _commit_clock(at, lanes, k, step, is_done)
@@ -208,13 +207,20 @@ def _resolve(at, lanes, k, coefficients, work):
 
 
 @internal
-def _lose(at, lanes, k, step):
-    """Add what contacts of lane k shrink volumes in state space in a step, see `Modes.decay`."""
+def _lose(at, lanes, k, step, coefficients, work):
+    """Add what contacts of lane k shrink volumes in state space in a step, see `Modes.loss`."""
     for contact in range(at.contacts):
-        if abs(lanes[at.mode + contact, k]) == ON:
+        mode = lanes[at.mode + contact, k]
+        if abs(mode) == ON:
             compliance = 1.0 if at.is_plain else lanes[at.compliance + contact, k]
-            lost = lanes[at.contact_damping + contact, k] * compliance * step
-            lanes[at.contact_loss, k] += lost
+            lost = lanes[at.contact_damping + contact, k] * step
+            if at.has_chi:
+                stiffness, chi = load_depth(at, lanes, coefficients, k, contact, mode, work.series)
+                total = 0.0
+                for n in range(at.order, -1, -1):
+                    total = total * step + work.series[n] / (n + 1)
+                lost += stiffness * chi * total * step
+            lanes[at.contact_loss, k] += lost * compliance
 
 
 @internal

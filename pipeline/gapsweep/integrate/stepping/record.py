@@ -83,6 +83,24 @@ def load_series(coefficients, first, k, series):
 
 
 @internal
+def load_depth(at, lanes, coefficients, k, contact, mode, series):
+    """Put the depth of a contact beyond the wall of a mode into `series`, upwards.
+
+    Returns
+    -------
+    stiffness, chi : float
+        Of that wall; `Losses.chi` for speeds upwards.
+    """
+    load_series(coefficients, (at.first_gap + contact) * at.n_terms, k, series)
+    is_up = mode > 0.0
+    series[0] -= lanes[(at.upper if is_up else at.lower) + contact, k]
+    chi = 0.0
+    if at.has_chi:
+        chi = math.copysign(lanes[at.chi + contact, k], mode)
+    return lanes[(at.upper_stiffness if is_up else at.lower_stiffness) + contact, k], chi
+
+
+@internal
 def _write_state(at, run, k, rows, i, elapsed):
     """Put the state `elapsed` after the last step's beginning into a section's row."""
     for j in range(at.n + at.m):
@@ -279,13 +297,13 @@ def _record_forces(at, run, among):
             mode, step = lanes[at.mode_0 + contact, k], lanes[at.step, k]
             if abs(mode) != ON:
                 continue
-            load_series(run.coefficients, (at.first_gap + contact) * at.n_terms, k, work.series)
-            is_up, series = mode > 0.0, work.series
-            spring = lanes[(at.upper_stiffness if is_up else at.lower_stiffness) + contact, k]
-            series[0] -= lanes[(at.upper if is_up else at.lower) + contact, k]
+            series, depth = work.series, work.reduced
+            spring, chi = load_depth(at, lanes, run.coefficients, k, contact, mode, depth)
             for n in range(len(series)):
-                rate = (n + 1) * series[n + 1] if n + 1 < len(series) else 0.0
-                series[n] = spring * series[n] + lanes[at.contact_damping + contact, k] * rate
+                rate = (n + 1) * depth[n + 1] if n + 1 < len(series) else 0.0
+                series[n] = spring * depth[n] + lanes[at.contact_damping + contact, k] * rate
+                for i in range(min(n + 1, len(series) - 1) if chi != 0.0 else 0):
+                    series[n] += spring * chi * (i + 1) * depth[i + 1] * depth[n - i]
             end, rate = polynomial(series, at.order, step)
             largest = max(lanes[at.contact_force + contact, k], abs(series[0]), abs(end))
             for i in range(_velocity_roots(step, rate, work)):

@@ -24,9 +24,13 @@ from gapsweep.integrate.lanes.rows import dot
 from gapsweep.integrate.vectors import (
     absolute,
     branch,
+    copysign,
     floor,
     fma,
+    maximum,
     nearest,
+    rough_exp2,
+    rough_log2,
     where,
 )
 from gapsweep.model.contact_modes import ON
@@ -137,6 +141,9 @@ def extend(equation, series, to):
         each[size:], merged = merged[:n], merged[n:]
 
 
+_TO_WALL = 2.0  # step in mode slack, over the time to the wall at the present speed
+
+
 class Modes:
     """Contact modes at the beginning of a step: lists with an entry for every contact.
 
@@ -151,6 +158,9 @@ class Modes:
         Stiffness of the wall in contact; 0 if none is.
     damping : list of Vec
         Damping of the wall in contact; 0 if none is. Empty for elastic contacts.
+    chi : list of Vec
+        Factor of depth times speed in the force, by depth and speed upwards; 0 if no wall is in
+        contact. Empty where no contact has one.
     pressures : list of Pressure
         Forces that decide modes; empty without contacts that never pull.
 
@@ -158,11 +168,11 @@ class Modes:
     slack is not in contact.
     """
 
-    def __init__(self, lanes, mode="mode"):
+    def __init__(self, lanes, mode_rows="mode"):
         layout = lanes.layout
         self.touching, self.wall, self.lo, self.hi, self.stiffness = [], [], [], [], []
         self.pressures = []
-        names = mode, "lower", "upper", "lower_stiffness", "upper_stiffness"
+        names = mode_rows, "lower", "upper", "lower_stiffness", "upper_stiffness"
         for mode, lower, upper, *stiffness in zip(*map(lanes.rows, names), strict=True):
             mode = mode if layout.is_located else 0.0 * mode
             above, below = mode > 0.0, mode < 0.0
@@ -186,11 +196,37 @@ class Modes:
             where(here, c, 0.0) for here, c in zip(self.touching, damping, strict=False)
         ]
 
-    def decay(self, lanes):
-        """Rate [1/s] at which contacts shrink volumes in state space; 0 if they are elastic."""
+        self.chi = []
+        for chi, stiffness, mode in zip(
+            lanes.rows("chi"), self.stiffness, lanes.rows(mode_rows), strict=False
+        ):
+            self.chi.append(copysign(chi * stiffness, mode))
+
+    def decay(self, lanes, energy):
+        """Largest rate [1/s] at which contacts shrink volumes in state space, at an energy of the
+        motion (doubled, see `Sizes`)."""
+        rates = list(self.damping)
+        for k, (chi, stiffness) in enumerate(zip(self.chi, self.stiffness, strict=False)):
+            deepest = rough_exp2(0.5 * (rough_log2(energy) - rough_log2(stiffness)))
+            rates[k] = rates[k] + where(stiffness > 0.0, absolute(chi) * deepest, 0.0)
+        return self._summed(lanes, rates)
+
+    def loss(self, lanes, gaps, step):
+        """Integral of the rate at which contacts shrink volumes, over a step."""
+        lost = [c * step for c in self.damping]
+        for k, (chi, gap) in enumerate(zip(self.chi, gaps, strict=False)):
+            mean = gap[-1] * (1.0 / len(gap))  # of the depth
+            for n in range(len(gap) - 2, 0, -1):
+                mean = fma(mean, step, gap[n] * (1.0 / (n + 1)))
+            mean = fma(mean, step, gap[0] - self.wall[k])
+            lost[k] = fma(chi, mean * step, lost[k])
+        return self._summed(lanes, lost)
+
+    @staticmethod
+    def _summed(lanes, values):
         compliance = [1.0] if lanes.layout.is_plain else lanes.rows("compliance")
-        pairs = zip(self.damping, compliance, strict=False)
-        return reduce(lambda a, b: a + b, [c * b for c, b in pairs])
+        pairs = zip(values, compliance, strict=True)
+        return reduce(lambda a, b: a + b, [value * b for value, b in pairs])
 
     def watched(self, gaps):
         """Series that may not leave an interval in the present modes: gaps, then forces.
@@ -226,9 +262,19 @@ class Pressure:
         self._stiffness = where(is_watched, where(above, stiffness[1], stiffness[0]), 0.0)
         self._damping = where(is_watched, damping, 0.0)
         self._switched = lanes[layout.switched + contact] > 0.0
+        self._is_slack = is_watched & ~self.decides
         pushes_up = (self.decides & above) | (is_watched & ~self.decides & ~above)
         self.lo = where(pushes_up, 0.0, mode.constant(-math.inf))
         self.hi = where(is_watched & ~pushes_up, 0.0, mode.constant(math.inf))
+
+    def longest(self, gap, h):
+        """Longest step in mode slack: several times as long as the gap needs to reach the wall.
+
+        In a much longer step, the proof that the gap passes the wall once would fail, and the
+        crossing would be next to the beginning. At least a thousandth of the step `h`.
+        """
+        leaves = absolute((gap[0] - self._wall) / gap[1]) * _TO_WALL
+        return where(self._is_slack, maximum(leaves, h * 1e-3), h)
 
     def series(self, gap):
         """Series of the force, from the series of the gap."""
@@ -304,7 +350,7 @@ class Equation:
         self.direction = [] if self.is_plain else lanes.matrix("direction", layout.contacts)
         self.cubic = lanes.matrix("cubic", n) if self.is_plain else []
         self.pull = lanes.matrix("pull", n)
-        self.is_located = layout.is_located
+        self.is_located, self.chi = layout.is_located, modes.chi
         self.contact = modes.stiffness if self.is_located else [self.zero + 1.0] * layout.contacts
         self.rates = self._rates(lanes)
         if layout.is_damped:
@@ -371,13 +417,23 @@ class Equation:
         if not self.is_located:
             return [force[n] for force in depths]
         # At degree 0 K (x - wall), not the difference of two large products.
-        return [] if n else [k * d[0] for k, d in zip(self.contact, depths, strict=True)]
+        found = [] if n else [k * d[0] for k, d in zip(self.contact, depths, strict=True)]
+        if not self.chi:
+            return found
+        rates = [product_term(depth, speeds(depth), n) for depth in depths]
+        more = [chi * rate for chi, rate in zip(self.chi, rates, strict=True)]
+        return [a + b for a, b in zip(found, more, strict=True)] if found else more
 
     def pulled(self, i, forces, total):
         """Return the acceleration `total` of coordinate i minus that due to contact forces."""
         for k, force in enumerate(forces):
             total = total - force if self.is_plain else fma(-self.pull[i][k], force, total)
         return total
+
+
+def speeds(series):
+    """Series of the rate of a series, as far as it is known."""
+    return [term * float(n + 1) for n, term in enumerate(series[1:])]
 
 
 class StepSeries:
@@ -416,6 +472,8 @@ class StepSeries:
         """Extend all series to a degree."""
         for n in range(len(self.q[0]) - 2, order - 1):
             self._project_gaps(n)
+            if self.equation.chi:
+                self._project_gaps(n + 1)
             self._extend(n)
             extend_lags(self.equation, self.q, self.z, n)
         extend_lags(self.equation, self.q, self.z, order - 1)

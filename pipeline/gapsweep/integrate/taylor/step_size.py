@@ -74,7 +74,7 @@ class Sizes:
         self.springs = fma(self.hardening, 3.0, stiffness + contact)
         self.damping = lanes["damping"]
         if lanes.layout.is_damped:
-            self.damping = self.damping + modes.decay(lanes)
+            self.damping = self.damping + modes.decay(lanes, energy)
 
     def _add_laws(self, lanes, motion):
         """Add energy and stiffness of contacts that are not located."""
@@ -124,7 +124,7 @@ class Sizes:
             self.springs = self.springs + contact * compliance
         self.damping = lanes["decay"]
         if lanes.layout.is_damped:
-            self.damping = self.damping + modes.decay(lanes)
+            self.damping = self.damping + modes.decay(lanes, energy)
 
 
 def _square_norm(lanes, block, values):

@@ -18,7 +18,7 @@ from gapsweep.integrate.vectors import F64, I64, absolute, fma, mask_of, where
 from gapsweep.model.contact_modes import ON
 
 from .law_series import contact_forces
-from .series import Equation, Modes, Spring, extend, extend_lags
+from .series import Equation, Modes, Spring, extend, extend_lags, speeds
 from .source import Source, column_rows
 from .terms import product_term, square_term
 
@@ -54,7 +54,7 @@ def _slopes(lanes, coefficients, one):
     return slopes
 
 
-def _variation(lanes, one, square, slopes, source=None):
+def _variation(lanes, one, square, slopes, depths, source=None):
     """Series, of coordinates and of first-order states, of the solution in the first rows.
 
     A parameter column has a `Source`.
@@ -64,6 +64,7 @@ def _variation(lanes, one, square, slopes, source=None):
     y = [[state[i], state[layout.n + i]] for i in range(layout.n)]
     z = [[value] for value in state[2 * layout.n :]]
     gaps = [y[0]] if one.is_plain else [[] for _ in one.direction]
+    along = [[] for _ in depths]
     pressed = [[] for _ in slopes] or gaps
 
     def bent(n, totals):
@@ -89,6 +90,14 @@ def _variation(lanes, one, square, slopes, source=None):
             for terms, *pair in zip(pressed, slopes, gaps, strict=False):
                 terms.append(product_term(*pair, n))
             forces = one.contact_forces(n, pressed) if one.rates or slopes else []
+            for k, terms in enumerate(along):
+                for i in range(len(terms), n + 2):
+                    place = [x[i] for x in y]
+                    whole = place[0] if one.is_plain else dot(one.direction[k], place, one.zero)
+                    terms.append(whole)
+            for chi, depth, terms in zip(one.chi, depths, along, strict=True):
+                of_speed = product_term(depth, speeds(terms), n)
+                forces = [*forces, chi * (of_speed + product_term(speeds(depth), terms, n))]
             totals, new = [], []
             more = source.accelerations(n) if source else None
             for springs in one.springs:
@@ -143,6 +152,15 @@ def commit_solution(lanes, coefficients, solution, step, keeps, jump=None):
         lanes[layout.tangent_state + i] = where(keeps, start, end)
 
 
+def _depths(lanes, coefficients, modes):
+    """Series of the depths of contacts if a force has their product with speeds; else none."""
+    n_terms, first, found = lanes.layout.n_terms, lanes.layout.first_gap, []
+    for k, wall in enumerate(modes.wall[: len(modes.chi)]):
+        depth = [coefficients[(first + k) * n_terms + n] for n in range(n_terms)]
+        found.append([depth[0] - wall, *depth[1:]])
+    return found
+
+
 def _jump(lanes, one, source=None):
     """Return a function of an end state that returns the state after changes of contact modes.
 
@@ -193,13 +211,13 @@ def _tangent_step(typingctx, at, lanes, coefficients, rtol, unclear):
         modes = Modes(rows, "mode_0")
         one = Equation(rows, series, modes, is_tight, "tau_0")
         square, step = _square(series, one) if layout.is_plain else [], rows["step"]
-        slopes = _slopes(rows, series, one)
+        slopes, depths = _slopes(rows, series, one), _depths(rows, series, modes)
         keeps = mask_of(builder, args[4], layout.width)
         jump = _jump(rows, one) if layout.is_damped else None
 
         def advance(number):
             solution, kept = solution_rows(rows, series, number)
-            found = _variation(solution, one, square, slopes)
+            found = _variation(solution, one, square, slopes, depths)
             commit_solution(solution, kept, found, step, keeps, jump)
 
         if layout.is_plain:  # a loop would take a tenth longer
@@ -212,7 +230,7 @@ def _tangent_step(typingctx, at, lanes, coefficients, rtol, unclear):
             with cgutils.for_range(builder, rows.counts["columns"]) as loop:
                 column, kept = column_rows(rows, series, loop.index)
                 source = Source(rows, series, one, modes, square, column)
-                found = _variation(column, one, square, slopes, source)
+                found = _variation(column, one, square, slopes, depths, source)
                 jump = _jump(rows, one, source) if layout.is_damped else None
                 commit_solution(column, kept, found, step, keeps, jump)
         return context.get_dummy_value()

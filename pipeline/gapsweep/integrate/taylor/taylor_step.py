@@ -398,6 +398,8 @@ def _emit_step(builder, lanes, coefficients, scalars):
     end_cycle, end_tau = lanes["end_cycle"], lanes["end_tau"]
     left = maximum(((end_cycle - cycle) + (end_tau - tau) - tau_low) * period, 0.0 * period)
     h = minimum(free_step, period * MAX_PERIODS_PER_STEP)
+    for pressure, gap in zip(modes.pressures, motion.gaps, strict=False):
+        h = minimum(h, pressure.longest(gap, h))
     is_last = h >= left
     h = where(is_last, left, h)
 
@@ -461,7 +463,7 @@ def _emit_step(builder, lanes, coefficients, scalars):
     lanes["n_steps"] = lanes["n_steps"] + where(keeps, 0.0 * one, 1.0)
     lanes["n_contacts"] = lanes["n_contacts"] + n_walls
     if layout.is_damped:
-        lost = where(keeps, 0.0 * one, step * modes.decay(lanes))
+        lost = where(keeps, 0.0 * one, modes.loss(lanes, motion.gaps, step))
         lanes["contact_loss"] = lanes["contact_loss"] + lost
     lanes["n_short"] = where(keeps, lanes["n_short"], n_short)
     lanes["step"], lanes["tau_0"], lanes["cycle_0"] = step, tau, cycle
