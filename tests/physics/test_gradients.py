@@ -294,6 +294,15 @@ def test_what_has_no_gradient_is_refused_in_one_line(call, words):
     assert all(word in text for word in words)
 
 
+def test_oscillators_in_a_batch_have_the_same_quantities():
+    models = [machine(mean_load=load) for load in (0.0, 0.01)]
+    found = gs.gradient(models, LAW, "K_c", omega=0.2, x_0=0.2)
+    alone = [gs.gradient(each, LAW, "K_c", omega=0.2, x_0=0.2) for each in models]
+    for i, each in enumerate(alone):
+        assert each["quantity"].values.tolist() == found["quantity"].values.tolist()
+        assert_allclose(found["gradient"].values[i], each["gradient"].values, rtol=1e-9)
+
+
 @pytest.mark.parametrize("mean_load", [0.0, 0.004])  # a classic oscillator, and the general form
 @pytest.mark.parametrize("pulls", [False, True])
 def test_walls_that_meet_move_apart_with_damping(mean_load, pulls):
