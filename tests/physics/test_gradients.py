@@ -284,6 +284,16 @@ def test_a_fold_and_a_graze_move_with_the_parameters():
             lambda: gs.gradient(machine(mean_load=0.0), LAW, "mean_load", omega=0.2),
             ["mean_load", "small value"],
         ),
+        *(
+            (
+                lambda law=law, name=name: gs.gradient(machine(), law, name, omega=0.2),
+                [name, "wall"],
+            )
+            for law, name in (
+                (gs.Piecewise(0.0, LAW.gap), "K_c"),
+                (gs.Piecewise(2.0, LAW.gap, K_ratio=0.0), "K_ratio"),
+            )
+        ),
     ],
 )
 def test_what_has_no_gradient_is_refused_in_one_line(call, words):
