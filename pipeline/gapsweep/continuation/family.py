@@ -57,13 +57,15 @@ class Window:
             low, high = map(float, ends)
         except (TypeError, ValueError):
             raise ModelError(
-                f"between = {between!r}: must be the two ends of {name}, as between=(1.0, 30.0)"
+                f"range of {name} = {between!r:.80}: must be its two ends, as (1e-4, 1e-3)"
             ) from None
         is_positive = name in ("omega", AMPLITUDE)
         checked(f"between of {name}", low, low=0.0 if is_positive else -math.inf, strict=True)
         checked(f"between of {name}", high)
         if not low < high:
-            raise ModelError(f"between = {between!r}: must be ascending, of two different values")
+            raise ModelError(
+                f"range of {name} = {between!r:.80}: must be ascending, of two different values"
+            )
         return cls(name, low, high)
 
     @property
