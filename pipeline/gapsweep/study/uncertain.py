@@ -248,6 +248,10 @@ class UncertainTable(TomlTable):
         ModelError
             If an event or a setting is invalid.
         """
+        is_named = isinstance(events, Mapping)
+        if not (is_named and all(isinstance(one, Mapping) for one in events.values())):
+            example = "{'large': {'quantity': 'amplitude', 'above': 1e-3}}"
+            raise ModelError(f"events = {events!r:.80}: must be events by name, as {example}")
         several = [{"name": name, **event} for name, event in events.items()]
         numbers = {name: {"uniform": [0.0, 1.0]} for name in names}
         try:
