@@ -63,6 +63,10 @@ REFUSED = {
         lambda: differentiated("a", oscillator=of_argument, values={"a": 1.0, "b": 2.0}),
         "values: 'b': no argument of the function, which has a",
     ),
+    "branches of a function with two arguments": (
+        lambda: gs.branches(lambda a, b: OSCILLATOR, LAW, "a", (1.0, 2.0), omega=9.0),
+        r"argument 'b' has no default; write functools\.partial\(",
+    ),
     "fit to nothing": (
         lambda: gs.fit({"f [Hz]": [], "amplitude [m]": []}, OSCILLATOR, LAW, free={"mass": (1, 2)}),
         "has 0 points; must have >= 3",
