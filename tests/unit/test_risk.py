@@ -383,6 +383,10 @@ def test_mistakes_of_calls():
             {"events": {"large": {"quantity": "amplitude", "above": "1 N"}}},
         ),
         "'amplitud': must be one of": (gap, {"quantities": ["amplitud"]}),
+        "quantities = 3: must be a list": (gap, {"quantities": 3}),
+        "quantities = 'amplitude': must be a list": (gap, {"quantities": "amplitude"}),
+        "events = 3: must be events by name": (gap, {"events": 3}),
+        "events = {'large': 3}: must be events by name": (gap, {"events": {"large": 3}}),
         "'gapp': must be one of": ({"gapp": gap["gap"]}, {}),
         "v_1: must be|'v_1': must be": ({"v_1": gap["gap"]}, {}),
     }
@@ -391,6 +395,8 @@ def test_mistakes_of_calls():
             gs.risk(
                 OSCILLATOR, law, uncertain, OMEGA, **({"samples": 8, "events": LARGE} | options)
             )
+    with pytest.raises(gs.ModelError, match=r"omega = \[\]: must be at least one"):
+        gs.risk(OSCILLATOR, law, gap, [], samples=8, events=LARGE)
     with pytest.raises(gs.StudyError, match="uncertain: missing"):
         gs.risk(gs.Study.from_dict(small_study()))
 

@@ -115,6 +115,11 @@ class Family:
     def __post_init__(self) -> None:
         for name in self.names:
             self._check(name)
+        for name, one in self._arguments.items():
+            is_needed = one.kind not in (one.VAR_POSITIONAL, one.VAR_KEYWORD)
+            if is_needed and one.default is one.empty and name not in self.values:
+                remedy = f"write functools.partial(function, {name}=1.0)"
+                raise ModelError(f"oscillator: argument {name!r} has no default; {remedy}")
         if isinstance(self.law, Mapping) and set(self.law) != set(self.example.contacts):
             said = f"of {list(self.law)}: must name" if self.law else "missing for"
             raise ModelError(

@@ -109,6 +109,9 @@ def sweeps(measured: Any) -> tuple[str, list[Sweep]]:
 
 def _sweep(where: str, direction: str, omega: Array, values: Array) -> Sweep:
     """A sweep in its order, from points in this or the opposite order."""
+    if len(omega) < _FEWEST:
+        said = f"has {len(omega)} points; must have >= {_FEWEST}"
+        raise ModelError(f"{where}: the sweep {direction} {said}")
     steps = np.diff(omega)
     if not (np.all(steps > 0.0) or np.all(steps < 0.0)):
         k = int(np.flatnonzero(steps * np.sign(steps.sum() or 1.0) <= 0.0)[0])
@@ -116,9 +119,6 @@ def _sweep(where: str, direction: str, omega: Array, values: Array) -> Sweep:
             f"{where}: {omega[k]:g} Hz before {omega[k + 1]:g} Hz in the sweep {direction}: "
             "frequencies must be sorted and different"
         )
-    if len(omega) < _FEWEST:
-        said = f"has {len(omega)} points; must have >= {_FEWEST}"
-        raise ModelError(f"{where}: the sweep {direction} at {omega[0]:g} Hz {said}")
     if np.sign(steps[0]) != DIRECTIONS[direction]:
         omega, values = omega[::-1], values[::-1]
     return Sweep(direction, omega.copy(), values.copy())

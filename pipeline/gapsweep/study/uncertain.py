@@ -258,11 +258,10 @@ class UncertainTable(TomlTable):
         ModelError
             If an event or a setting is invalid.
         """
-        if not isinstance(events, Mapping) or not all(
-            isinstance(event, Mapping) for event in events.values()
-        ):
+        is_named = isinstance(events, Mapping)
+        if not (is_named and all(isinstance(one, Mapping) for one in events.values())):
             example = "{'large': {'quantity': 'amplitude', 'above': 1e-3}}"
-            raise ModelError(f"gs.risk: events = {events!r:.80}: must be by name, as {example}")
+            raise ModelError(f"events = {events!r:.80}: must be events by name, as {example}")
         several = [{"name": name, **event} for name, event in events.items()]
         numbers = {name: {"uniform": [0.0, 1.0]} for name in names}
         try:
