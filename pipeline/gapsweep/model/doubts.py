@@ -12,10 +12,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gapsweep.errors import ModelError
 from gapsweep.model.contact import ContactLaw
 from gapsweep.model.oscillator import Oscillator, called_as
-from gapsweep.model.structure import general_form
 from gapsweep.model.system import System, first_order
 from gapsweep.model.table import ForceTable
 from gapsweep.model.user_law import UserLaw
@@ -106,11 +104,13 @@ def _linear(model: Oscillator | System, starts: Array) -> tuple[Array, Array]:
     """
     along = np.reshape(model.directions, (-1, model.n))
     none = np.zeros(len(along)), np.full(len(along), math.inf)
-    if isinstance(model, Oscillator):
-        try:
-            model = general_form(model)
-        except ModelError:  # its stiffness is beyond the numbers of a system
+    if isinstance(model, Oscillator):  # in closed form, as calls have thousands of them
+        spring = model.mass * model.omega_n_rad**2
+        forced = abs(model.at(model.omega_n).forcing)
+        if not (spring and model.damping_ratio and forced) or model.alpha < 0.0:
             return none
+        load = forced * max(1.0, 0.5 / model.damping_ratio) + abs(model.mean_load)
+        return np.array([spring]), load / spring + _from(starts, along, model)
     if model.n_lags or not model.is_held or any(cubic.alpha < 0.0 for cubic in model.cubic):
         return none
     own = np.abs(np.linalg.eigvals(first_order(model)))
@@ -127,7 +127,7 @@ def _linear(model: Oscillator | System, starts: Array) -> tuple[Array, Array]:
     return springs, reach.max(axis=0) + mean + _from(starts, along, model)
 
 
-def _from(starts: Array, along: Array, model: System) -> Array:
+def _from(starts: Array, along: Array, model: Oscillator | System) -> Array:
     """Upper bound of the displacement at each contact due to the initial states [m]."""
     n, rate = model.n, 2.0 * math.pi * model.slowest
     x, v = np.abs(starts[:, :n] @ along.T), np.abs(starts[:, n : 2 * n] @ along.T) / rate
