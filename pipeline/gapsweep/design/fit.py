@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
-from scipy.stats import qmc
+from scipy.stats import chi2, qmc
 
 from gapsweep.continuation.family import AMPLITUDE, Window
 from gapsweep.design.demands import quantity
@@ -37,10 +37,12 @@ STARTS, APART = 3, 0.15  # best of them that are improved; their distance, as a 
 # deviations, of which 1.4826 medians are one.
 ON_BRANCH, OUTSIDE, MEDIAN = 0.2, 6.0, 1.4826
 ROUNDS, SETTLED = 4, 1e-4  # of least squares, with new sweeps each; a shorter move ends them
-DIFFERENCE = 1e-4  # of central differences, as a share of a range
+DIFFERENCE = 1e-4  # of one-sided differences, as a share of a range
+AGREE = 0.1  # largest change of a slope between both sides, as a share of it
 ALIKE = 0.02  # minima closer than this share of the ranges are the same
 COVERS = 2.0  # standard errors on either side of an interval
 CLOSE_TO_1 = 0.99  # correlation of parameters that the sweeps do not distinguish
+BY_CHANCE = 0.999  # probability of smaller residuals, beyond which the model does not explain them
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, repr=False)
@@ -157,21 +159,23 @@ class _Points:
         -------
         values : ndarray, shape (n,)
         derivatives : ndarray, shape (n, p)
-            By places; central differences.
+            By places. Zero where the differences on both sides do not agree: a branch ends there
+            or turns at a fold, or the response is not periodic.
         states : ndarray, shape (n, n_states)
         """
         p, n = len(place), len(self.omega)
-        shifts = DIFFERENCE * np.concatenate([np.zeros((1, p)), np.eye(p), -np.eye(p)])
-        places = np.clip(place + shifts, 0.0, 1.0)
+        places = place + DIFFERENCE * np.concatenate([np.zeros((1, p)), np.eye(p), -np.eye(p)])
         rows = np.repeat(self.parameters(places), n, axis=0)
         found = self.machine.respond(
             rows, np.tile(self.omega, len(places)), np.tile(states, (len(places), 1))
         )
         values = self.of(found).reshape(len(places), n)
-        apart = np.einsum("ii->i", places[1 : p + 1] - places[p + 1 :])
-        slopes = (values[1 : p + 1] - values[p + 1 :]) / apart[:, None]
+        above, below = (values[1 : p + 1] - values[0]).T, (values[0] - values[p + 1 :]).T
+        slopes = 0.5 * (above + below) / DIFFERENCE
+        change, size = np.abs(above - below).max(axis=1), 0.5 * np.abs(above + below).max(axis=1)
+        slopes[~(change <= AGREE * size)] = 0.0  # NaN agrees with nothing
         ends = np.where(found.has_end[:n, None], found.ends[:n], states)
-        return values[0], slopes.T, ends
+        return values[0], slopes, ends
 
 
 @dataclass(slots=True)
@@ -193,7 +197,6 @@ class _Residuals:
         if self._last is None or not np.array_equal(self._last[0], place):
             values, slopes, states = self.points.with_derivatives(place, self.states)
             residual, is_on = limited(values, self.points.values, self.noise, self.limit)
-            is_on &= np.isfinite(slopes).all(axis=1)
             jacobian = np.where(is_on[:, None], slopes / self.noise, 0.0)
             cost = float((residual**2).sum())
             if cost < self._least:
@@ -203,12 +206,12 @@ class _Residuals:
 
     def solved(self, place: Array) -> Array:
         """Return the place of the minimum that a search from a place finds."""
-        inside = np.clip(place, 1e-6, 1.0 - 1e-6)
+        ends = DIFFERENCE, 1.0 - DIFFERENCE
         found = least_squares(
             lambda at: self.at(at)[0],
-            inside,
+            np.clip(place, *ends),
             lambda at: self.at(at)[1],
-            bounds=(0.0, 1.0),
+            bounds=ends,
             xtol=1e-9,
             ftol=1e-10,
             gtol=1e-10,
@@ -372,15 +375,14 @@ def _result(
     _, place, values, states, residual, is_on = several[0]
     p = len(points.windows)
     _, slopes, _ = points.with_derivatives(place, states)
-    is_on &= np.isfinite(slopes).all(axis=1)
-    free_points = int(is_on.sum()) - p
+    freedom = max(int(is_on.sum()) - p, 1)
+    squares = float((residual[is_on] ** 2).sum())
     noise = given
     if noise is None:
-        noise = sigma * float(np.sqrt((residual[is_on] ** 2).sum() / max(free_points, 1)))
+        noise = sigma * (squares / freedom) ** 0.5
     covariance = _covariance(slopes[is_on], noise)
     step = 1e-6
-    inside = np.clip(place, step, 1.0 - step)
-    lower, upper = points.parameters(np.stack([inside - step, inside + step]))
+    lower, upper = points.parameters(np.stack([place - step, place + step]))
     by_place = (upper - lower) / (2.0 * step)
     in_places = np.sqrt(np.diag(covariance))
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -398,10 +400,10 @@ def _result(
         notes.append(
             f"{n_off} of {len(is_on)} points are not on the branch of the model, and do not count."
         )
-    misfit = float((residual[is_on] ** 2).mean()) * (sigma / noise) ** 2
-    if given is not None and misfit > 2.0:
+    if given is not None and squares > chi2.ppf(BY_CHANCE, freedom):
         notes.append(
-            f"The residuals are {misfit**0.5:.3g} times the noise: the model or the noise is wrong."
+            "The model does not explain the measurements, or their noise is larger: residuals are "
+            f"{(squares / freedom) ** 0.5:.3g} times the noise. The standard errors do not hold."
         )
     return Fit(
         values=named,
