@@ -377,7 +377,6 @@ def test_mistakes_of_calls():
         r"gap < 0 with probability 0\.0228": ({"gap": st.norm(0.2, 0.1)}, {}),
         "power of two": (gap, {"samples": 100}),
         "no threshold": (gap, {"events": {"large": {"quantity": "amplitude"}}}),
-        "events = 'large': must be by name": (gap, {"events": "large"}),
         "above = '1 N': must be a number in m": (
             gap,
             {"events": {"large": {"quantity": "amplitude", "above": "1 N"}}},
