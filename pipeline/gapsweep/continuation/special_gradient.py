@@ -149,7 +149,7 @@ class _Orbit:
         along = _null(slopes[:, :n])
         origin, slopes = self._corrected(u, along)
         size = float(np.abs(origin[:-1]).max())
-        last, (s, value) = (0.0, float(along[-1])), (_APART * size, np.inf)
+        last, s = (0.0, float(along[-1])), _APART * size
         for _ in range(_STEPS):
             u, slopes = self._corrected(origin + s * along, along)
             direction = _null(slopes[:, :n])

@@ -1,7 +1,6 @@
 """Stored points of a run for the page: parameter sets, and the responses of each."""
 
 import json
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -50,7 +49,11 @@ class StoredRun:
         self.note = not_computed(study)
         self._places = dict(_scenes(self._dataset))
         names = [name for name in self.question.machine.names if name != "omega"]
-        self.scenes = {name: _numbers(self._scene(name), names) for name in self._places}
+        every = {name: self._scene(name) for name in self._places}
+        self.scenes = {
+            name: {n: scene[n].item() for n in names if n in scene.coords}
+            for name, scene in every.items()
+        }
 
     def _scene(self, name: str) -> xr.Dataset:
         return self._dataset.isel(self._places[name])
@@ -114,7 +117,3 @@ def _named(scene: xr.Dataset, dims: list[Any]) -> str:
         return f"{dim} {value if isinstance(value, str) else f'{value:.12g}'} {written(units)}"
 
     return ", ".join(words(dim).strip() for dim in dims)
-
-
-def _numbers(scene: xr.Dataset, names: Sequence[str]) -> dict[str, float]:
-    return {name: scene[name].item() for name in names if name in scene.coords}

@@ -5,7 +5,7 @@ Functions of figures yield marks. `put` draws them with matplotlib and keeps the
 """
 
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from itertools import chain
 from typing import TYPE_CHECKING, Any
@@ -103,6 +103,12 @@ def bars(x: Any, low: Any, high: Any, **style: Any) -> Marks:
     gap = np.full(np.shape(x), np.nan)
     places, ends = (np.stack(each, axis=-1).ravel() for each in ((x, x, gap), (low, high, gap)))
     return line(x=places, y=ends, **style)
+
+
+def flat_bars(low: Any, high: Any, y: Any, **style: Any) -> Marks:
+    """Horizontal bars, as a line with gaps."""
+    upright = bars(y, low, high, **style)
+    return replace(upright, x=upright.y, y=upright.x)
 
 
 def put(axes: "Axes", *several: Iterable[Marks]) -> None:

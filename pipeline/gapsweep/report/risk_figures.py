@@ -25,6 +25,7 @@ _PROBABILITY = ("probability", "low", "high")
 _BANDS = ((0.05, 0.95, 1.6, 0.45), (0.25, 0.75, 4.0, 0.45))  # levels, width, opacity
 _INDICES = {"total": (9.0, 0.35), "first_order": (4.0, 1.0)}  # width, opacity
 _WORDS = {"total": "total", "first_order": "without interactions"}
+_INTERVAL = "95 % interval of the total"
 
 
 def risk(
@@ -55,8 +56,8 @@ def risk(
     for i, (label, one, look) in enumerate(_laws(shown)):
         x, p, low, high = (drawn(one[name]) for name in (along, *_PROBABILITY))
         x = x + i * _shift(x)
-        marks.put(axes, [*_bars(x, low, high, 3.0, 0.4, f"{label}, 95 % interval", look)])
-        marks.put(axes, [marks.line(x=x, y=p, series=label, entry=label, **look)])
+        bars = _bars(x, low, high, 3.0, 0.4, f"{label}, 95 % interval", look)
+        marks.put(axes, [bars, marks.line(x=x, y=p, series=label, entry=label, **look)])
     name = str(shown[EVENT].item()) if EVENT in shown.coords else "event"
     axes.set(ylabel=f"probability of “{name}”", ylim=(-0.02, 1.02))
     return finished(axes, shown, along)
@@ -91,7 +92,7 @@ def quantiles(
         level = {share: drawn(one["quantile"].sel({LEVEL: share})) for share in one[LEVEL].values}
         for low, high, width, opacity in _BANDS:
             series = f"{label}, {low:.0%} to {high:.0%}"
-            marks.put(axes, [*_bars(x, level[low], level[high], width, opacity, series, look)])
+            marks.put(axes, [_bars(x, level[low], level[high], width, opacity, series, look)])
         entry = f"{label}: median; 25–75 %, 5–95 %"
         marks.put(axes, [marks.line(x=x, y=level[0.5], series=label, entry=entry, **look)])
     axes.set_ylabel(axis_label(values, str(shown[QUANTITY].item())))
@@ -134,12 +135,12 @@ def tornado(
     labels, axes = shown[NUMBER].values[order], axes_of(ax)
     y = np.arange(len(order), dtype=float)
     for values, (name, (width, opacity)) in zip((total, first), _INDICES.items(), strict=True):
-        x, rows = _rows(0.0 * y, np.maximum(values[order], 0.0), y)
+        ends, words = (0.0 * y, np.maximum(values[order], 0.0)), _WORDS[name]
         look = {"colour": "#0072b2", "size": width, "opacity": opacity}
-        marks.put(axes, [marks.line(x=x, y=rows, series=_WORDS[name], entry=_WORDS[name], **look)])
-    x, rows = _rows(total[order] - error[order], total[order] + error[order], y)
-    words = "95 % interval of the total"
-    marks.put(axes, [marks.line(x=x, y=rows, series=words, entry=words, colour=GREY, size=1.0)])
+        marks.put(axes, [marks.flat_bars(*ends, y, series=words, entry=words, **look)])
+    ends, words = (total[order] - error[order], total[order] + error[order]), _INTERVAL
+    look = {"colour": GREY, "size": 1.0, "series": words, "entry": words}
+    marks.put(axes, [marks.flat_bars(*ends, y, **look)])
     axes.set_yticks(y, labels)
     axes.set(xlabel="share of the variance (Sobol index)", ylim=(-0.6, len(order) - 0.4))
     axes.set_xlim(left=0.0)
@@ -191,13 +192,6 @@ def _shift(x: NDArray[np.float64]) -> float:
 
 def _bars(
     x: NDArray[Any], low: Any, high: Any, size: float, opacity: float, series: str, look: Any
-) -> Iterator[Marks]:
+) -> Marks:
     style = {"colour": look["colour"], "size": size, "opacity": opacity, "series": series}
-    yield marks.bars(x, low, high, zorder=1.5, **style)
-
-
-def _rows(low: Any, high: Any, y: Any) -> tuple[NDArray[Any], NDArray[Any]]:
-    """Horizontal bars as a line with gaps."""
-    gap = np.full(np.shape(y), np.nan)
-    ends, places = (np.stack(each, axis=-1).ravel() for each in ((low, high, gap), (y, y, gap)))
-    return ends, places
+    return marks.bars(x, low, high, zorder=1.5, **style)

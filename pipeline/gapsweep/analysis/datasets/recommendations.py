@@ -111,30 +111,15 @@ def advice(study: Study, error: float | None = None, share: float = 0.95) -> xr.
     labels, screened = _screened(study, share) if study.model.is_oscillator else ([], {})
     for name, values in screened.items():
         variables[name] = ((*grid.scene_dims, APPROXIMATION), values, SCREENED[name].attributes)
-    coords = grid.coordinates()
-    return xr.Dataset(
-        variables,
-        {
-            **(
-                {APPROXIMATION: (APPROXIMATION, labels, {"long_name": "smooth law"})}
-                if labels
-                else {}
-            ),
-            **{
-                name: (along, coords[name], variable.attributes)
-                for name, (along, variable) in coordinates(
-                    grid.dims[1:], grid.structure, grid.units
-                ).items()
-            },
-        },
-        {
-            "study": study.name,
-            "title": study.title,
-            "error": error,
-            "share": share,
-            "allowed_force_error": allowed_error(share),
-        },
-    )
+    coords: dict[str, Any] = {}
+    if labels:
+        coords[APPROXIMATION] = (APPROXIMATION, labels, {"long_name": "smooth law"})
+    numbers = grid.coordinates()
+    described = coordinates(grid.dims[1:], grid.structure, grid.units)
+    for name, (along, variable) in described.items():
+        coords[name] = (along, numbers[name], variable.attributes)
+    about = {"study": study.name, "title": study.title, "error": error, "share": share}
+    return xr.Dataset(variables, coords, about | {"allowed_force_error": allowed_error(share)})
 
 
 def _screened(study: Study, share: float) -> tuple[list[str], dict[str, Any]]:
@@ -174,10 +159,8 @@ def _screened(study: Study, share: float) -> tuple[list[str], dict[str, Any]]:
     for at, some in screened.items():
         for label, value in some.items():
             force_error[(*at, labels.index(label))] = value
-    is_adequate = np.where(np.isnan(force_error), -1, force_error <= allowed_error(share)).astype(
-        "i1"
-    )
-    return labels, {"force_error": force_error, "is_adequate": is_adequate}
+    is_adequate = np.where(np.isnan(force_error), -1, force_error <= allowed_error(share))
+    return labels, {"force_error": force_error, "is_adequate": is_adequate.astype("i1")}
 
 
 def _placed(
