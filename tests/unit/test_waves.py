@@ -112,6 +112,7 @@ WRONG = {
         "array of shape (200,)",
     ),
     "a file that is missing": (lambda: study({"table": "nowhere.csv"}), "nowhere.csv"),
+    "the name of a file only": (lambda: study("force.csv"), 'table = "force.csv"'),
     "a file that is a number": (lambda: study({"table": 3}), "force.csv"),
     "unsorted times in a study": (
         lambda: study({"t": [0.0, 0.7, 0.5], "f": [1.0, 2.0, 3.0]}),

@@ -151,6 +151,8 @@ def _instead(loc: Loc, value: Any) -> str:
     """Return a hint for a value that is no number but a likely intention; empty without one."""
     if loc[0] == "oscillator" and isinstance(value, list | dict):
         return "; write swept values in [[sweep]]"
+    if loc[:2] == ("oscillator", "forcing") and isinstance(value, str) and "." in value:
+        return '; write forcing = { table = "force.csv", period = "20 ms" } for a file'
     if isinstance(value, str) and ":" in value:
         return "; write a range as { start = 1.0, stop = 30.0, step = 0.5 }"
     return ""
