@@ -222,10 +222,14 @@ class Family:
         return model
 
     def laws_at(self, values: Mapping[str, float]) -> tuple[ContactLaw, ...]:
-        """The laws of all contacts, in the model's order, at parameter values."""
-        if self._names_of_laws.isdisjoint(values):
+        """The laws of all contacts, in the model's order, at parameter values.
+
+        An argument of the function that returns the model changes no law, whatever its name.
+        """
+        own = {name: value for name, value in values.items() if name not in self._arguments}
+        if self._names_of_laws.isdisjoint(own):
             return self._laws_of_contacts
-        return tuple(_law_at(law, values) for law in self._laws_of_contacts)
+        return tuple(_law_at(law, own) for law in self._laws_of_contacts)
 
     @cached_property
     def _laws_of_contacts(self) -> tuple[ContactLaw, ...]:
