@@ -63,6 +63,12 @@ def printable(text: str) -> str:
     return "".join(each for each in text if each in "\t\n" or category(each) not in _UNSEEN)
 
 
+def shown(value: object) -> str:
+    """The value in a message: one line, and an array by its shape."""
+    shape = getattr(value, "shape", ())
+    return f"array of shape {shape}" if shape else " ".join(f"{value!r:.200}".split())
+
+
 def described(error: BaseException) -> str:
     """Class name and first line of the message of an error, safe for errors of user code."""
     name = type(error).__name__

@@ -614,10 +614,10 @@ SOFT = gs.Piecewise(1.4e4, gs.Gap(0.4e-3, 0.4e-3))
     [
         ({"along": "stiffness"}, "parameter 'stiffness': must be one of omega, .*zeta.*function"),
         ({"along": "epsilon"}, "parameter 'epsilon': must be one of omega, "),
-        ({"between": (12.0, 6.0)}, r"between = \(12.0, 6.0\): must be ascending"),
+        ({"between": (12.0, 6.0)}, r"range of omega = \(12.0, 6.0\): must be ascending"),
         ({"between": (0.0, 6.0)}, "between of omega = 0: must be > 0"),
         ({"between": (6.0, math.inf)}, "between of omega = inf: must be finite"),
-        ({"between": 6.0}, r"between = 6.0: must be the two ends of omega, as between=\(1.0"),
+        ({"between": 6.0}, r"range of omega = 6.0: must be its two ends"),
         ({"at": 13.0}, r"at = 13.0: must lie within between = \(6, 12\)"),
         ({"along": "zeta", "between": (-0.5, 0.5), "omega": 9.0}, "zeta = -0.5: must be >= 0"),
         ({"along": "forcing", "between": (1.0, 2.0)}, "omega: missing; .* omega=9.0"),

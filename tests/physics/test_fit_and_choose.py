@@ -64,6 +64,14 @@ def test_a_demand_that_never_holds_says_so_in_one_line():
     assert "\n" not in repr(found)
 
 
+def test_a_band_has_units():
+    options = {"so_that": gs.no_contact()}
+    plain = gs.choose("gap", (0.1, 20.0), PUBLIC, PUBLIC_LAW, omega=RATE, **options)
+    rate = f"{2.0 * math.pi * RATE!r} rad/s"
+    found = gs.choose("gap", ("10 cm", "20 m"), PUBLIC, PUBLIC_LAW, omega=rate, **options)
+    assert [each.low for each in found] == pytest.approx([each.low for each in plain], rel=1e-8)
+
+
 def drawn_machines(n, seed):
     """Oscillators with the range of a gap, a frequency [Hz] and the limit of an amplitude [m]."""
     random = np.random.default_rng(seed)

@@ -6,6 +6,7 @@ variational equations integrated by DOP853; both agree to 1e-11.
 """
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -283,6 +284,16 @@ def test_a_fold_and_a_graze_move_with_the_parameters():
             lambda: gs.gradient(machine(mean_load=0.0), LAW, "mean_load", omega=0.2),
             ["mean_load", "small value"],
         ),
+        *(
+            (
+                lambda law=law, name=name: gs.gradient(machine(), law, name, omega=0.2),
+                [name, "wall"],
+            )
+            for law, name in (
+                (gs.Piecewise(0.0, LAW.gap), "K_c"),
+                (gs.Piecewise(2.0, LAW.gap, K_ratio=0.0), "K_ratio"),
+            )
+        ),
     ],
 )
 def test_what_has_no_gradient_is_refused_in_one_line(call, words):
@@ -291,6 +302,30 @@ def test_what_has_no_gradient_is_refused_in_one_line(call, words):
     text = str(caught.value)
     assert "\n" not in text
     assert all(word in text for word in words)
+
+
+def test_oscillators_in_a_batch_have_the_same_quantities():
+    models = [machine(mean_load=load) for load in (0.0, 0.01)]
+    found = gs.gradient(models, LAW, "K_c", omega=0.2, x_0=0.2)
+    alone = [gs.gradient(each, LAW, "K_c", omega=0.2, x_0=0.2) for each in models]
+    for i, each in enumerate(alone):
+        assert each["quantity"].values.tolist() == found["quantity"].values.tolist()
+        assert_allclose(found["gradient"].values[i], each["gradient"].values, rtol=1e-9)
+
+
+@pytest.mark.parametrize("mean_load", [0.0, 0.004])  # a classic oscillator, and the general form
+@pytest.mark.parametrize("pulls", [False, True])
+def test_walls_that_meet_move_apart_with_damping(mean_load, pulls):
+    law = gs.Piecewise(2.0, gs.Gap(0.0, 0.0), damping=0.4, pulls=pulls)
+    model, omega, step = machine(mean_load=mean_load), 0.2, 2e-6
+    by = gs.gradient(model, law, ["gap", "j_1", "j_2"], omega=omega)["gradient"]
+    for name, moves in (("gap", (1.0, 1.0)), ("j_1", (1.0, 0.0)), ("j_2", (0.0, 1.0))):
+        gaps = [gs.Gap(*(step * k * move for move in moves)) for k in range(3)]
+        laws = [replace(law, gap=gap) for gap in gaps]
+        x_max = gs.respond(model, laws, omega=omega, rtol=1e-13).x_max
+        difference = (-3.0 * x_max[0] + 4.0 * x_max[1] - x_max[2]) / (2.0 * step)
+        got = by.sel(quantity="x_max", parameter=name).item()
+        assert got == pytest.approx(difference, rel=1e-5)
 
 
 def test_chaos_has_no_gradient():

@@ -365,6 +365,32 @@ def test_a_file_is_a_table_in_its_units(name, tmp_path):
 
 
 @pytest.mark.parametrize(
+    ("title", "x", "force"),
+    [
+        ("x [mm], F [kN]", 1e-3, 1e3),
+        ("x_mm, F_N", 1e-3, 1.0),
+        ("angle [deg], torque [N m]", math.pi / 180.0, 1.0),
+    ],
+)
+def test_titles_of_a_file_have_its_units(title, x, force, tmp_path):
+    path = tmp_path / "stop.csv"
+    path.write_text(f"{title}\n-2, -30\n0, 0\n2, 40\n")
+    found = gs.ForceTable.from_csv(path)
+    assert_allclose(found.x, [-2.0 * x, 0.0, 2.0 * x], rtol=1e-12)
+    assert_allclose(found.F, [-30.0 * force, 0.0, 40.0 * force], rtol=1e-12)
+
+
+def test_titles_of_a_file_and_arguments_with_different_units_are_refused(tmp_path):
+    path = tmp_path / "stop.csv"
+    path.write_text("x [mm], F [N]\n-2, -30\n0, 0\n2, 40\n")
+    with pytest.raises(gs.ModelError, match=r"'x \[mm\]': has another unit than the argument x"):
+        gs.ForceTable.from_csv(path, x="m")
+    path.write_text("x [N], F [N]\n-2, -30\n0, 0\n2, 40\n")
+    with pytest.raises(gs.ModelError, match=r"'x \[N\]': x = '1 N': must be"):
+        gs.ForceTable.from_csv(path)
+
+
+@pytest.mark.parametrize(
     ("text", "said"),
     [
         ("x,F\n1,2\n3,a\n", "line 3: 3,a: must be two numbers"),
@@ -482,7 +508,7 @@ def test_a_stop_below_only_is_the_mirror_image_of_one_above_only():
     np.testing.assert_allclose(gs.static_error(below, 1e-3), gs.static_error(above, 1e-3))
 
 
-@pytest.mark.parametrize("line", ["-0,30;-60", "-300,5\t-60", "0,3 60,5"])
+@pytest.mark.parametrize("line", ["-0,30;-60", "-300,5\t-60", "0,3 60,5", "-1;-60,5", "0\t60,5"])
 def test_decimal_commas_of_a_file_are_refused_and_not_read_as_separators(line, tmp_path):
     path = tmp_path / "stop.csv"
     path.write_text(f"x;F\n{line}\n")

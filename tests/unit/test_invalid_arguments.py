@@ -34,7 +34,45 @@ def answered(**changes):
     return gs.respond(**(given | changes))
 
 
+def differentiated(parameters, **changes):
+    return gs.gradient(
+        **({"oscillator": OSCILLATOR, "law": LAW, "omega": 9.0} | changes), parameters=parameters
+    )
+
+
+def of_argument(a):
+    return OSCILLATOR
+
+
 REFUSED = {
+    "no parameter": (lambda: differentiated(None), r"parameters = None: .* as \["),
+    "number for a parameter": (lambda: differentiated(3), r"parameters = 3: .* as \["),
+    "argument without a value": (
+        lambda: differentiated("a", oscillator=of_argument),
+        r"a: has no default; write values={'a': 1\.0}",
+    ),
+    "text for an argument": (
+        lambda: differentiated("a", oscillator=of_argument, values={"a": "x"}),
+        "a = 'x': must be a number",
+    ),
+    "list for arguments": (
+        lambda: differentiated("a", oscillator=of_argument, values=[1]),
+        r"values = \[1\]: must be by name",
+    ),
+    "misspelt argument": (
+        lambda: differentiated("a", oscillator=of_argument, values={"a": 1.0, "b": 2.0}),
+        "values: 'b': no argument of the function, which has a",
+    ),
+    "branches of a function with two arguments": (
+        lambda: gs.branches(lambda a, b: OSCILLATOR, LAW, "a", (1.0, 2.0), omega=9.0),
+        r"argument 'b' has no default; write functools\.partial\(",
+    ),
+    "fit to nothing": (
+        lambda: gs.fit({"f [Hz]": [], "amplitude [m]": []}, OSCILLATOR, LAW, free={"mass": (1, 2)}),
+        "has 0 points; must have >= 3",
+    ),
+    "number for labels": (lambda: gs.explore(approximations=3), "approximations = 3: must be"),
+    "number for a label": (lambda: gs.explore(approximations=[3]), r"approximations = \[3\]: must"),
     "no frequency": (lambda: simulated(omega=[]), r"omega = \[\]: .* at least one"),
     "None for a frequency": (lambda: simulated(omega=None), "omega: missing; write omega = 9"),
     "None for a start": (lambda: simulated(x_0=None), "x_0 = None: must be a number"),

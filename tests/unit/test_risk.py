@@ -377,7 +377,15 @@ def test_mistakes_of_calls():
         r"gap < 0 with probability 0\.0228": ({"gap": st.norm(0.2, 0.1)}, {}),
         "power of two": (gap, {"samples": 100}),
         "no threshold": (gap, {"events": {"large": {"quantity": "amplitude"}}}),
+        "above = '1 N': must be a number in m": (
+            gap,
+            {"events": {"large": {"quantity": "amplitude", "above": "1 N"}}},
+        ),
         "'amplitud': must be one of": (gap, {"quantities": ["amplitud"]}),
+        "quantities = 3: must be a list": (gap, {"quantities": 3}),
+        "quantities = 'amplitude': must be a list": (gap, {"quantities": "amplitude"}),
+        "events = 3: must be events by name": (gap, {"events": 3}),
+        "events = {'large': 3}: must be events by name": (gap, {"events": {"large": 3}}),
         "'gapp': must be one of": ({"gapp": gap["gap"]}, {}),
         "v_1: must be|'v_1': must be": ({"v_1": gap["gap"]}, {}),
     }
@@ -386,8 +394,23 @@ def test_mistakes_of_calls():
             gs.risk(
                 OSCILLATOR, law, uncertain, OMEGA, **({"samples": 8, "events": LARGE} | options)
             )
+    with pytest.raises(gs.ModelError, match=r"omega = \[\]: must be at least one"):
+        gs.risk(OSCILLATOR, law, gap, [], samples=8, events=LARGE)
     with pytest.raises(gs.StudyError, match="uncertain: missing"):
         gs.risk(gs.Study.from_dict(small_study()))
+
+
+def test_limits_of_events_have_units_and_gaps_in_millimetres_are_warned_of():
+    """Without contact the largest motion is F/(2 ζ k) = 0.25 m, below 0.3 m and above 200 mm."""
+    machine = gs.Oscillator(mass=1.0, omega_n=1.0, zeta=0.02, forcing=0.01 * (2 * math.pi) ** 2)
+    events = {
+        "small": {"quantity": "amplitude", "above": "300 mm"},
+        "large": {"quantity": "amplitude", "above": "200 mm"},
+    }
+    law = gs.Piecewise(100.0, gs.Gap(0.4, 0.4))
+    with pytest.warns(UserWarning, match="gaps are in metres"):
+        found = gs.risk(machine, law, {"gap": st.norm(400.0, 1.0)}, 1.0, events=events, samples=4)
+    assert found["probability"].values.ravel().tolist() == [0.0, 1.0]
 
 
 def test_initial_states_of_calls_are_uncertain():

@@ -103,6 +103,14 @@ WRONG = {
         ),
         "force by pieces",
     ),
+    "a file as a force": (
+        lambda: gs.Oscillator(**MACHINE, forcing="f.csv"),
+        "from_csv('force.csv'",
+    ),
+    "an array as a force": (
+        lambda: gs.Oscillator(**MACHINE, forcing=np.zeros(200)),
+        "array of shape (200,)",
+    ),
     "a file that is missing": (lambda: study({"table": "nowhere.csv"}), "nowhere.csv"),
     "a file that is a number": (lambda: study({"table": 3}), "force.csv"),
     "unsorted times in a study": (
@@ -130,6 +138,10 @@ FILES = {
     "plain": "0, 1\n0.5, 3\n",
     "in milliseconds and kilonewtons": "time [ms]; force [kN]\n0; 0.001\n500; 0.003\n",
     "with a comment": "# t [s], F [N]\n0 1\n0.5 3\n",
+    "with units in parentheses": "time (ms), force (kN)\n0, 0.001\n500, 0.003\n",
+    "with units after a slash": "t / ms; F / kN\n0; 0.001\n500; 0.003\n",
+    "with units in names": "time_ms,force_kN\n0, 0.001\n500, 0.003\n",
+    "with words in names": "time_rel,force_cell\n0, 1\n0.5, 3\n",
 }
 
 

@@ -57,13 +57,15 @@ class Window:
             low, high = map(float, ends)
         except (TypeError, ValueError):
             raise ModelError(
-                f"between = {between!r}: must be the two ends of {name}, as between=(1.0, 30.0)"
+                f"range of {name} = {between!r:.80}: must be its two ends, as (1e-4, 1e-3)"
             ) from None
         is_positive = name in ("omega", AMPLITUDE)
         checked(f"between of {name}", low, low=0.0 if is_positive else -math.inf, strict=True)
         checked(f"between of {name}", high)
         if not low < high:
-            raise ModelError(f"between = {between!r}: must be ascending, of two different values")
+            raise ModelError(
+                f"range of {name} = {between!r:.80}: must be ascending, of two different values"
+            )
         return cls(name, low, high)
 
     @property
@@ -113,6 +115,11 @@ class Family:
     def __post_init__(self) -> None:
         for name in self.names:
             self._check(name)
+        for name, one in self._arguments.items():
+            is_needed = one.kind not in (one.VAR_POSITIONAL, one.VAR_KEYWORD)
+            if is_needed and one.default is one.empty and name not in self.values:
+                remedy = f"write functools.partial(function, {name}=1.0)"
+                raise ModelError(f"oscillator: argument {name!r} has no default; {remedy}")
         if isinstance(self.law, Mapping) and set(self.law) != set(self.example.contacts):
             said = f"of {list(self.law)}: must name" if self.law else "missing for"
             raise ModelError(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -13,7 +13,7 @@ from gapsweep.errors import ModelError
 from gapsweep.integrate.problem import DEFAULT_ENGINE, TIME_LIMIT, Models, Solver, within
 from gapsweep.integrate.simulate import AnyLaw, AnyModel, Several, cases, inputs_of
 from gapsweep.model.doubts import doubts, warn_of
-from gapsweep.model.oscillator import Oscillator, called_as
+from gapsweep.model.oscillator import Oscillator, called_as, is_number
 from gapsweep.model.parameters import Parameter
 from gapsweep.model.system import System
 from gapsweep.response.orbit_gradients import Cases, Orbits
@@ -102,6 +102,9 @@ def gradient(
     model: Any = oscillator
     if known[0].function is not None:
         model = known[0].function(**known[0].arguments)
+        for name in (values or {}).keys() - known[0].arguments.keys():
+            has = ", ".join(known[0].arguments)
+            raise ModelError(f"values: {name!r}: no argument of the function, which has {has}")
     elif values is not None:
         raise ModelError(f"values = {values!r}: are arguments of a function as oscillator")
     solver, steady = Solver.of(engine, rtol, atol), _STEADY if steady is None else steady
@@ -135,14 +138,23 @@ def parameters_of(
     ModelError
         If `names` are no names.
     """
-    names = [names] if isinstance(names, str) else list(names)
-    if not names or not all(isinstance(name, str) for name in names):
+    names = (names,) if isinstance(names, str) else names
+    is_list = isinstance(names, Collection) and len(names) > 0
+    if not (is_list and all(isinstance(name, str) for name in names)):
         raise ModelError(f'parameters = {names!r}: must be names, as ["gap", "K_c"]')
     if isinstance(model, Oscillator | System) or not callable(model):
         return tuple(map(Parameter, names))
-    signature = inspect.signature(model).parameters.values()
-    given = {each.name: each.default for each in signature if each.default is not each.empty}
-    given |= {name: values[name] for name in values if name in inspect.signature(model).parameters}
+    if not isinstance(values, Mapping):
+        raise ModelError(f"values = {values!r:.80}: must be by name, as {{'speed': 12.0}}")
+    given = {}
+    for name, one in inspect.signature(model).parameters.items():
+        if one.kind in (one.VAR_POSITIONAL, one.VAR_KEYWORD):
+            continue
+        given[name] = values.get(name, one.default)
+        if given[name] is one.empty:
+            raise ModelError(f"{name}: has no default; write values={{{name!r}: 1.0}}")
+        if name in names and not is_number(given[name]):
+            raise ModelError(f"{name} = {given[name]!r:.80}: must be a number")
     return tuple(Parameter(name, model, given) for name in names)
 
 

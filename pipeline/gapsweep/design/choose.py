@@ -490,6 +490,7 @@ def choose(
         raise ModelError(f"so_that = {so_that!r:.80}: {said}")
     if parameter == AMPLITUDE:
         raise ModelError("parameter = 'amplitude': is a result; name a parameter of the model")
+    omega = without_units("omega", omega)
     window = Window.of(parameter, between)
     band = _band(omega)
     if parameter == "omega" and omega is not None:
@@ -538,7 +539,7 @@ def _choice(survey: _Survey, slices: list[_Slice], omega: Any) -> Choice:
     if not intervals:
         shown, _, frequency, _ = survey.shown(best)
         shown += f" at {frequency:.6g} Hz" if len(survey.band) > 1 else ""
-        summary = f"{name}: {words} nowhere in {where}; nearest at {nearest:.6g}: {shown}"
+        summary = f"{name}: '{words}' holds nowhere in {where}; nearest at {nearest:.6g}: {shown}"
     return Choice(
         name, (window.low, window.high), tuple(survey.demands), tuple(intervals), nearest, summary
     )
@@ -574,7 +575,7 @@ def _band(omega: Any) -> Array:
     """Frequencies of the survey [Hz]: one, or those of a band; 0 if there is none."""
     if omega is None:
         return np.zeros(1)
-    ends = np.ravel(numbers("omega", without_units("omega", omega), "one or two numbers"))
+    ends = np.ravel(numbers("omega", omega, "one or two numbers"))
     if len(ends) == 1:
         return np.array([checked("omega", float(ends[0]), low=0.0, strict=True)])
     if len(ends) != 2 or not 0.0 < ends[0] < ends[1] or not np.isfinite(ends).all():

@@ -25,6 +25,7 @@ from scipy.io import loadmat
 from gapsweep.design.demands import QUANTITIES
 from gapsweep.design.machine import DIRECTIONS
 from gapsweep.errors import ModelError
+from gapsweep.model.arrays import split_title
 from gapsweep.quantities import without_units, written
 from gapsweep.response.result import RESPONSE
 
@@ -38,7 +39,6 @@ _OTHER_NAMES = {
     "direction": "sweep",
 }
 _NAMES = ("omega", "sweep", *QUANTITIES)
-_BRACKETS = re.compile(r"(.*?)\s*(?:\[(.*)\]|\((.*)\)|/\s*(.*))\s*")
 _EXAMPLE = "frequency [Hz], amplitude [mm], sweep"
 _FEWEST = 3  # points of a sweep
 
@@ -109,6 +109,9 @@ def sweeps(measured: Any) -> tuple[str, list[Sweep]]:
 
 def _sweep(where: str, direction: str, omega: Array, values: Array) -> Sweep:
     """A sweep in its order, from points in this or the opposite order."""
+    if len(omega) < _FEWEST:
+        said = f"has {len(omega)} points; must have >= {_FEWEST}"
+        raise ModelError(f"{where}: the sweep {direction} {said}")
     steps = np.diff(omega)
     if not (np.all(steps > 0.0) or np.all(steps < 0.0)):
         k = int(np.flatnonzero(steps * np.sign(steps.sum() or 1.0) <= 0.0)[0])
@@ -116,9 +119,6 @@ def _sweep(where: str, direction: str, omega: Array, values: Array) -> Sweep:
             f"{where}: {omega[k]:g} Hz before {omega[k + 1]:g} Hz in the sweep {direction}: "
             "frequencies must be sorted and different"
         )
-    if len(omega) < _FEWEST:
-        said = f"has {len(omega)} points; must have >= {_FEWEST}"
-        raise ModelError(f"{where}: the sweep {direction} at {omega[0]:g} Hz {said}")
     if np.sign(steps[0]) != DIRECTIONS[direction]:
         omega, values = omega[::-1], values[::-1]
     return Sweep(direction, omega.copy(), values.copy())
@@ -168,7 +168,9 @@ def _numbers(where: str, column: _Column, values: Any) -> Array:
     try:
         found = np.ravel(np.asarray(values, float))
     except (TypeError, ValueError):
-        raise ModelError(f"{where}: {column.title.strip()}: must be numbers") from None
+        raise ModelError(
+            f"{where}: {column.title.strip()}: must be numbers with decimal points"
+        ) from None
     wrong = np.flatnonzero(~np.isfinite(found))
     if wrong.size:
         said = f"row {wrong[0] + 1} is {found[wrong[0]]}"
@@ -182,18 +184,16 @@ def _numbers(where: str, column: _Column, values: Any) -> Array:
 
 def _column(where: str, title: str) -> _Column:
     """The quantity, direction and unit that the title of a column names."""
-    match = _BRACKETS.fullmatch(title)
-    words = match[1] if match else title
-    units = next(filter(None, match.groups()[1:]), "") if match else ""
-    text = re.sub(r"[\s_]+", "_", words.strip().lower())
+    words, units = split_title(title)
+    text = re.sub(r"[\s_]+", "_", words.lower())
     direction = next((each for each in DIRECTIONS if text.endswith(f"_{each}")), "")
     text = text.removesuffix(f"_{direction}") if direction else text
     name = _OTHER_NAMES.get(text, text)
     if name not in _NAMES and not units and "_" in text:  # as amplitude_mm
-        start, _, end = re.sub(r"\s+", "_", words.strip()).rpartition("_")
+        start, _, end = re.sub(r"\s+", "_", words).rpartition("_")
         start = start.lower()
         name, units = _OTHER_NAMES.get(start, start), end
-    return _Column(name, direction, units.strip(), title)
+    return _Column(name, direction, units, title)
 
 
 def _table(measured: Any) -> tuple[str, Mapping[str, Any]]:

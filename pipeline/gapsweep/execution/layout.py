@@ -112,7 +112,7 @@ class Layout:
         """Whether each parameter set of a piece is known to be symmetric under x to -x, flat.
 
         It is if both walls have the same distance and stiffness, no mean load acts, and the law is
-        no uneven table.
+        no uneven table. No set of a system or of a force by pieces is known to be symmetric.
         """
         if not self.grid.structure.is_odd:
             return np.zeros(math.prod(part.stop - part.start for part in piece[:-1]), bool)

@@ -467,6 +467,9 @@ def of_model(
     ModelError
         If an argument has another type or is out of range.
     """
+    typed = [approximations] if isinstance(approximations, str) else approximations
+    if not (isinstance(typed, Sequence) and all(isinstance(each, str) for each in typed)):
+        raise ModelError(f"approximations = {typed!r:.80}: must be labels, as ['tanh-1e4']")
     model = paper_oscillator() if oscillator is None else oscillator
     example = model if isinstance(model, Oscillator | System) else model(**_defaults(model))
     if not isinstance(example, Oscillator | System):
@@ -496,7 +499,7 @@ def of_model(
     return Question(
         machine=machine,
         values=tuple(values[name] for name in machine.names),
-        approximations=labels(" ".join(approximations)),
+        approximations=labels(" ".join(typed)),
         band=(0.4 * low, max(3.0 * low, 1.5 * fastest)),
     )
 

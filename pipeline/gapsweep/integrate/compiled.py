@@ -116,10 +116,12 @@ def _with_columns(scenes: SceneTable, models: Models, solver: Solver, shifts: Sh
     if solver.runge_kutta_setting:
         raise ModelError(f"{solver.runge_kutta_setting}: gradients need Taylor steps; leave it out")
     shifted = _scenes(shifts.models, solver, True)
-    if shifted.at != scenes.at:
+    walls, others = _stiff_walls(models), _stiff_walls(shifts.models)
+    has_same = others.reshape(*shifts.weights.shape[:2], *walls.shape) == walls
+    if shifted.at != scenes.at or not has_same.all():
         raise ModelError(
-            f"parameters = {list(shifts.names)}: one of them is 0 and adds a load or a spring; "
-            "give it a small value"
+            f"parameters = {list(shifts.names)}: one of them is 0 and adds a load, a spring or a "
+            "wall; give it a small value"
         )
     found, is_covered = with_columns(scenes, shifted, shifts.weights, shifts.by_omega)
     for name, is_fine in zip(shifts.names, is_covered.tolist(), strict=True):
@@ -130,6 +132,11 @@ def _with_columns(scenes: SceneTable, models: Models, solver: Solver, shifts: Sh
                 "amplitudes of harmonics"
             )
     return found
+
+
+def _stiff_walls(models: Models) -> NDArray[np.bool_]:
+    """Whether each wall has a stiffness, and so a place; shape (n, n_contacts, 2)."""
+    return models.of_laws(lambda law: (law.K_c * law.K_ratio > 0.0, law.K_c > 0.0))
 
 
 def _by_taylor(models: Models, solver: Solver) -> bool:

@@ -8,13 +8,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from gapsweep.errors import ModelError
+from gapsweep.errors import ModelError, shown
 from gapsweep.model.oscillator import LARGEST, is_number
 from gapsweep.quantities import without_units
 
 Array = NDArray[np.float64]
 
-_DECIMAL_COMMA = r"\s*[-+]?\d+,\d+[;\s]+[-+.\d]"  # at the beginning of a line
+# In the first or in the second number of a line.
+_DECIMAL_COMMA = r"\s*[-+]?\d+,\d+[;\s]+[-+.\d]|\s*[-+.\deE]+[;\s]+[-+]?\d+,\d"
+_TITLE = re.compile(r"(.*?)\s*(?:\[(.*)\]|\((.*)\)|/\s*(.*))\s*")
 
 
 def array(name: str, value: ArrayLike, shape: tuple[int, ...]) -> Array:
@@ -41,7 +43,40 @@ def numbers(name: str, value: Any, words: str = "an array of numbers") -> Array:
             return np.array(given, dtype=float)
     except (TypeError, ValueError, OverflowError):
         pass
-    raise ModelError(f"{name} = {value!r}: must be {words}")
+    raise ModelError(f"{name} = {shown(value)}: must be {words}")
+
+
+def split_title(title: str) -> tuple[str, str]:
+    """Return the words and the unit of a column's title, as ``time [ms]``, ``(ms)`` or ``/ ms``."""
+    match = _TITLE.fullmatch(title)
+    if match is None:
+        return title.strip(), ""
+    return match[1].strip(), next(filter(None, match.groups()[1:]), "").strip()
+
+
+def factor_of(title: str, name: str, units: str) -> float | None:
+    """Return the factor from the unit in a column's title to `units`; None without a unit.
+
+    The last word of ``time_ms`` is a unit, too, if it has the right dimension.
+
+    Raises
+    ------
+    ModelError
+        If the unit has another dimension or is unknown.
+    """
+    words, unit = split_title(title)
+    tail = "" if unit else words.rpartition("_")[2] if "_" in words else ""
+    if unit in ("", "1", "-") and not tail:
+        return None
+    try:
+        factor = without_units(name, f"1 {unit or tail}", units)
+        if isinstance(factor, str):
+            raise ModelError(f"{name} = {unit!r}: must be a unit, as {units!r}")
+    except ModelError:
+        if tail:
+            return None
+        raise
+    return float(factor)
 
 
 def read_columns(path: str | PathLike[str]) -> tuple[list[str], Array]:

@@ -24,7 +24,8 @@ _FAST, _SOFT = 30.0, 1e-3  # times the natural frequency, and the stiffness of t
 _FAR = 10.0  # times the amplitude of the linear resonance
 _GRADED = np.geomspace(1e-4, 1.0, 60)  # distances from a wall, in gap widths
 _OWN = UserLaw, ForceTable  # their K_c is no force
-_BETWEEN = "gapsweep.study.study", called_as.__module__  # study.run(), and checks of arguments
+# study.run(), gs.risk() and checks of arguments
+_BETWEEN = "gapsweep.study.study", "gapsweep.pipeline", called_as.__module__
 
 
 def doubts(

@@ -18,7 +18,7 @@ from inspect import signature
 from operator import index
 from typing import Any, ClassVar, TypeVar, cast
 
-from gapsweep.errors import ModelError
+from gapsweep.errors import ModelError, shown
 from gapsweep.quantities import without_units
 from gapsweep.variables import METRES, Units
 
@@ -93,7 +93,9 @@ def checked(name: str, value: float, *, low: float = -math.inf, strict: bool = F
     except (TypeError, ValueError, OverflowError):
         number = None
     if number is None:
-        raise ModelError(f"{name} = {value!r}: must be a number")
+        is_load = name == "forcing" and value is not None
+        remedy = ", or a force as gs.PeriodicForce.from_csv('force.csv', period=0.02)"
+        raise ModelError(f"{name} = {shown(value)}: must be a number{remedy if is_load else ''}")
     if not math.isfinite(number):
         raise ModelError(f"{name} = {number}: must be finite")
     if number < low or (strict and number == low):

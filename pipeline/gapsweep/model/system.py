@@ -219,6 +219,8 @@ class Cubic:
 class Modulation:
     """Periodic stiffness: a contact's force times ``1 + sum depth cos(2 pi k omega t + phase)``.
 
+    The force of a contact's damping does not vary with it.
+
     Parameters
     ----------
     depth : float

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gapsweep.errors import ModelError
-from gapsweep.model.arrays import numbers, read_columns
+from gapsweep.model.arrays import factor_of, numbers, read_columns
 from gapsweep.model.contact import ContactLaw, checked_gap
 from gapsweep.model.oscillator import LARGEST, Gap, called_as, checked
 
@@ -18,6 +18,7 @@ Array = NDArray[np.float64]
 MAX_POINTS = 10_000
 _LENGTHS = {"m": 1.0, "mm": 1e-3, "um": 1e-6}
 _FORCES = {"N": 1.0, "mN": 1e-3, "kN": 1e3}
+_LOADS = "N", "N m"
 _NO_WALL = 1e-12  # of the other chord's slope: the ratio of two needs both
 
 
@@ -87,8 +88,8 @@ class ForceTable(ContactLaw):
     def from_csv(
         cls,
         path: str | PathLike[str],
-        x: str = "m",
-        force: str = "N",
+        x: str | None = None,
+        force: str | None = None,
         gap: Gap | None = None,
         noise: float = 0.0,
     ) -> "ForceTable":
@@ -96,18 +97,24 @@ class ForceTable(ContactLaw):
 
         Columns are separated by commas, semicolons or blanks; lines of words at the top and lines
         that begin with ``#`` are skipped. Units of `x` are ``"m"``, ``"mm"``, ``"um"``, of `force`
-        ``"N"``, ``"mN"``, ``"kN"``; `gap` and `noise` are those of the class, in SI units.
+        ``"N"``, ``"mN"``, ``"kN"``; None: the unit in the title of the column, as ``x [mm]``, or m
+        and N. `gap` and `noise` are those of the class, in SI units.
 
         Raises
         ------
         ModelError
-            If the file cannot be read or is no table.
+            If the file cannot be read or is no table, or a title has another unit.
         """
         for name, unit, known in (("x", x, _LENGTHS), ("force", force, _FORCES)):
-            if not isinstance(unit, str) or unit not in known:
+            if unit is not None and (not isinstance(unit, str) or unit not in known):
                 raise ModelError(f"{name} = {unit!r}: must be a unit: {', '.join(known)}")
-        _, rows = read_columns(path)
-        places, forces = (rows * (_LENGTHS[x], _FORCES[force])).T
+        words, rows = read_columns(path)
+        x_title, force_title = words or ("", "")
+        factors = (
+            _factor(path, x_title, "x", None if x is None else _LENGTHS[x], ("m", "rad")),
+            _factor(path, force_title, "force", None if force is None else _FORCES[force], _LOADS),
+        )
+        places, forces = (rows * factors).T
         return cls(places, forces, gap, noise)
 
     def __repr__(self) -> str:
@@ -184,6 +191,30 @@ def _column(name: str, values: ArrayLike) -> Array:
     if wrong.size:
         raise ModelError(f"{name}[{wrong[0]}] = {found[wrong[0]]}: must be finite; leave it out")
     return found
+
+
+def _factor(
+    path: str | PathLike[str],
+    title: str,
+    name: str,
+    given: float | None,
+    units: tuple[str, str],
+) -> float:
+    """Return the factor of a column to SI units; `units` are those of a force and of a torque."""
+    written = None
+    for each in units:
+        try:
+            written = factor_of(title, name, each)
+            break
+        except ModelError as error:
+            if each == units[-1]:
+                raise ModelError(f"{path}: column {title.strip()!r}: {error}") from None
+    if None not in (given, written) and given != written:
+        raise ModelError(
+            f"{path}: column {title.strip()!r}: has another unit than the argument {name}; leave "
+            "out one of both"
+        )
+    return next((each for each in (given, written) if each is not None), 1.0)
 
 
 def _check(x: Array, force: Array) -> None:

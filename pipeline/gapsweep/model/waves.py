@@ -16,9 +16,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gapsweep.errors import ModelError, described
-from gapsweep.model.arrays import array, numbers, read_columns
+from gapsweep.model.arrays import array, factor_of, numbers, read_columns
 from gapsweep.model.oscillator import LARGEST, called_as, checked
-from gapsweep.quantities import without_units
 
 Array = NDArray[np.float64]
 
@@ -301,8 +300,8 @@ class Record(ForceByPieces):
         """Return the record of a text file: times and forces in its first two columns.
 
         Columns are separated by commas, semicolons or blanks. A line of words at the top may have
-        units in brackets, as ``time [ms], force [kN]``; without units they are s and N. Lines that
-        begin with ``#`` are skipped.
+        units, as ``time [ms], force (kN)`` or ``time_ms, force_kN``; without units they are s and
+        N. Lines that begin with ``#`` are skipped.
 
         Raises
         ------
@@ -317,15 +316,12 @@ def _columns(path: str | PathLike[str], of_time: str) -> tuple[Array, Array]:
     words, rows = read_columns(path)
     factors = []
     for number, (name, units) in enumerate((("time", of_time), ("force", "N"))):
-        unit = words[number].partition("[")[2].partition("]")[0].strip() if words else ""
         try:
-            factor = without_units(name, f"1 {unit}", units) if unit not in ("", "1", "-") else 1.0
-            if isinstance(factor, str):
-                raise ModelError(f"{name} = {unit!r}: must be a unit, as {units!r}")
+            factor = factor_of(words[number], name, units) if words else None
         except ModelError as error:
             remedy = "; give the period [s], as period=0.02" if units == "1" else ""
             raise ModelError(f"{path}: column {words[number].strip()!r}: {error}{remedy}") from None
-        factors.append(factor)
+        factors.append(1.0 if factor is None else factor)
     t, force = (rows * factors).T
     return t, force
 

@@ -50,8 +50,11 @@ class Section:
 
 
 def results(inputs: Inputs) -> Iterator[Part]:
-    """Sections on the parameter sets, or one section in their place if there are too many sets."""
-    if inputs.risk is not None:  # every sample is a parameter set
+    """Sections on the parameter sets, or one section in their place if there are too many sets.
+
+    Studies of uncertain numbers have none, since every sample is a parameter set.
+    """
+    if inputs.risk is not None:
         return
     is_one = overview.is_wide(inputs.responses)
     yield from overview.sections(inputs) if is_one else parameter_sets.sections(inputs)

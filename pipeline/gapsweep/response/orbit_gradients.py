@@ -187,6 +187,7 @@ class Orbits:
         period: Array | None = None,
     ) -> None:
         self.models = Models.of(cases.models, cases.laws, cases.omega)
+        self.is_system = not isinstance(cases.models[0], Oscillator)
         self.shifts = cases.shifts()
         self._integrate = prepared(self.models, solver, self.shifts)
         self.is_forced = bool(cases.omega[0] > 0.0)
@@ -291,13 +292,14 @@ class _Reading:
     def __init__(self, orbits: Orbits, found: Motions, change: Array, longer: Array) -> None:
         self.orbits, self.found, self.longer = orbits, found, longer
         self.events, self.model = found.events(), orbits.models.systems[0]
-        self.is_system = not isinstance(self.model, Oscillator)
         n, contacts = self.model.n, len(self.model.contacts)
         self.directions = np.array(self.model.directions, float).reshape(contacts, n)
-        self.first_gap = n if self.is_system else 0
+        # An oscillator in its general form has extrema of its gap, too.
+        has_gaps = not isinstance(self.model, Oscillator)
+        self.first_gap = n if has_gaps else 0
         self.walls = _Walls(orbits.models, orbits.shifts)
         self._turns = self._turning_points()
-        turned = _extremes(*self._turns, self.first_gap + contacts if self.is_system else n)
+        turned = _extremes(*self._turns, self.first_gap + contacts if has_gaps else n)
         grazed = self._nearest()
         passed = np.repeat(np.arange(len(orbits.y)), self.events.n_contacts)
         which = np.concatenate([turned[0], grazed[0], passed])
@@ -320,15 +322,15 @@ class _Reading:
         """Values, shape (n,), and derivatives, shape (n, n_parameters), by quantity."""
         low, high = self._extreme_values()
         found: dict[str, tuple[Array, Array]] = {}
-        names = [f"[{x}]" if self.is_system else "" for x in self.model.coordinates]
+        names = [f"[{x}]" if self.orbits.is_system else "" for x in self.model.coordinates]
         for i, label in enumerate(names):
             found[f"x_max{label}"], found[f"x_min{label}"] = high(i), low(i)
             (top, d_top), (bottom, d_bottom) = high(i), low(i)
             found[f"amplitude{label}"] = 0.5 * (top - bottom), 0.5 * (d_top - d_bottom)
         for k, contact in enumerate(self.model.contacts):
-            label = f"[{contact}]" if self.is_system else ""
+            label = f"[{contact}]" if self.orbits.is_system else ""
             ends = low(self.first_gap + k), high(self.first_gap + k)
-            if self.is_system:
+            if self.orbits.is_system:
                 found[f"contact_x_max{label}"], found[f"contact_x_min{label}"] = ends[::-1]
             found[f"force_max{label}"] = self._largest_force(k, ends)
             found[f"contact_share{label}"] = self._share(k)

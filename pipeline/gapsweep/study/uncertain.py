@@ -12,6 +12,7 @@ from pydantic import AfterValidator, Field, ValidationError, model_validator
 from gapsweep.errors import ModelError, StudyError
 from gapsweep.model.contact import OF_WALLS
 from gapsweep.model.structure import AnyStructure
+from gapsweep.quantities import without_units
 from gapsweep.response.result import RESPONSE, ResponseClass, columns_of
 from gapsweep.study.axes import MAX_VALUES, Number, Positive, Range, TomlTable
 from gapsweep.study.oscillator_table import OscillatorTable
@@ -155,6 +156,15 @@ class EventTable(TomlTable):
     below: Number | None = None
     response_class: Literal[_CLASSES] | None = None  # type: ignore[valid-type]  # names of the enumeration
 
+    @model_validator(mode="before")
+    @classmethod
+    def _without_units(cls, given: Any) -> Any:
+        quantity = given.get("quantity") if isinstance(given, Mapping) else None
+        if (known := RESPONSE.get(str(quantity).partition("[")[0])) is None:
+            return given
+        limits = {"above", "below"} & {*given}
+        return given | {name: without_units(name, given[name], known.units) for name in limits}
+
     @model_validator(mode="after")
     def _has_limit(self) -> "EventTable":
         has_limit = self.above is not None or self.below is not None
@@ -248,6 +258,10 @@ class UncertainTable(TomlTable):
         ModelError
             If an event or a setting is invalid.
         """
+        is_named = isinstance(events, Mapping)
+        if not (is_named and all(isinstance(one, Mapping) for one in events.values())):
+            example = "{'large': {'quantity': 'amplitude', 'above': 1e-3}}"
+            raise ModelError(f"events = {events!r:.80}: must be events by name, as {example}")
         several = [{"name": name, **event} for name, event in events.items()]
         numbers = {name: {"uniform": [0.0, 1.0]} for name in names}
         try:

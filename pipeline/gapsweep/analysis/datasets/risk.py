@@ -343,7 +343,8 @@ def risk_of_call(
     steady, solver = Steady() if steady is None else steady, Solver.of(engine, rtol, atol)
     check_steady(steady)
     settings: dict[str, Any] = {"samples": samples, "repeats": repeats, "seed": seed}
-    settings |= {"indices": indices, "quantities": [*quantities]}
+    listed = list(quantities) if isinstance(quantities, tuple) else quantities
+    settings |= {"indices": indices, "quantities": listed}
     if correlation is not None:
         settings["correlation"] = np.asarray(correlation).tolist()
     table = UncertainTable.of_call(_checked(uncertain), events or {}, settings)
@@ -352,6 +353,8 @@ def risk_of_call(
     if omega is not None:
         given = np.ravel(numbers("omega", omega, "frequencies in Hz")).tolist()
         rates = [checked("omega", rate, low=0.0, strict=True) for rate in given]
+        if not rates:
+            raise ModelError("omega = []: must be at least one frequency, as omega=9.0, in Hz")
     first = None if omega is None else rates[0]
     of_model = [name for name in uncertain if not STATE.fullmatch(name)]
     columns = [found.numbers[name].tolist() for name in of_model]

@@ -231,21 +231,27 @@ def _jump(at, lanes, k, first, is_column):
         mode, before = lanes[at.mode + contact, k], lanes[at.mode_0 + contact, k]
         if mode in (before, 2.0 * before) or before == 2.0 * mode:
             continue
-        change = (1.0 if abs(mode) == ON else 0.0) - (1.0 if abs(before) == ON else 0.0)
-        change *= lanes[at.contact_damping + contact, k]
-        moving = 0.0
-        if is_column:
-            wall = at.upper_source if mode + before > 0.0 else at.lower_source
-            moving = lanes[first + wall + contact, k]
-        if at.is_plain:
-            lanes[first + 1, k] -= change * (lanes[first, k] - moving)
-        else:
-            along = 0.0
+        damping = lanes[at.contact_damping + contact, k]
+        along = lanes[first, k] if at.is_plain else 0.0
+        if not at.is_plain:
             for i in range(at.n):
                 along += lanes[at.direction + contact * at.n + i, k] * lanes[first + i, k]
+        change = 0.0
+        for of, sign in (
+            (before, -1.0),
+            (mode, 1.0),
+        ):  # walls left and reached, at once without a gap
+            moving = 0.0
+            if is_column:
+                wall = at.upper_source if of > 0.0 else at.lower_source
+                moving = lanes[first + wall + contact, k]
+            if abs(of) == ON:
+                change += sign * damping * (along - moving)
+        if at.is_plain:
+            lanes[first + 1, k] -= change
+        else:
             for i in range(at.n):
-                pull = lanes[at.pull + i * at.contacts + contact, k]
-                lanes[first + at.n + i, k] -= change * pull * (along - moving)
+                lanes[first + at.n + i, k] -= lanes[at.pull + i * at.contacts + contact, k] * change
 
 
 @internal

@@ -173,17 +173,21 @@ def _jump(lanes, one, source=None):
     for mode, before, damping in zip(*rows, strict=True):
         is_on, was_on = (absolute(each).equals(ON) for each in (mode, before))
         is_at_zero = mode.equals(before * 2.0) | before.equals(mode * 2.0)
-        change = where(is_on, damping, 0.0) - where(was_on, damping, 0.0)
-        changes.append((where(is_at_zero, 0.0, change), mode + before > 0.0))
+        # without a gap, one wall is left and the other one is reached at once
+        reached, left = where(is_on, damping, 0.0), where(was_on, -damping, 0.0)
+        sides = ((reached, mode > 0.0), (left, before > 0.0))
+        changes.append([(where(is_at_zero, 0.0, by), is_above) for by, is_above in sides])
 
     def jump(*state):
         ends, n = list(state), layout.n
-        for k, (change, is_above) in enumerate(changes):
+        for k, sides in enumerate(changes):
             along = ends[0] if one.is_plain else dot(one.direction[k], ends[:n], one.zero)
-            along = along - source.moving(k, is_above) if source else along
+            change = sum(
+                by * (along - source.moving(k, is_above) if source else along)
+                for by, is_above in sides
+            )
             for i in range(n):
-                pull = change if one.is_plain else change * one.pull[i][k]
-                ends[n + i] = fma(-pull, along, ends[n + i])
+                ends[n + i] -= change if one.is_plain else one.pull[i][k] * change
         return ends
 
     return jump
