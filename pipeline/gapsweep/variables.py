@@ -7,13 +7,14 @@ from enum import IntEnum
 from itertools import permutations
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-from numpy.typing import NDArray
-
 from gapsweep.status import Status
 
+# Models import this module: numpy and xarray are imported where they are used, so that
+# ``import gapsweep`` does not wait for them.
 if TYPE_CHECKING:
+    import numpy as np
     import xarray as xr
+    from numpy.typing import NDArray
 
 START, POINT = "initial_condition", "point"
 # Dimensions within a point: the parts of a system, and lists that are padded where they end.
@@ -55,6 +56,8 @@ class Variable:
     @property
     def attributes(self) -> dict[str, Any]:
         """Attributes of the variable in a file."""
+        import numpy as np
+
         attributes: dict[str, Any] = {"units": self.units} if self.units else {}
         attributes["long_name"] = self.long_name
         if self.flags:
@@ -101,6 +104,8 @@ def canonical(value: float) -> float:
 
 def empty(table: Mapping[str, Variable], sizes: Mapping[str, int]) -> dict[str, Any]:
     """Arrays of a table's variables, filled with their missing values."""
+    import numpy as np
+
     return {
         name: np.full([sizes[dim] for dim in one.dims], one.missing, one.dtype)
         for name, one in table.items()
@@ -146,15 +151,19 @@ def part_units(units: Units) -> dict[str, list[str]]:
     return {f"{dim}_unit": list(some) for dim, some in units.items() if len({*some}) > 1}
 
 
-def members(kind: type[IntEnum], numbers: NDArray[np.integer]) -> Any:
+def members(kind: type[IntEnum], numbers: "NDArray[np.integer]") -> Any:
     """Array of the members of an enumeration with these numbers, counted from 0; a 0-d array
     gives one member.
     """
+    import numpy as np
+
     return np.array([*kind], dtype=object)[numbers]
 
 
-def objects(value: Any) -> NDArray[Any]:
+def objects(value: Any) -> "NDArray[Any]":
     """Array of the objects of a list, tuple or array; a single object gives a 0-d array."""
+    import numpy as np
+
     if isinstance(value, list | tuple | np.ndarray):
         return np.array(value, dtype=object)
     found = np.empty((), object)
@@ -166,7 +175,7 @@ def dataset(
     inputs: Mapping[str, Any],
     shape: tuple[int, ...],
     table: Mapping[str, Variable],
-    arrays: Mapping[str, NDArray[Any]],
+    arrays: Mapping[str, "NDArray[Any]"],
     labels: Mapping[str, Sequence[str]] | None = None,
 ) -> "xr.Dataset":
     """Dataset of the results of one call, with its inputs as coordinates and attributes.
@@ -186,6 +195,7 @@ def dataset(
     labels : mapping of str to sequence of str, optional
         Further dimensions within a point, with their coordinates.
     """
+    import numpy as np
     import xarray as xr  # takes half a second, which no computation needs
 
     model = objects(inputs["oscillator"]).flat[0]
@@ -213,7 +223,7 @@ def dataset(
     sizes |= {name: len(each) for name, each in parts.items()}
     described = {**INPUTS, **table}
 
-    def variable(name: str, along: tuple[str, ...], values: NDArray[Any]) -> tuple[Any, ...]:
+    def variable(name: str, along: tuple[str, ...], values: "NDArray[Any]") -> tuple[Any, ...]:
         """Return a variable as for xarray, without dimensions that the model does not have."""
         form = described[name].in_units(model.part_units)
         along += tuple(dim for dim in form.dims if dim in parts or dim not in PARTS)
@@ -282,6 +292,8 @@ def as_html(dataset: "xr.Dataset") -> str:
 
 
 def _in_words(dataset: "xr.Dataset") -> "xr.Dataset":
+    import numpy as np
+
     words = {}
     for name, variable in dataset.data_vars.items():
         if "flag_meanings" in variable.attrs:
