@@ -27,6 +27,7 @@ from gapsweep.response.result import exists
 from gapsweep.store.cache import Cache
 from gapsweep.study.schema import POINT_DIMS, VARIABLES, coordinates
 from gapsweep.study.software import versions
+from gapsweep.variables import METRES
 
 pytestmark = pytest.mark.extended
 
@@ -48,7 +49,7 @@ def test_dataset_has_every_dimension_unit_and_flag(responses):
         if variable.dtype.startswith("i"):
             assert responses[name].dtype.kind == "i"
             assert "_FillValue" not in responses[name].encoding
-    for name, (along, variable) in coordinates(POINT_DIMS, OscillatorStructure()).items():
+    for name, (along, variable) in coordinates(POINT_DIMS, OscillatorStructure(), METRES).items():
         assert responses.coords[name].dims == along
         assert responses[name].attrs["units"] == variable.units
     meanings = responses["status"].attrs["flag_meanings"].split()

@@ -31,7 +31,9 @@ def never_reached(
     *,
     in_metres: bool = True,
 ) -> str:
-    """Sentence on the cases in which no steady response of the exact law touches a wall, or empty.
+    """Sentence on cases in which no steady response of the exact law touches a wall.
+
+    It is empty if there are fewer of them than of others.
 
     Parameters
     ----------
@@ -58,7 +60,7 @@ def never_reached(
     known = np.isfinite(reach)
     n_cases = np.count_nonzero(known.any(within))
     never = known.any(within) & ~(share > 0.0).any(within)
-    if not never.any():
+    if not never.any() or 2 * never.sum() < n_cases:  # few such cases are no sign of wrong units
         return ""
     factor, unit = (1e3, " mm") if in_metres else (1.0, "")
     largest = factor * reach.max(within, initial=0.0, where=known)[never].max()
@@ -68,13 +70,10 @@ def never_reached(
         if in_metres:  # contacts of a system may have other gaps
             nearest = factor * min(np.min(values(name)) for name in ("j_1", "j_2"))
             gap = f", gap {nearest:.3g} mm"
-    # Few such cases are no sign of wrong units.
     units = "metres" if in_metres else "the unit of the coordinates"
-    units = f"; gaps are in {units}, frequencies in hertz, and zeta = 0.02 is 2 %"
-    is_doubtful = bool(2 * never.sum() >= n_cases)
     return (
-        f"the wall is never reached{where}: |x| at most {largest:.3g}{unit}{gap}"
-        f"{units * is_doubtful}"
+        f"the wall is never reached{where}: |x| at most {largest:.3g}{unit}{gap}; gaps are in "
+        f"{units}, frequencies in hertz, and zeta = 0.02 is 2 %"
     )
 
 
