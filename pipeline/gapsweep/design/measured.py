@@ -158,7 +158,7 @@ def _numbers(where: str, column: _Column, values: Any) -> Array:
         remedy = f"{column.title.strip()} [{example}]"
         raise ModelError(f"{where}: {column.title.strip()}: has no unit; write {remedy}")
     try:
-        # The name is no parameter: its unit is given.
+        # Not a parameter: the caller states the unit.
         factor = without_units(column.title, f"1 {column.units}", units)
         if isinstance(factor, str):
             raise ModelError("")

@@ -29,7 +29,7 @@ _MOST_OUTSIDE = 1e-9
 
 
 class DistributionTable(TomlTable):
-    """The distribution of a number; exactly one of its kinds is given."""
+    """The distribution of a number; exactly one of its kinds must be set."""
 
     normal: Number | Range | None = None  # mean; a pair for both walls of a gap, drawn separately
     lognormal: Positive | Annotated[list[Positive], Field(min_length=2, max_length=2)] | None = None
