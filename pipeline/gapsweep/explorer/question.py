@@ -608,7 +608,7 @@ def _machine_of(study: Study, gaps: Sequence[Gap]) -> Machine:
         if "gap" in own:
             own["j_1"], own["j_2"] = own.pop("gap")
             widths.append(own["j_1"] + own["j_2"])
-        # A contact with a law of its own has the damping that the study gives it, if any.
+        # A contact with a separate law has the damping that the study gives it, if any.
         names = [name for name in _WALLS if name != _CHI]
         names = [name for name in names if name in own or contact not in laws or name != "damping"]
         walls[contact] = {name: own.get(name, name) for name in names}
