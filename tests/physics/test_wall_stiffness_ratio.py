@@ -78,7 +78,7 @@ def test_a_stop_below_is_the_mirror_image_of_a_stop_above(label, engine):
 @pytest.mark.parametrize("label", ["tanh-1e3", "arctan-1e3", "logarctan-1e3"])
 @pytest.mark.parametrize("gap", [gs.Gap(1e6, 1.0), gs.Gap(1.0, 1e6)])
 def test_a_smooth_law_refuses_a_wall_that_only_its_tail_reaches(label, gap):
-    with pytest.raises(gs.ModelError, match=r"wall at 1e\+06: .*within 1000, .*K_ratio = 0"):
+    with pytest.raises(gs.ModelError, match=r"wall at 1e\+06: .*within 1000, .*one side"):
         gs.contact_law(label, 100.0, gap)
     gs.contact_law(label, 100.0, gs.Gap(1e6, 1.0), K_ratio=0.0)  # no wall, hence no tail
 
