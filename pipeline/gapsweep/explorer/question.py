@@ -494,6 +494,7 @@ def of_model(
     for one in several.values():
         if not isinstance(one, ContactLaw):
             raise ModelError(f"law = {one!r:.80}: must be a contact law, as gapsweep.Piecewise")
+        _refuse_one_wall([one.gap.j_1, one.gap.j_2])
     if set(several) != set(example.contacts):
         raise ModelError(f"law: of {list(several)}: must name {list(example.contacts)}")
     is_one = len(set(map(id, several.values()))) == 1
@@ -561,6 +562,7 @@ def of_study(study: Study) -> tuple[Question, dict[str, tuple[float, float]]]:
     if not (example.is_forced and example.contacts):
         raise ModelError(f"{study.source}: {_NOT_SHOWN}")
     gaps = grid.gaps if {"gap", "j_1"} & grid.axes.keys() else ()
+    _refuse_one_wall([wall for gap in gaps for wall in (gap.j_1, gap.j_2)])
     machine = _machine_of(study, gaps)
     ranges = {
         name: (min(axis), max(axis)) for name, axis in grid.axes.items() if name in machine.names
@@ -592,6 +594,14 @@ def of_study(study: Study) -> tuple[Question, dict[str, tuple[float, float]]]:
     return question, ranges
 
 
+def _refuse_one_wall(distances: Sequence[float]) -> None:
+    if math.inf in distances:
+        raise ModelError(
+            "gap = inf: explore has walls on both sides, as gs.Gap(4e-4, 4e-4); use "
+            "gapsweep.respond"
+        )
+
+
 def _machine_of(study: Study, gaps: Sequence[Gap]) -> Machine:
     """The model of a study; numbers of a contact in [contact] have no slider."""
     walls: dict[str, dict[str, str | float]] = {}
@@ -606,6 +616,7 @@ def _machine_of(study: Study, gaps: Sequence[Gap]) -> Machine:
                     f"{study.source}: contact {contact}: {law}: user laws are not computed here"
                 )
         if "gap" in own:
+            _refuse_one_wall(own["gap"])
             own["j_1"], own["j_2"] = own.pop("gap")
             widths.append(own["j_1"] + own["j_2"])
         # A contact with a separate law has the damping that the study gives it, if any.

@@ -241,7 +241,7 @@ def walls(model: Model, laws: Sequence[ContactLaw], along: Array) -> list[float]
 
 def _both(factor: float, law: ContactLaw) -> list[float]:
     """Positions of both walls of a contact on `factor` times the coordinate."""
-    places = (-law.gap.j_1, law.K_c * law.K_ratio), (law.gap.j_2, law.K_c)
+    places = zip((-law.gap.j_1, law.gap.j_2), law.stiffnesses, strict=True)
     return [place / factor for place, stiffness in places if stiffness]  # no wall without stiffness
 
 
