@@ -148,7 +148,7 @@ class SteadyTable(TomlTable):
         return self
 
 
-class FitTable(TomlTable):
+class ApproximationTable(TomlTable):
     range: Positive = FIT_RANGE
 
 
@@ -292,7 +292,7 @@ class StudySpec(TomlTable):
     solver: SolverTable = SolverTable()
     protocol: dict[Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]+$")], SolverTable] = Field({})
     steady: SteadyTable = SteadyTable()
-    fit: FitTable = FitTable()
+    approximation: ApproximationTable = ApproximationTable()
     auto: AutoTable = AutoTable()
     history: list[HistoryTable] = Field([])
     bench: BenchTable | None = None

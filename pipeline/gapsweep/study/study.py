@@ -336,7 +336,7 @@ class Study:
             return own.law(K_c, gap, K_ratio)
         law = Representation(label).law
         of_walls = {"K_ratio": K_ratio, "damping": damping}
-        return contact_law(law, K_c, gap, self.spec.fit.range, **of_walls)
+        return contact_law(law, K_c, gap, self.spec.approximation.range, **of_walls)
 
     @property
     def own_laws(self) -> tuple[Representation, ...]:
@@ -568,7 +568,7 @@ class Study:
             representation=one.law,
             solver=self.solver(one),
             steady=self.steady,
-            fit_range=self.spec.fit.range,
+            fit_range=self.spec.approximation.range,
             start=start,
             start_jitter=self.start_jitter(one),
             law_code=None if own is None else own.key,
