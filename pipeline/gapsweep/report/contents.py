@@ -14,6 +14,7 @@ from gapsweep.report.sections import (
     benchmarks,
     claim_list,
     findings,
+    fitted,
     force_errors,
     model,
     overview,
@@ -62,6 +63,7 @@ def results(inputs: Inputs) -> Iterator[Part]:
 
 SECTIONS = (
     Section(answer.sections, template="_answer.html", script="answer"),
+    Section(fitted.sections),
     Section(uncertainty.sections),
     Section(findings.sections, template="_findings.html"),
     Section(model.sections, template="_pairs.html"),

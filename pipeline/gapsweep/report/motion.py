@@ -103,7 +103,7 @@ def plot(
         with rc_context(MATPLOTLIB):
             figure = Picture(figsize=(7.0, 5.6))
             above, below = figure.subplots(2, 1, height_ratios=(3, 1))
-            fit_figure.draw(above, below, run)
+            fit_figure.draw(above, below, run.to_dataset())
         return figure
     if isinstance(run, Response):
         run, start = _steady_motion(run), 0.0 if start is None else start

@@ -45,6 +45,7 @@ from gapsweep.study.axes import (
     several,
 )
 from gapsweep.study.bench_tables import BenchTable
+from gapsweep.study.fit_table import FitTable, with_sweep
 from gapsweep.study.grid import START, Axes
 from gapsweep.study.least_model import DEFAULT_ERROR, LARGEST_ERROR, SMALLEST_ERROR
 from gapsweep.study.oscillator_table import OscillatorTable, with_points
@@ -298,6 +299,7 @@ class StudySpec(TomlTable):
     bench: BenchTable | None = None
     branches: BranchesTable | None = None
     uncertain: UncertainTable | None = None
+    fit: FitTable | None = None
     claims: ClaimsTable | None = None
     report: ReportTable | None = None
 
@@ -396,8 +398,10 @@ class StudySpec(TomlTable):
         ]
         if any(one.is_auto and one.protocol for one in self.representations):
             wrong.append("'auto' chooses solver settings; leave out the protocol")
-        if self.uncertain and self.branches:
-            wrong.append("branches: not together with [uncertain]; write a separate study")
+        alone = [name for name in ("branches", "fit") if self.uncertain and getattr(self, name)]
+        wrong += [
+            f"{name}: not together with [uncertain]; write a separate study" for name in alone
+        ]
         if any(one.is_auto for table in self.history for one in table.representation):
             wrong.append("history: 'auto' is not allowed; write a representation, as 'piecewise'")
         if any(method.label.is_auto for method in methods):
@@ -547,7 +551,7 @@ def _line(text: str, error: ValueError) -> str:
 
 def check(tables: dict[str, Any], source: str = "study") -> StudySpec:
     """Check the tables of a study; see `parse`."""
-    tables = with_numbers(with_data(with_points(tables, source), source))
+    tables = with_numbers(with_sweep(with_data(with_points(tables, source), source), source))
     try:
         return StudySpec.model_validate(tables)
     except ValidationError as error:

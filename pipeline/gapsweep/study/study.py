@@ -163,7 +163,12 @@ class Study:
         )
         if self.spec.branches:
             of_branches = self.spec.branches.problems(axes, known, self.spec.contact)
-            lines = chain(lines, of_branches, self._problems_of_range())
+            second = {self.spec.branches.second or "": self.spec.branches.range or []}
+            lines = chain(lines, of_branches, self._problems_of_ranges("branches.range", second))
+        if fit := self.spec.fit:
+            walls = ["K_c", "gap", "j_1", "j_2", *OF_WALLS] if self.model.contacts else []
+            of_fit = fit.problems(axes, [*walls, *known], self.spec.contact.values())
+            lines = chain(lines, of_fit, self._problems_of_ranges("fit.free", fit.free))
         if self.spec.uncertain:
             lines = chain(lines, self._problems_of_uncertain())
         problems = [f"{self.source}: {line}" for line in lines]
@@ -194,13 +199,13 @@ class Study:
             except ModelError as error:
                 yield f"{one}: {error}"
 
-    def _problems_of_range(self) -> Iterator[str]:
-        """Values of the second parameter of [branches] that no model can have."""
-        table = self.spec.branches
-        assert table is not None
-        for value in table.range or ():
+    def _problems_of_ranges(
+        self, where: str, ranges: Mapping[str, Sequence[float]]
+    ) -> Iterator[str]:
+        """Values of ranges of numbers that no model can have."""
+        for name, value in ((name, value) for name, ends in ranges.items() for value in ends):
             try:
-                match table.second:
+                match name:
                     case "gap" | "j_1" | "j_2":
                         Gap(value, value)
                     case "K_c":
@@ -209,10 +214,10 @@ class Study:
                         Piecewise(1.0, Gap(0.0, 0.0), K_ratio=value)
                     case "damping":
                         Piecewise(1.0, Gap(0.0, 0.0), damping=value)
-                    case str(name) if self.model.is_oscillator and name in self.spec.model:
+                    case _ if self.model.is_oscillator and name in self.spec.model:
                         replace(self.oscillator, **{name: value})
             except ModelError as error:
-                yield f"branches.range = {table.range}: {error}"
+                yield f"{where}: {error}"
 
     def _check_modules(self) -> None:
         """Refuse modules of [claims] and [report] that cannot be read; none of them is run."""
