@@ -9,20 +9,18 @@ there are limited, and have no derivative.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from functools import partial
-from typing import TYPE_CHECKING, Any
+from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 from scipy.stats import chi2, qmc
 
-from gapsweep.continuation.family import AMPLITUDE, Window
-from gapsweep.continuation.follow import branches
+from gapsweep.continuation.family import Window
 from gapsweep.design.demands import quantity
 from gapsweep.design.machine import Machine
-from gapsweep.design.measured import Sweep, sweeps
+from gapsweep.design.measured import Sweep, ranges, sweeps
 from gapsweep.errors import ModelError
 from gapsweep.integrate.problem import Model
 from gapsweep.integrate.simulate import AnyLaw
@@ -30,10 +28,6 @@ from gapsweep.model.oscillator import called_as, checked
 from gapsweep.quantities import UNITS, without_units, written
 from gapsweep.response.result import RESPONSE, Responses
 from gapsweep.status import Status
-from gapsweep.variables import Variable, with_attributes
-
-if TYPE_CHECKING:
-    import xarray as xr
 
 Array = NDArray[np.float64]
 
@@ -49,25 +43,6 @@ ALIKE = 0.02  # minima closer than this share of the ranges are the same
 COVERS = 2.0  # standard errors on either side of an interval
 CLOSE_TO_1 = 0.99  # correlation of parameters that the sweeps do not distinguish
 BY_CHANCE = 0.999  # probability of smaller residuals, beyond which the model does not explain them
-
-PARAMETER, OTHER = "parameter", "other_parameter"
-_MEASUREMENT, _MINIMUM = "measurement", "minimum"
-_of_point = partial(Variable, dims=(_MEASUREMENT,))
-# Variables of `Fit.to_dataset`; those of the quantity have its unit.
-VARIABLES = {
-    "value": Variable("f8", "", "fitted value, in SI units", dims=(PARAMETER,)),
-    "standard_error": Variable("f8", "", "standard error, inf: unknown", dims=(PARAMETER,)),
-    "covariance": Variable("f8", "", "covariance of the parameters", dims=(PARAMETER, OTHER)),
-    "correlation": Variable("f8", "1", "correlation of the parameters", dims=(PARAMETER, OTHER)),
-    "measured_omega": _of_point("f8", "Hz", "frequency of the measured point"),
-    "direction": _of_point("str", "1", "direction of the sweep of the measured point"),
-    "measured": _of_point("f8", "", "measured value"),
-    "computed": _of_point("f8", "", "value of the fitted model"),
-    "residual": _of_point("f8", "", "measured minus computed value"),
-    "is_on_branch": _of_point("i1", "1", "whether measurement and model are on the same branch"),
-    "minimum_value": Variable("f8", "", "values at every minimum", dims=(_MINIMUM, PARAMETER)),
-    "misfit": Variable("f8", "1", "mean square of the residuals over the noise", dims=(_MINIMUM,)),
-}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, repr=False)
@@ -126,65 +101,6 @@ class Fit:
     notes: tuple[str, ...]
     oscillator: Any = field(compare=False)
     law: Any = field(compare=False)
-
-    def to_dataset(self) -> xr.Dataset:
-        """Return the fit with the branches of the fitted model over the measured frequencies.
-
-        Returns
-        -------
-        Dataset
-            `value`, `standard_error`, `covariance` and `correlation` over `parameter`; the points
-            over `measurement`; `minimum_value` and `misfit` over `minimum`. Attributes are
-            `quantity`, `noise` and `notes`. Branches, over `branch` and `step`, are those of
-            `gapsweep.branches`; a fit to another quantity than amplitude, peak or trough has none.
-        """
-        import xarray as xr
-
-        names = [*self.values]
-        of_minima = [[one[name] for name in names] for one in self.minima]
-        arrays = {
-            "value": [*self.values.values()],
-            "standard_error": [*self.errors.values()],
-            "covariance": self.covariance,
-            "correlation": self.correlation,
-            "measured_omega": self.omega,
-            **{name: getattr(self, name) for name in ("direction", "measured", "computed")},
-            **{name: getattr(self, name) for name in ("residual", "is_on_branch")},
-            "minimum_value": of_minima,
-            "misfit": [one["misfit"] for one in self.minima],
-        }
-        units = RESPONSE[self.quantity].units
-        described = {
-            name: replace(one, units=units) if name in ("measured", "computed", "residual") else one
-            for name, one in VARIABLES.items()
-        }
-        found = with_attributes(described, {name: np.asarray(x) for name, x in arrays.items()})
-        coords = {
-            PARAMETER: names,
-            OTHER: names,
-            f"{PARAMETER}_units": (PARAMETER, [UNITS.get(name, "") for name in names]),
-        }
-        made = xr.Dataset(found, coords)
-        if (orbits := self._orbits()) is not None:
-            made = orbits.merge(made)
-        attributes = {
-            "quantity": self.quantity,
-            "noise": self.noise,
-            "notes": "\n".join(self.notes),
-        }
-        return made.assign_attrs(attributes)
-
-    def _orbits(self) -> xr.Dataset | None:
-        """Branches of the fitted model over the measured frequencies; None without the quantity."""
-        if self.quantity not in ("amplitude", "x_max", "x_min"):
-            return None
-        between = float(self.omega.min()), float(self.omega.max())
-        try:
-            found = branches(self.oscillator, self.law, "omega", between)
-        except ModelError:  # no periodic orbit
-            return None
-        found.encoding.clear()
-        return found
 
     def plot(self) -> Any:
         """Return the figure of `gapsweep.plot`: measured points over branches, and residuals."""
@@ -384,27 +300,6 @@ def fit(
     sigma = given or 0.01 * scale
     places = [_minimum(points, start, sigma, scale) for start in _starts(points, scale)]
     return _result(points, places, given, sigma, scale)
-
-
-def ranges(free: Any, n_points: int) -> tuple[Window, ...]:
-    """Return the ranges of free parameters, of which `n_points` measured points may decide.
-
-    Raises
-    ------
-    ModelError
-        If they are no ranges of parameters, or too many for the points.
-    """
-    if not isinstance(free, Mapping) or not free:
-        raise ModelError(f"free = {free!r:.80}: must be ranges by name, as {{'gap': (1e-4, 1e-3)}}")
-    for name in free:
-        if name in ("omega", AMPLITUDE):
-            raise ModelError(f"free: {name!r} is measured; name parameters of the model")
-    if {"gap"} < {*free} and {"j_1", "j_2"} & {*free}:
-        raise ModelError("free: 'gap' means both walls; leave it out with 'j_1' or 'j_2'")
-    if n_points <= len(free):
-        said = f"{n_points} points for {len(free)} free parameters; must be more points"
-        raise ModelError(f"measured: {said}")
-    return tuple(Window.of(name, ends) for name, ends in free.items())
 
 
 def _starts(points: _Points, scale: float) -> list[Array]:

@@ -1,4 +1,4 @@
-"""Measured sweeps: frequencies, values and directions in SI units.
+"""Measured sweeps in SI units, and ranges of the parameters that are fitted to them.
 
 A table has a column of frequencies (``omega`` or ``frequency``), a column of one quantity
 (``amplitude``, ``x_max`` or ``peak``, ``x_min``, ``force_max``) and, if it is known, a column
@@ -19,8 +19,8 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.io import loadmat
 
+from gapsweep.continuation.family import AMPLITUDE, Window
 from gapsweep.design.demands import QUANTITIES
 from gapsweep.errors import ModelError
 from gapsweep.model.arrays import factor_of, read_columns, split_title
@@ -103,6 +103,27 @@ def sweeps(measured: Any) -> tuple[str, list[Sweep]]:
             parts = _by_order(omega)
         several += [_sweep(where, name, omega[rows], measured_values[rows]) for name, rows in parts]
     return names[0], several
+
+
+def ranges(free: Any, n_points: int) -> tuple[Window, ...]:
+    """Return the ranges of free parameters, of which `n_points` measured points may decide.
+
+    Raises
+    ------
+    ModelError
+        If they are no ranges of parameters, or too many for the points.
+    """
+    if not isinstance(free, Mapping) or not free:
+        raise ModelError(f"free = {free!r:.80}: must be ranges by name, as {{'gap': (1e-4, 1e-3)}}")
+    for name in free:
+        if name in ("omega", AMPLITUDE):
+            raise ModelError(f"free: {name!r} is measured; name parameters of the model")
+    if {"gap"} < {*free} and {"j_1", "j_2"} & {*free}:
+        raise ModelError("free: 'gap' means both walls; leave it out with 'j_1' or 'j_2'")
+    if n_points <= len(free):
+        said = f"{n_points} points for {len(free)} free parameters; must be more points"
+        raise ModelError(f"measured: {said}")
+    return tuple(Window.of(name, ends) for name, ends in free.items())
 
 
 def _sweep(where: str, direction: str, omega: Array, values: Array) -> Sweep:
@@ -213,6 +234,8 @@ def _csv(path: Path) -> dict[str, Any]:
 
 def _mat(path: Path) -> dict[str, Any]:
     """Arrays of a MATLAB file by their names."""
+    from scipy.io import loadmat  # a quarter of a second to import, and few sweeps need it
+
     try:
         found = loadmat(path, squeeze_me=True)
     except Exception as error:  # scipy raises errors of many kinds for damaged files

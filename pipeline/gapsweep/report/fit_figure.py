@@ -27,7 +27,7 @@ def draw(above: Axes, below: Axes, found: xr.Dataset) -> None:
     Parameters
     ----------
     found : Dataset
-        As `gapsweep.Fit.to_dataset` returns it.
+        As `dataset` of `analysis/datasets/fit_file.py` returns it.
     """
     quantity, omega = found.attrs["quantity"], found["measured_omega"].values
     values, residual, computed = (

@@ -6,6 +6,7 @@ from typing import Annotated, Any
 
 from pydantic import Field
 
+from gapsweep.design.measured import ranges, sweeps
 from gapsweep.errors import ModelError, StudyError
 from gapsweep.quantities import without_units, written
 from gapsweep.response.result import RESPONSE
@@ -66,10 +67,6 @@ def with_sweep(tables: Any, source: str) -> Any:
     table = tables.get("fit") if isinstance(tables, dict) else None
     if not isinstance(table, dict) or "data" not in table:
         return tables
-    # These import scipy, and few studies have a fit.
-    from gapsweep.design.fit import ranges
-    from gapsweep.design.measured import sweeps
-
     data, found = table["data"], dict(table)
     try:
         measured = Path(source).absolute().parent / data if isinstance(data, str) else data

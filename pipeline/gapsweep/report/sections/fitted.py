@@ -7,7 +7,7 @@ import numpy as np
 import xarray as xr
 from matplotlib.figure import Figure
 
-from gapsweep.design.fit import OTHER, PARAMETER
+from gapsweep.analysis.datasets.fit_file import OTHER, PARAMETER
 from gapsweep.report import fit_figure
 from gapsweep.report.inputs import Inputs
 from gapsweep.report.parts import Figured, Part, Table
