@@ -29,6 +29,7 @@ from gapsweep.run_folder import (
     CURVES,
     DAMAGED,
     FIT,
+    GRADIENTS,
     HISTORIES,
     REPORT,
     RESPONSES,
@@ -410,6 +411,13 @@ def _fit(run: RunContext) -> "xr.Dataset":
     return fit_of(run.study)
 
 
+def _gradients(run: RunContext) -> "xr.Dataset":
+    from gapsweep.analysis.datasets.gradients_file import gradients_of
+
+    with run.datasets() as found:
+        return gradients_of(run.study, found["attractors"])
+
+
 def _claims(run: RunContext) -> dict[str, Any]:
     with run.datasets() as found:
         return decide_claims(run.study, found)
@@ -456,13 +464,13 @@ def _bench_scenes(study: Study) -> list[bool]:
 
 _DATASETS = (
     *(RESPONSES, ATTRACTORS, STATIC, AGREEMENT, TIMING, HISTORIES, BRANCHES, CURVES, RISK),
-    *(FIT,),
+    *(FIT, GRADIENTS),
 )
 PAGE = Stage(
     REPORT,
     (
         *(RESPONSES, ATTRACTORS, STATIC, AGREEMENT, TIMING, ADVICE, BRANCHES, CURVES),
-        *(RISK, FIT, CLAIMS, SECTIONS, WORK_PRECISION, STABILITY),
+        *(RISK, FIT, GRADIENTS, CLAIMS, SECTIONS, WORK_PRECISION, STABILITY),
     ),
     (),
     _report,
@@ -500,6 +508,13 @@ STAGES = (
         failures=("attractor_status", Status.DIVERGED),
     ),
     Stage(RISK, (RESPONSES,), (SETTINGS,), _risk, lambda study: study.spec.uncertain is not None),
+    Stage(
+        GRADIENTS,
+        (ATTRACTORS,),
+        (SETTINGS,),
+        _gradients,
+        lambda study: study.spec.gradients is not None,
+    ),
     Stage(FIT, (), (SETTINGS,), _fit, lambda study: study.spec.fit is not None),
     Stage(
         CLAIMS,

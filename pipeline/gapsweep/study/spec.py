@@ -263,6 +263,12 @@ class BranchesTable(TomlTable):
             yield f"branches.range = {self.range}: must contain {name} = {value:g} of the study"
 
 
+class GradientsTable(TomlTable):
+    """Derivatives of the quantities of all periodic attractors by parameters."""
+
+    by: Annotated[list[str], Field(min_length=1)]
+
+
 def is_followed(one: Representation) -> bool:
     """Whether branches of a representation are followed: contacts located, no protocol."""
     return not (one.protocol or one.is_auto or one == NOT_LOCATED)
@@ -300,6 +306,7 @@ class StudySpec(TomlTable):
     branches: BranchesTable | None = None
     uncertain: UncertainTable | None = None
     fit: FitTable | None = None
+    gradients: GradientsTable | None = None
     claims: ClaimsTable | None = None
     report: ReportTable | None = None
 
@@ -398,10 +405,10 @@ class StudySpec(TomlTable):
         ]
         if any(one.is_auto and one.protocol for one in self.representations):
             wrong.append("'auto' chooses solver settings; leave out the protocol")
-        alone = [name for name in ("branches", "fit") if self.uncertain and getattr(self, name)]
-        wrong += [
-            f"{name}: not together with [uncertain]; write a separate study" for name in alone
-        ]
+        if self.uncertain:
+            several = [name for name in ("branches", "fit", "gradients") if getattr(self, name)]
+            said = "not together with [uncertain]; write a separate study"
+            wrong += [f"{name}: {said}" for name in several]
         if any(one.is_auto for table in self.history for one in table.representation):
             wrong.append("history: 'auto' is not allowed; write a representation, as 'piecewise'")
         if any(method.label.is_auto for method in methods):

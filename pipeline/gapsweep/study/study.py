@@ -21,6 +21,7 @@ from gapsweep.model.contact import OF_WALLS, ContactLaw, Piecewise
 from gapsweep.model.labels import EXACT, Representation, contact_law
 from gapsweep.model.oscillator import Gap, Oscillator
 from gapsweep.model.own_law import OwnLaw, checked
+from gapsweep.model.parameters import Parameter
 from gapsweep.model.structure import AnyStructure
 from gapsweep.response.result import Steady
 from gapsweep.study.axes import MAX_POINTS, MAX_VALUES, forms
@@ -169,6 +170,8 @@ class Study:
             walls = ["K_c", "gap", "j_1", "j_2", *OF_WALLS] if self.model.contacts else []
             of_fit = fit.problems(axes, [*walls, *known], self.spec.contact.values())
             lines = chain(lines, of_fit, self._problems_of_ranges("fit.free", fit.free))
+        if self.spec.gradients:
+            lines = chain(lines, self._problems_of_gradients(self.spec.gradients.by))
         if self.spec.uncertain:
             lines = chain(lines, self._problems_of_uncertain())
         problems = [f"{self.source}: {line}" for line in lines]
@@ -218,6 +221,19 @@ class Study:
                         replace(self.oscillator, **{name: value})
             except ModelError as error:
                 yield f"{where}: {error}"
+
+    def _problems_of_gradients(self, names: Sequence[str]) -> Iterator[str]:
+        """Names that are no parameters of the model or of the exact law."""
+        model = self.model.default
+        exact = tuple(Piecewise(1.0, Gap(1.0, 1.0)) for _ in model.contacts)
+        own = {} if self.model.is_oscillator else self.spec.parameters
+        if EXACT not in {one.law for one in self._axes["representation"]}:
+            yield f"gradients: no representation has located contacts; add {str(EXACT)!r}"
+        for name in names:
+            try:
+                Parameter(name, None, own).values(model, exact, 1.0)
+            except ModelError as error:
+                yield f"gradients.by: {error}"
 
     def _check_modules(self) -> None:
         """Refuse modules of [claims] and [report] that cannot be read; none of them is run."""
