@@ -13,6 +13,7 @@ from gapsweep.report.sections import (
     answer,
     benchmarks,
     claim_list,
+    contact_losses,
     derivatives,
     findings,
     fitted,
@@ -74,6 +75,7 @@ SECTIONS = (
     Section(results, RESULTS),
     Section(derivatives.sections),
     Section(force_errors.sections),
+    Section(contact_losses.sections),
     Section(claim_list.sections, template="_claims.html", script="claims"),
     Section(provenance.sections, template="_provenance.html"),
 )
