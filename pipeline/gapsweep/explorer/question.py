@@ -588,7 +588,7 @@ def of_study(study: Study) -> tuple[Question, dict[str, tuple[float, float]]]:
         values=tuple(float(values[name]) for name in machine.names),
         band=band,
         approximations=tuple(others[:1]),
-        fit_range=spec.fit.range,
+        fit_range=spec.approximation.range,
     )
     return question, ranges
 
