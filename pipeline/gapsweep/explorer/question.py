@@ -45,7 +45,7 @@ class Scale:
 
 
 @dataclass(frozen=True, eq=False)
-class Machine:
+class SliderModel:
     """A model and the walls of its contacts as functions of the sliders.
 
     Attributes
@@ -146,9 +146,9 @@ class Question:
 
     Attributes
     ----------
-    machine : Machine
+    machine : SliderModel
     values : tuple of float
-        Values of the sliders in SI units, in the order of `Machine.names`.
+        Values of the sliders in SI units, in the order of `SliderModel.names`.
     approximations : tuple of str
         Labels of the other laws.
     band : (float, float)
@@ -170,7 +170,7 @@ class Question:
         The model at these values.
     """
 
-    machine: Machine
+    machine: SliderModel
     values: tuple[float, ...]
     band: tuple[float, float]
     approximations: tuple[str, ...] = ()
@@ -435,7 +435,7 @@ def _machine(
     widest: float,
     laws: Mapping[str, str] | None = None,
     exact: Mapping[str, Piecewise] | None = None,
-) -> Machine:
+) -> SliderModel:
     """The machine of a model, or of a function that returns it for keywords with defaults.
 
     `widest` is the distance of a wall; those of a system decide the power of ten that is shown.
@@ -443,11 +443,11 @@ def _machine(
     several = laws or {}, exact or {}
     if isinstance(model, Oscillator):
         numbers_of = {name: getattr(model, name) for name in _OSCILLATOR}
-        return Machine(lambda values: replace(model, **values), numbers_of, walls, *several)
+        return SliderModel(lambda values: replace(model, **values), numbers_of, walls, *several)
     factor = 10.0 ** (3 * round(math.log10(widest) / 3)) if widest else 1.0
     if isinstance(model, System):
-        return Machine(lambda _: model, {}, walls, *several, factor)
-    return Machine(lambda values: model(**values), _defaults(model), walls, *several, factor)
+        return SliderModel(lambda _: model, {}, walls, *several, factor)
+    return SliderModel(lambda values: model(**values), _defaults(model), walls, *several, factor)
 
 
 def _defaults(function: Any) -> dict[str, float]:
@@ -593,7 +593,7 @@ def of_study(study: Study) -> tuple[Question, dict[str, tuple[float, float]]]:
     return question, ranges
 
 
-def _machine_of(study: Study, gaps: Sequence[Gap]) -> Machine:
+def _machine_of(study: Study, gaps: Sequence[Gap]) -> SliderModel:
     """The model of a study; numbers of a contact in [contact] have no slider."""
     walls: dict[str, dict[str, str | float]] = {}
     laws, widths = {}, [gap.size for gap in gaps]
