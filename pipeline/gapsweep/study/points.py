@@ -163,6 +163,11 @@ class Points:
         """Return some of the points."""
         return Points(self.kind, self.numbers[rows])
 
+    def from_states(self, states: NDArray[np.float64]) -> "Points":
+        """Return the points with other fixed initial states, shape (n, n_states)."""
+        kind = replace(self.kind, start=FIXED, start_jitter=0.0)
+        return Points(kind, np.hstack([self.numbers[:, : -self.kind.n_states], states]))
+
     @property
     def starts(self) -> NDArray[np.float64]:
         """Fixed initial states, shape (n, n_states), shifted by the jitter of the protocol."""

@@ -198,6 +198,12 @@ class AutoTable(TomlTable):
     error: Annotated[float, Field(ge=SMALLEST_ERROR, le=LARGEST_ERROR)] = DEFAULT_ERROR
 
 
+class AttractorsTable(TomlTable):
+    """Rays from every attractor on which the smallest disturbance that leaves it is searched."""
+
+    rays: Annotated[int, Field(ge=1, le=4096)]
+
+
 def _python_file(path: str) -> str:
     if not (path.endswith(".py") and PurePath(path).stem.isidentifier()):
         raise ValueError("must be the path of a Python file, as 'claims.py'")
@@ -296,6 +302,7 @@ class StudySpec(TomlTable):
     auto: AutoTable = AutoTable()
     history: list[HistoryTable] = Field([])
     bench: BenchTable | None = None
+    attractors: AttractorsTable | None = None
     branches: BranchesTable | None = None
     uncertain: UncertainTable | None = None
     claims: ClaimsTable | None = None
@@ -398,6 +405,8 @@ class StudySpec(TomlTable):
             wrong.append("'auto' chooses solver settings; leave out the protocol")
         if self.uncertain and self.branches:
             wrong.append("branches: not together with [uncertain]; write a separate study")
+        if self.attractors and any(one.is_own for one in self.representations):
+            wrong.append("attractors: not with user laws; call gs.basins(..., rays=32)")
         if any(one.is_auto for table in self.history for one in table.representation):
             wrong.append("history: 'auto' is not allowed; write a representation, as 'piecewise'")
         if any(method.label.is_auto for method in methods):
