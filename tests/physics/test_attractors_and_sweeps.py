@@ -134,7 +134,7 @@ def bistable_scenes(n):
         found = gs.basins(model, law, omega, **starts)
         if (
             found["period_multiple"].values.tolist() == [1, 1]
-            and np.ptp(np.log(found["x_max"])) > 0.2
+            and np.ptp(np.log(found["x_max"].values)) > 0.2
         ):
             n -= 1
             yield model, law, omega, gs.basins(model, law, omega, **starts, rays=32)
@@ -146,14 +146,18 @@ def test_no_state_of_a_grid_needs_a_smaller_disturbance():
     grid = np.stack(np.meshgrid(axis, axis), axis=-1).reshape(-1, 2)
     grid = grid[np.hypot(*grid.T) < 1.0 - 0.5 * (axis[1] - axis[0])]
     for model, law, omega, found in bistable_scenes(50):
-        change = [found["disturbance_x"], found["disturbance_v"] / (2.0 * math.pi * omega)]
-        direction = (np.array(change) / found["disturbance"].values).T
+        n_periods = math.ceil(2.0 * omega / (model.zeta * model.omega_n))
         for number in (0, 1):
-            shares = np.concatenate([np.outer([1.001, 0.999], direction[number]), grid])
-            n_periods = math.ceil(2.0 * omega / (model.zeta * model.omega_n))
-            leaves = left(found, number, model, law, omega, shares, n_periods)
-            assert leaves[0], (model, law, omega)
-            assert not leaves[1:].any(), (model, law, omega)
+            leaves = left(found, number, model, law, omega, grid, n_periods)
+            assert not leaves.any(), (model, law, omega)
+            # Fixed steps are too inaccurate to tell which side of a boundary these states are on.
+            of = found.isel(attractor_number=number)
+            share = np.array([1.0, 0.999])
+            x, v = (
+                of[f"disturbed_{n}"].item() + share * of[f"disturbance_{n}"].item() for n in "xv"
+            )
+            peaks = gs.respond(model, law, omega, x, v).x_max
+            assert_array_equal(np.isclose(peaks, of["x_max"], rtol=1e-6), [False, True])
 
 
 def test_basins_are_drawn_with_a_name_for_every_attractor():

@@ -86,9 +86,10 @@ def follow(scene: BranchScene) -> Any:
     walls, omega, numbers = np.split(scene.point.numbers[0, : -kind.n_states], [n, n + 1])
     values: Mapping[str, float] = {window.name: window.low}
     example = scene.system() if scene.system else kind.structure.system(numbers)
+    (laws,) = kind.laws(walls[None])
     family = Family(
         scene.system or example,
-        dict(zip(example.contacts, kind.laws(walls), strict=True)),
+        dict(zip(example.contacts, laws, strict=True)),
         None if window.name == "omega" else float(omega[0]) or None,
         (window.name,),
         values,
