@@ -176,11 +176,9 @@ class Models:
                 for b, law in zip(system.contacts.values(), laws, strict=True):
                     walls += _stiffness(law) * np.outer(b, b)
                 length[rows] = np.minimum(length[rows], system.held(walls) + farther[rows])
-        own = [len(laws) == 1 and type(laws[0]) in (UserLaw, ForceTable) for laws in self.laws]
-        for number in np.flatnonzero(own).tolist():
-            (law,) = self.laws[number]
-            rows = np.flatnonzero((self.law == number) & np.isfinite(spring) & (length > 0.0))
-            if rows.size:
+        for number, laws in enumerate(self.laws):
+            if len(laws) == 1 and isinstance(law := laws[0], UserLaw | ForceTable):
+                rows = np.flatnonzero((self.law == number) & np.isfinite(spring) & (length > 0.0))
                 x, load = length[rows], spring[rows] * length[rows]
                 with np.errstate(all="ignore"):  # far outside the range of the law
                     force = np.minimum(abs(law.force(x)), abs(law.force(-x)))
@@ -226,13 +224,14 @@ def _spring(system: Model) -> float:
 
 
 def _stiffness(law: ContactLaw) -> float:
-    """Stiffness [N/m] of the softer wall; zero for user laws and tables."""
-    return 0.0 if isinstance(law, UserLaw | ForceTable) else law.K_c * min(1.0, law.K_ratio)
+    """Stiffness [N/m] of the softer wall, 0 for one wall, user laws and tables."""
+    return 0.0 if isinstance(law, UserLaw | ForceTable) else min(law.stiffnesses)
 
 
 def _farther(law: ContactLaw) -> float:
     """Distance [m] of the farther wall that has stiffness."""
-    return max(law.gap.j_1 if law.K_ratio else 0.0, law.gap.j_2)
+    lower = law.gap.j_1 if law.K_ratio else 0.0
+    return max(j if j < math.inf else 0.0 for j in (lower, law.gap.j_2))
 
 
 def _integrated(system: Model) -> Model:

@@ -40,11 +40,14 @@ from gapsweep.study.axes import (
     Range,
     Starts,
     TomlTable,
+    WallAxis,
     count,
     n_starts,
     several,
+    values,
 )
 from gapsweep.study.bench_tables import BenchTable
+from gapsweep.study.fit_table import FitTable, with_sweep
 from gapsweep.study.grid import START, Axes
 from gapsweep.study.least_model import DEFAULT_ERROR, LARGEST_ERROR, SMALLEST_ERROR
 from gapsweep.study.oscillator_table import OscillatorTable, with_points
@@ -76,8 +79,8 @@ class SweepTable(TomlTable):
     representation: Annotated[list[Label], Field(min_length=1), BeforeValidator(several)]
     K_c: NonNegativeAxis | None = None
     gap: Pairs | None = None
-    j_1: NonNegativeAxis | None = None
-    j_2: NonNegativeAxis | None = None
+    j_1: WallAxis | None = None
+    j_2: WallAxis | None = None
     omega: PositiveAxis | None = None
     K_ratio: NonNegativeAxis | None = None
     damping: NonNegativeAxis | None = None
@@ -89,6 +92,8 @@ class SweepTable(TomlTable):
         given = [name for name in ("gap", "j_1", "j_2") if getattr(self, name) is not None]
         if given not in ([], ["gap"], ["j_1", "j_2"]):
             raise ValueError("give gap, or j_1 and j_2")
+        if all(axis is not None and math.inf in values(axis) for axis in (self.j_1, self.j_2)):
+            raise ValueError("j_1, j_2: inf in both: no wall on either side; write gap instead")
         return self
 
     @property
@@ -148,7 +153,7 @@ class SteadyTable(TomlTable):
         return self
 
 
-class FitTable(TomlTable):
+class ApproximationTable(TomlTable):
     range: Positive = FIT_RANGE
 
 
@@ -261,11 +266,18 @@ class BranchesTable(TomlTable):
             yield f"branches.second = {name!r}: must have one value in [[sweep]]; range varies it"
         value = axes[name][0] if name in axes else {**OF_WALLS, **known}.get(name)
         if name in WALLS and "gap" in axes:
-            value = axes["gap"][0].j_2 if name == "j_2" else axes["gap"][0].j_1
+            gap = axes["gap"][0]
+            value = gap.distances[0] if name == "gap" else getattr(gap, name)
         if not low < high:
             yield f"branches.range = {self.range}: must be ascending, of two different values"
         elif value is not None and not low <= value <= high:
             yield f"branches.range = {self.range}: must contain {name} = {value:g} of the study"
+
+
+class GradientsTable(TomlTable):
+    """Derivatives of the quantities of all periodic attractors by parameters."""
+
+    by: Annotated[list[str], Field(min_length=1)]
 
 
 def is_followed(one: Representation) -> bool:
@@ -298,13 +310,15 @@ class StudySpec(TomlTable):
     solver: SolverTable = SolverTable()
     protocol: dict[Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]+$")], SolverTable] = Field({})
     steady: SteadyTable = SteadyTable()
-    fit: FitTable = FitTable()
+    approximation: ApproximationTable = ApproximationTable()
     auto: AutoTable = AutoTable()
     history: list[HistoryTable] = Field([])
     bench: BenchTable | None = None
     attractors: AttractorsTable | None = None
     branches: BranchesTable | None = None
     uncertain: UncertainTable | None = None
+    fit: FitTable | None = None
+    gradients: GradientsTable | None = None
     claims: ClaimsTable | None = None
     report: ReportTable | None = None
 
@@ -403,8 +417,10 @@ class StudySpec(TomlTable):
         ]
         if any(one.is_auto and one.protocol for one in self.representations):
             wrong.append("'auto' chooses solver settings; leave out the protocol")
-        if self.uncertain and self.branches:
-            wrong.append("branches: not together with [uncertain]; write a separate study")
+        if self.uncertain:
+            several = [name for name in ("branches", "fit", "gradients") if getattr(self, name)]
+            said = "not together with [uncertain]; write a separate study"
+            wrong += [f"{name}: {said}" for name in several]
         if self.attractors and any(one.is_own for one in self.representations):
             wrong.append("attractors: not with user laws; call gs.basins(..., rays=32)")
         if any(one.is_auto for table in self.history for one in table.representation):
@@ -556,7 +572,7 @@ def _line(text: str, error: ValueError) -> str:
 
 def check(tables: dict[str, Any], source: str = "study") -> StudySpec:
     """Check the tables of a study; see `parse`."""
-    tables = with_numbers(with_data(with_points(tables, source), source))
+    tables = with_numbers(with_sweep(with_data(with_points(tables, source), source), source))
     try:
         return StudySpec.model_validate(tables)
     except ValidationError as error:
