@@ -94,6 +94,34 @@ def test_derivatives_with_contact_damping(pulls, x_max, derivatives):
     assert_allclose(got, derivatives, rtol=0, atol=1e-11)
 
 
+@pytest.mark.parametrize("mean_load", [0.0, 0.004])  # a classic oscillator, and the general form
+def test_derivatives_with_hunt_crossley(mean_load):
+    names = ["mass", "c", "omega_n", "forcing", "omega", "j_1", "j_2", "K_c", "K_ratio", "chi"]
+    law = gs.HuntCrossley(20.0, gs.Gap(0.16, 0.1745), K_ratio=0.7, chi=1.5)
+    model, omega = machine(mean_load=mean_load), 0.95 / HZ
+    found = gs.gradient(model, law, names, omega=omega)
+    by = found["gradient"].sel(quantity=["x_max", "x_min", "contact_share"])
+    for name in names:
+        holder = next((x for x in (model, law) if hasattr(x, name)), law.gap)
+        place = omega if name == "omega" else getattr(holder, name)
+        ends = []
+        for step in (-2e-4, -1e-4, 1e-4, 2e-4):
+            value = place * (1.0 + step)
+            here = holder if name == "omega" else replace(holder, **{name: value})
+            end = gs.respond(
+                here if holder is model else model,
+                here if holder is law else replace(law, gap=here) if holder is law.gap else law,
+                omega=value if name == "omega" else omega,
+                rtol=1e-13,
+                steady=gs.Steady(settle_tol=1e-11),
+            )
+            ends.append([end.x_max, end.x_min, end.contact_share])
+        weights = np.array([1.0, -8.0, 8.0, -1.0]) / (12e-4 * place)
+        difference = weights @ np.array(ends)
+        error = np.abs(by.sel(parameter=name).values - difference).max()
+        assert error < 1e-8 * np.abs(difference).max() + 1e-9 / abs(place), name
+
+
 def _drawn(n, seed):
     rng = np.random.default_rng(seed)
     m, k, force = 10 ** rng.uniform((-0.5, -0.5, -1.0), (0.5, 0.5, 1.0), (n, 3)).T

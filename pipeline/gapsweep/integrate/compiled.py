@@ -8,7 +8,7 @@ from numba.core.errors import NumbaError
 from numpy.typing import NDArray
 
 from gapsweep.errors import ModelError
-from gapsweep.integrate.lanes.columns import with_columns
+from gapsweep.integrate.lanes.columns import has_same_walls, with_columns
 from gapsweep.integrate.lanes.law_rows import with_losses
 from gapsweep.integrate.lanes.method import Method
 from gapsweep.integrate.lanes.scene_table import SceneTable, scenes
@@ -34,20 +34,24 @@ Array = NDArray[np.float64]
 # Largest relative tolerance at which steps cross overlapping layers of tanh, too.
 _THICK_LAYERS_UP_TO = 1e-5
 _LONGEST = 200  # characters of numba's message
+_IS_ZERO = "one of them is 0 and adds a load, a spring or a wall; give it a small value"
 
 
 def prepared(models: Models, solver: Solver, shifts: Shifts | None = None) -> Integrate:
     """Return the integrator of some models; no result depends on the other rows of a call.
 
-    With `shifts`, motions with a tangent are differentiated by parameters too.
+    With `shifts`, motions of the first n models with a tangent are differentiated by parameters
+    too; `models` then has the rows that `Shifts` describes.
     """
+    if shifts is not None:
+        _check_columns(models, solver, shifts)
     is_taylor = _by_taylor(models, solver)
     scenes = _scenes(models, solver, is_taylor)
     method: Method = Taylor()
     is_located = is_taylor and (scenes.at.is_tanh or _is_located(models))
     mass = models.of_systems(attrgetter("mass")) if _is_oscillator(models) else None
     if shifts is not None:
-        scenes = _with_columns(scenes, models, solver, shifts)
+        scenes = _with_columns(scenes, shifts)
     if not is_located:
         laws = [_kernel_law(models, contact) for contact in range(len(models.laws[0]))]
         mass = np.ones(len(models)) if mass is None else mass
@@ -106,24 +110,24 @@ def _forces(found: Array | None, mass: Array | None, which: NDArray[np.intp]) ->
     return found if found is None or mass is None else found * mass[which, None]
 
 
-def _with_columns(scenes: SceneTable, models: Models, solver: Solver, shifts: Shifts) -> SceneTable:
-    """Return a table with a column for every parameter; refuse what has none."""
-    if not _is_located(models) or scenes.at.is_tanh or scenes.at.has_chi:
+def _check_columns(models: Models, solver: Solver, shifts: Shifts) -> None:
+    """Raise a `ModelError` if motions of the models have no parameter columns."""
+    if not _is_located(models):
         raise ModelError(
             f"law = {models.laws[0][0]}: gradients need located contacts, as gs.Piecewise(1.4e4, "
             "gs.Gap(4e-4, 4e-4))"
         )
     if solver.runge_kutta_setting:
         raise ModelError(f"{solver.runge_kutta_setting}: gradients need Taylor steps; leave it out")
-    shifted = _scenes(shifts.models, solver, True)
-    walls, others = _stiff_walls(models), _stiff_walls(shifts.models)
-    has_same = others.reshape(*shifts.weights.shape[:2], *walls.shape) == walls
-    if shifted.at != scenes.at or not has_same.all():
-        raise ModelError(
-            f"parameters = {list(shifts.names)}: one of them is 0 and adds a load, a spring or a "
-            "wall; give it a small value"
-        )
-    found, is_covered = with_columns(scenes, shifted, shifts.weights, shifts.by_omega)
+    if len(models.by_kind()) > 1:
+        raise ModelError(f"parameters = {list(shifts.names)}: {_IS_ZERO}")
+
+
+def _with_columns(scenes: SceneTable, shifts: Shifts) -> SceneTable:
+    """Return the table of the first n models with a column for every parameter."""
+    if not has_same_walls(scenes, shifts.n):
+        raise ModelError(f"parameters = {list(shifts.names)}: {_IS_ZERO}")
+    found, is_covered = with_columns(scenes, shifts)
     for name, is_fine in zip(shifts.names, is_covered.tolist(), strict=True):
         if not is_fine:
             raise ModelError(
@@ -132,11 +136,6 @@ def _with_columns(scenes: SceneTable, models: Models, solver: Solver, shifts: Sh
                 "amplitudes of harmonics"
             )
     return found
-
-
-def _stiff_walls(models: Models) -> NDArray[np.bool_]:
-    """Whether each wall has a stiffness, and so a place; shape (n, n_contacts, 2)."""
-    return models.of_laws(lambda law: law.stiffnesses) > 0.0
 
 
 def _by_taylor(models: Models, solver: Solver) -> bool:

@@ -273,24 +273,34 @@ def law_kind(law: ContactLaw) -> Hashable:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Shifts:
-    """Models with shifted parameters, from which derivatives by the parameters follow.
+    """Derivatives by parameters, as sums over models with shifted parameters.
+
+    A call that differentiates by parameters has n models, then, for every parameter and shift,
+    these models with that parameter shifted.
 
     Attributes
     ----------
     names : tuple of str
         The parameters.
-    models : Models
-        For every parameter, shift and model, in this order.
     weights : ndarray, shape (n_parameters, n_shifts, n)
-        Weights of shifted values in the derivative at each of n models.
-    by_omega : ndarray of bool, shape (n_parameters,)
-        Whether the parameter is the forcing frequency.
+        Weights of shifted values in the derivative at each model; their sum is zero.
     """
 
     names: tuple[str, ...]
-    models: Models
     weights: Array
-    by_omega: NDArray[np.bool_]
+
+    @property
+    def n(self) -> int:
+        """Number of models."""
+        return int(self.weights.shape[2])
+
+    def derivatives(self, values: Array) -> Array:
+        """Return derivatives of values of all rows, shape (n_parameters, n, ...).
+
+        Exactly zero of values that do not change.
+        """
+        shifted = values[self.n :].reshape(*self.weights.shape, *values.shape[1:])
+        return np.asarray(np.einsum("psn,psn...->pn...", self.weights, shifted - values[: self.n]))
 
 
 @dataclass(slots=True, kw_only=True)  # creating a frozen one takes three times as long

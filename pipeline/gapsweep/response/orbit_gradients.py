@@ -80,24 +80,23 @@ class Cases:
         models, laws = ([each[i] for i in rows.tolist()] for each in (self.models, self.laws))
         return Cases(models, laws, self.omega[rows], self.parameters)
 
-    def shifts(self) -> Shifts:
-        """Return the models with shifted parameters."""
+    def shifted(self) -> tuple[Models, Shifts]:
+        """Return rows of models, then of those with shifted parameters, as `Shifts` describe."""
         n, n_shifts = len(self), len(_CENTRAL[0])
         pairs: dict[tuple[int, int], int] = {}
         ids = zip(map(id, self.models), map(id, self.laws), strict=True)
         which = np.array([pairs.setdefault(pair, len(pairs)) for pair in ids])
         firsts = [int(np.flatnonzero(which == k)[0]) for k in range(len(pairs))]
-        systems: list[Any] = []
-        laws: list[Laws] = []
-        system, omega, weights = [], [], []
+        systems, laws = ([each[first] for first in firsts] for each in (self.models, self.laws))
+        rows, omega, weights = [which], [self.omega], []
         for parameter in self.parameters:
             numbers, own = np.empty((n_shifts, len(pairs)), np.intp), np.empty((n_shifts, n))
             if parameter.name == "omega":
                 steps, factors = (np.array(each)[:, None] for each in _CENTRAL)
-                omega.append(self.omega * (1.0 + _SHIFT * steps))
+                omega.append(np.ravel(self.omega * (1.0 + _SHIFT * steps)))
                 own[:] = factors / (_SHIFT * self.omega)
             else:
-                omega.append(np.broadcast_to(self.omega, (n_shifts, n)))
+                omega.append(np.tile(self.omega, n_shifts))
             for k, first in enumerate(firsts):
                 model, law, rate = self.models[first], self.laws[first], float(self.omega[first])
                 size = max(map(abs, parameter.values(model, law, rate)))
@@ -110,15 +109,12 @@ class Cases:
                 numbers[:, k] = len(systems) + np.arange(n_shifts)
                 systems += [each[0] for each in shifted]
                 laws += [each[1] for each in shifted]
-            system.append(numbers[:, which])
+            rows.append(numbers[:, which].ravel())
             weights.append(own)
-        rows = np.array(system).ravel()
-        models = Models(
-            systems=systems, laws=laws, system=rows, law=rows, omega=np.array(omega).ravel()
-        )
+        of = np.concatenate(rows)
+        models = Models(systems=systems, laws=laws, system=of, law=of, omega=np.concatenate(omega))
         names = tuple(parameter.name for parameter in self.parameters)
-        by_omega = np.array([name == "omega" for name in names])
-        return Shifts(names=names, models=models, weights=np.array(weights), by_omega=by_omega)
+        return models, Shifts(names=names, weights=np.array(weights))
 
 
 def _shifted(
@@ -188,8 +184,8 @@ class Orbits:
     ) -> None:
         self.models = Models.of(cases.models, cases.laws, cases.omega)
         self.is_system = not isinstance(cases.models[0], Oscillator)
-        self.shifts = cases.shifts()
-        self._integrate = prepared(self.models, solver, self.shifts)
+        self.shifted, self.shifts = cases.shifted()
+        self._integrate = prepared(self.shifted, solver, self.shifts)
         self.is_forced = bool(cases.omega[0] > 0.0)
         self.y, self.n = states.copy(), self.models.systems[0].n
         self.period = np.array(period) if period is not None else multiples / cases.omega
@@ -297,7 +293,7 @@ class _Reading:
         # An oscillator in its general form has extrema of its gap, too.
         has_gaps = not isinstance(self.model, Oscillator)
         self.first_gap = n if has_gaps else 0
-        self.walls = _Walls(orbits.models, orbits.shifts)
+        self.walls = _Walls(orbits.shifted, orbits.shifts)
         self._turns = self._turning_points()
         turned = _extremes(*self._turns, self.first_gap + contacts if has_gaps else n)
         grazed = self._nearest()
@@ -313,10 +309,10 @@ class _Reading:
         self._passed = passed, ends.state[last:], moved[last:]
         # A column by the frequency is that of the speed over the phase.
         self.state_gradient = change.copy()
-        by_omega = np.flatnonzero(orbits.shifts.by_omega)
-        for column in by_omega.tolist():
+        rates = orbits.shifts.derivatives(orbits.shifted.omega)
+        if rates.any():
             speed = orbits.y[:, n : 2 * n] / orbits.models.omega[:, None]
-            self.state_gradient[:, n : 2 * n, column] += speed
+            self.state_gradient[:, n : 2 * n] += speed[:, :, None] * rates.T[:, None, :]
 
     def quantities(self) -> dict[str, tuple[Array, Array]]:
         """Values, shape (n,), and derivatives, shape (n, n_parameters), by quantity."""
@@ -451,13 +447,10 @@ class _Walls:
     """Stiffnesses [N/m] and places [m] of the lower and the upper walls, and their derivatives."""
 
     def __init__(self, models: Models, shifts: Shifts) -> None:
-        n, contacts = len(models), len(models.laws[0])
-        self.stiffness, self.place = (
-            _numbers_of(models).reshape(n, contacts, 2, 2).transpose(2, 0, 1, 3)
-        )
-        moved = _numbers_of(shifts.models).reshape(*shifts.weights.shape, contacts, 2, 2)
+        numbers = _numbers_of(models).reshape(len(models), -1, 2, 2)
+        self.stiffness, self.place = numbers[: shifts.n].transpose(2, 0, 1, 3)
         with np.errstate(invalid="ignore"):  # no wall is at infinity
-            found = np.einsum("psn,psnkab->ankbp", shifts.weights, moved)
+            found = shifts.derivatives(numbers).transpose(3, 1, 2, 4, 0)
         self.stiffening, self.moving = np.where(np.isfinite(found), found, 0.0)
 
     def nearest(self, contact: int, which: Numbers, gap: Array) -> tuple[Array, Array]:

@@ -46,7 +46,7 @@ _COUNTS = ("harmonics", "cubics", "modulations")
 # rows for every cubic spring or load are last.
 SOURCES = (
     *("stiffness", "damping", "lag_force", "of_speed", "of_place", "of_lag", "pull"),
-    *("lower", "upper", "lower_stiffness", "upper_stiffness", "contact_damping"),
+    *("lower", "upper", "lower_stiffness", "upper_stiffness", "contact_damping", "chi"),
     *("cubic", "push"),
 )
 # Names of the blocks of rows and, by the counts of a `RowLayout`, how many rows each has.
@@ -275,7 +275,7 @@ class RowLayout:
         """First row within a parameter column of the derivatives of loads."""
         return self.sources["push"]
 
-    @property
+    @cached_property
     def column_size(self) -> int:
         """Number of rows of a parameter column: its state, then derivatives of `SOURCES`."""
         return self.n_states + sum(self.blocks[name] for name in SOURCES)

@@ -14,7 +14,7 @@ from llvmlite import ir
 from gapsweep.integrate.lanes.rows import dot
 from gapsweep.integrate.vectors import I64, fma, where
 
-from .series import Spring
+from .series import Spring, speeds
 from .terms import product_term
 
 
@@ -76,6 +76,11 @@ class Source:
             (where(here, change, 0.0), damping)
             for (here, change), damping in zip(damped, modes.damping, strict=True)
         ]
+        self._chi = []
+        numbers = zip(lanes.rows("chi"), self._rows("chi"), one.chi, strict=True)
+        for i, (chi, change, signed) in enumerate(numbers):
+            by = fma(change, modes.stiffness[i], chi * self._contacts[i][0])
+            self._chi.append((where(above[i], by, -by), signed))
         self._push = one.harmonics(self._amplitudes)
 
     def _rows(self, block):
@@ -112,7 +117,7 @@ class Source:
     def accelerations(self, n):
         """Coefficient n of the source of every coordinate's acceleration."""
         layout, one = self._lanes.layout, self._one
-        speeds, places, lags = self._state(n)
+        velocities, places, lags = self._state(n)
         gaps = self._terms(layout.first_gap, layout.contacts, n)
         forces, depths = [], []
         for (stiffer, moved, stiffness, wall), gap in zip(self._contacts, gaps, strict=True):
@@ -124,10 +129,16 @@ class Source:
         for k, (change, damping) in enumerate(self._losses):
             rate = rates[k] * float(n + 1)
             forces[k], depths[k] = fma(change, rate, forces[k]), fma(damping, rate, depths[k])
+        for k, (change, chi) in enumerate(self._chi):
+            gap = [self._terms(layout.first_gap + k, 1, i)[0] for i in range(n + 2)]
+            _, moved, _, wall = self._contacts[k]
+            pressed = product_term([gap[0] - wall, *gap[1:]], speeds(gap), n)
+            forces[k] = fma(change, pressed, forces[k] - chi * moved * speeds(gap)[n])
+            depths[k] = fma(chi, pressed, depths[k])
         totals = []
         for i, push in enumerate(self._push):
             total = dot(self._stiffness[i], places, one.zero)
-            total = dot(self._damping[i], speeds, total)
+            total = dot(self._damping[i], velocities, total)
             total = dot(self._lag_force[i], lags, total)
             if one.is_plain:
                 total = total + forces[0]
