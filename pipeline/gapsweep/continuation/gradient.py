@@ -58,7 +58,8 @@ def gradient(
     """Return derivatives of the quantities of periodic responses with respect to parameters.
 
     The parameter columns of the motion are integrated with it through its contacts; no derivative
-    is a difference of two motions. Contacts must be located (`gapsweep.Piecewise`).
+    is a difference of two motions. Contacts must be located (`gapsweep.Piecewise`,
+    `gapsweep.HuntCrossley`).
 
     Parameters
     ----------

@@ -8,7 +8,8 @@ parameters p::
 
 φ is the motion's end and f the derivative of y_ref by time. Both are divided by the size of the
 state. Derivatives of φ by y are the monodromy matrix, by T the motion's rate, by the parameters
-central differences of two motions. All orbits of a call are integrated together.
+columns of the engine (`OrbitEquations._motions` says where there are none). All orbits of a call
+are integrated together.
 """
 
 import math
