@@ -369,6 +369,17 @@ def test_figures_show_the_dataset():
         found.drop_vars("probability").gapsweep.risk("large")
 
 
+def test_a_tornado_has_the_number_of_points_left_out():
+    of, settings = of_ratio(0.05, 0.1), {"indices": True, "repeats": 2}
+    kind = np.zeros(2 * 4 * 256, int)
+    kind[[3, 3 + 256, 700]] = gs.ResponseClass.UNRESOLVED  # twice the point 3, and point 188
+    found = risk(of, of_switch, response_class=kind, **settings)
+    assert found["n_left_out"] == found["quantity_n_left_out"] == 2
+    assert "2 Sobol points" in found.gapsweep.tornado("large").get_xlabel()
+    whole = risk(of, of_switch, **settings)
+    assert "left out" not in whole.gapsweep.tornado("large").get_xlabel()
+
+
 def test_safe_values_are_judged_by_whole_intervals():
     p = xr.DataArray([[0.001, 0.04, 0.06, 0.2]], dims=("event", "gap"))
     risk = xr.Dataset({"probability": p, "low": p - 0.001, "high": p + 0.02}, {"event": ["large"]})

@@ -66,11 +66,17 @@ _OF_NUMBERS = {
     "total": "total Sobol index: share of the variance with the number's interactions",
     "total_error": "half-width of the 95 % interval of the total index",
 }
+_OF_WHAT = (("", EVENT), ("quantity_", QUANTITY))
 # Those of a study or call that asks for Sobol indices: of events, and of quantities.
 INDICES = {
     f"{prefix}{name}": Variable("f8", "1", text, dims=(dim, NUMBER))
-    for prefix, dim in (("", EVENT), ("quantity_", QUANTITY))
+    for prefix, dim in _OF_WHAT
     for name, text in _OF_NUMBERS.items()
+} | {
+    f"{prefix}n_left_out": Variable(
+        "f8", "1", "Sobol points left out of the indices: a sample is undecided", dims=(dim,)
+    )
+    for prefix, dim in _OF_WHAT
 }
 AXES = {
     EVENT: Variable("str", "1", "event"),
@@ -281,7 +287,7 @@ def _indices(values: Array, unknown: Bools) -> dict[str, Array]:
         mean = of_ab.sum(axis=(-3, -2, -1)) / (2.0 * n_all[..., 0])
         variance = (of_ab**2).sum(axis=(-3, -2, -1)) / (2.0 * n_all[..., 0]) - mean**2
         variance = np.where(variance > 0.0, variance, np.nan)[..., None]
-        found = dict[str, Array]()
+        found = {"n_left_out": (~known).sum(axis=(-3, -2, -1)).astype(float)}
         for name, sums in (
             ("first_order", (b * (mixed - a)).sum(axis=-1)),
             ("total", 0.5 * ((a - mixed) ** 2).sum(axis=-1)),
