@@ -346,6 +346,7 @@ def _export(run: RunContext) -> Iterator[bool]:
     return export(
         *(run.plan, run.folder / RESPONSES, run.folder / ATTRACTORS),
         made_from=lambda: as_text(STAGES[0].made_from(run.folder, run)),
+        connect=run.connect,
     )
 
 
