@@ -58,6 +58,8 @@ class Models:
         Forcing frequency [Hz]; 0 for unforced systems.
     start : ndarray, shape (n, n_states), optional
         Initial states of the whole motions; a default `atol` may depend on them.
+    size : ndarray, shape (n,), optional
+        Length of each problem [m] to which a default `atol` relates; None: computed.
     """
 
     systems: Sequence[Any]
@@ -66,17 +68,18 @@ class Models:
     law: Numbers
     omega: Array
     start: Array | None = None
+    size: Array | None = None
 
     def __post_init__(self) -> None:
-        for system in self.systems:
+        # One object of each type: there may be as many objects as rows.
+        for system in {type(system): system for system in self.systems}.values():
             if not isinstance(system, Oscillator | System):
                 raise ModelError(
                     f"oscillator = {system!r}: must be a gapsweep.Oscillator(...) or a "
                     "gapsweep.System()"
                 )
-        for laws in self.laws:
-            for each in laws:
-                checked_law(each)
+        for law in {type(law): law for laws in self.laws for law in laws}.values():
+            checked_law(law)
         object.__setattr__(self, "systems", [_integrated(system) for system in self.systems])
 
     @classmethod
@@ -108,6 +111,7 @@ class Models:
             law=law,
             omega=self.omega[rows],
             start=None if self.start is None else self.start[rows],
+            size=None if self.size is None else self.size[rows],
         )
 
     def by_kind(self) -> list[tuple[Numbers, "Models"]]:
@@ -149,6 +153,15 @@ class Models:
         """
         if solver.atol is not None:
             return np.full(len(self), solver.atol)
+        return np.asarray(solver.rtol * (self._length if self.size is None else self.size))
+
+    def sized(self) -> "Models":
+        """Return the models with their `size`, so that it is computed once."""
+        return replace(self, size=self._length)
+
+    @property
+    def _length(self) -> Array:
+        """Length [m] of each problem, as in `absolute`."""
         farther = self.of_laws(_farther).max(axis=1, initial=0.0)
         softer = self.of_laws(_stiffness).max(axis=1, initial=0.0)
         spring = self.of_systems(_spring)
@@ -164,11 +177,11 @@ class Models:
                     walls += _stiffness(law) * np.outer(b, b)
                 length[rows] = np.minimum(length[rows], system.held(walls) + farther[rows])
         for number, laws in enumerate(self.laws):
-            if len(laws) == 1 and isinstance(laws[0], UserLaw | ForceTable):
+            if len(laws) == 1 and isinstance(law := laws[0], UserLaw | ForceTable):
                 rows = np.flatnonzero((self.law == number) & np.isfinite(spring) & (length > 0.0))
                 x, load = length[rows], spring[rows] * length[rows]
                 with np.errstate(all="ignore"):  # far outside the range of the law
-                    force = np.minimum(abs(laws[0].force(x)), abs(laws[0].force(-x)))
+                    force = np.minimum(abs(law.force(x)), abs(law.force(-x)))
                     length[rows] = np.where(np.isfinite(force), x * load / (load + force), x)
         if not length.all():
             rate = [2.0 * math.pi * (one.slowest or one.fastest or 1.0) for one in self.systems]
@@ -176,7 +189,7 @@ class Models:
             start = np.zeros(1) if self.start is None else self.start / units[self.system]
             for other in (np.abs(start).max(axis=-1), farther):
                 length = np.where(length > 0.0, length, other)
-        return np.asarray(solver.rtol * np.where(length > 0.0, length, _NO_LENGTH))
+        return np.where(length > 0.0, length, _NO_LENGTH)
 
     def check_losses(self, solver: "Solver") -> None:
         """Raise a `ModelError` if contacts lose energy in a way that the solver cannot integrate.
