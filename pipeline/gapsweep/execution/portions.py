@@ -21,8 +21,8 @@ _RECENT_SECONDS = 60.0
 _FEW = np.array([256, 16])  # points of each kind with a weight equal to the mean of other kinds
 # Before any cost is known: a compiled kernel wants its lanes filled, scipy takes seconds a point.
 _FIRST_BATCH = {"compiled": 16, "scipy": 1}
-# A long sweep is computed in parts, so that a kill loses one part and not the whole sweep. A part is
-# longer where few sweeps fill a task.
+# A long sweep is computed in parts, so that a kill loses one part and not the whole sweep; parts
+# are longer if few sweeps fill a task.
 SWEEP_PART = 16
 
 # Numbers of points in a block, ascending.
