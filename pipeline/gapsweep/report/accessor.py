@@ -191,7 +191,8 @@ class GapsweepAccessor:
 
         Each branch has its colour, or each representation where there are several. Special points
         are marked: LP fold, PD period doubling, NS Neimark–Sacker, BP branch point, SB
-        symmetry breaking, GR graze, H Hopf, CP cusp; their symbols stand where there is room.
+        symmetry breaking, GR graze, BLP border fold, BPD border flip, H Hopf, CP cusp; their
+        symbols stand where there is room.
 
         Parameters
         ----------

@@ -6,6 +6,7 @@
 
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -15,13 +16,14 @@ from scipy.special import betaincinv, ndtri, stdtrit
 
 from gapsweep.analysis.dimensions import REPRESENTATION, of_study
 from gapsweep.continuation.family import Family
+from gapsweep.design.chance import Chance
 from gapsweep.errors import ModelError
 from gapsweep.integrate.problem import DEFAULT_ENGINE, Model, Models, Solver
 from gapsweep.integrate.simulate import AnyLaw
 from gapsweep.model.arrays import numbers
 from gapsweep.model.contact import ContactLaw
 from gapsweep.model.doubts import doubts, warn_of
-from gapsweep.model.oscillator import Oscillator, checked
+from gapsweep.model.oscillator import Oscillator, called_as, checked
 from gapsweep.model.structure import structure_of
 from gapsweep.response.respond import check_steady, respond_models
 from gapsweep.response.result import RESPONSE, ResponseClass, Steady
@@ -389,6 +391,85 @@ def risk_of_call(
     if isinstance(law, ContactLaw):  # plots have the style of its family
         return made.assign_coords({REPRESENTATION: law.family})
     return made
+
+
+@called_as("gs.probability({'quantity': 'amplitude', 'above': 5e-4}, 0.01, "
+           "{'forcing': scipy.stats.norm(2.0, 0.1)})")  # fmt: skip
+def probability(
+    event: Mapping[str, Any],
+    at_most: float,
+    uncertain: Mapping[str, Distribution],
+    *,
+    samples: int = 128,
+    repeats: int = 8,
+    seed: int = 1,
+    **initial: ArrayLike,
+) -> Chance:
+    """Return the demand that an event has at most some probability, for `gapsweep.choose`.
+
+    Parameters
+    ----------
+    event : mapping
+        As in `gapsweep.risk`: ``{"quantity": "amplitude", "above": 1e-3}``, or
+        ``{"response_class": "chaotic"}``.
+    at_most : float
+        Largest probability, between 0 and 1.
+    uncertain : mapping of str to distribution
+        As in `gapsweep.risk`; that of the parameter which is chosen is of the deviation from its
+        value, as ``{"gap": scipy.stats.norm(0.0, 2e-5)}``; so are those of ``"j_1"`` and ``"j_2"``
+        if ``"gap"`` is chosen.
+    samples, repeats, seed : int
+        As in `gapsweep.risk`. All values of the parameter have the same samples.
+    **initial : float or array_like
+        Initial state where it is certain: x_0, v_0, q_0, z_0, as in `gapsweep.respond`.
+
+    Raises
+    ------
+    ModelError
+        If an argument is invalid.
+
+    Examples
+    --------
+    >>> import gapsweep as gs, scipy.stats
+    >>> event = {"quantity": "amplitude", "above": 1e-3}
+    >>> gs.probability(event, 0.01, {"forcing": scipy.stats.norm(2.0, 0.1)})
+    <gapsweep.Chance: P(amplitude above 0.001) at most 0.01>
+    """
+    limit = checked("at_most", at_most, low=0.0, strict=True)
+    if not limit < 1.0:
+        raise ModelError(f"at_most = {limit:g}: must be < 1")
+    settings = {"samples": samples, "repeats": repeats, "seed": seed}
+    table = UncertainTable.of_call(_checked(uncertain), {"event": event}, settings)
+    (one,) = table.event
+    ends = {"above": one.above, "below": one.below}
+    words = " and ".join(f"{name} {end:g}" for name, end in ends.items() if end is not None)
+    words = f"{one.quantity} {words}" if one.quantity else str(one.response_class)
+
+    def of(model: Any, laws: Any, omega: Any, name: str, value: float) -> Array:
+        """Probabilities and their intervals, over the frequencies, at a value of the parameter."""
+        if "gap" in uncertain and name in ("j_1", "j_2"):
+            raise ModelError("uncertain: 'gap' sets both walls; write 'j_1' or 'j_2'")
+        walls = {"gap", "j_1", "j_2"} if name == "gap" else {name}
+        here = {n: _Shifted(one, value) if n in walls else one for n, one in uncertain.items()}
+        about: dict[str, Any] = {"events": {"event": event}, **settings, **initial}
+        found = risk_of_call(model, laws, here, omega, **about)
+        return np.array([np.ravel(found[each].values) for each in ("probability", "low", "high")])
+
+    return Chance(f"P({words}) at most {limit:g}", limit, of)
+
+
+@dataclass(frozen=True, slots=True)
+class _Shifted:
+    """A distribution of deviations from a value."""
+
+    of: Distribution
+    value: float
+
+    def ppf(self, q: Any) -> Any:
+        return self.value + self.of.ppf(q)
+
+    def cdf(self, x: Any) -> Any:
+        return self.of.cdf(x - self.value)
 
 
 def _checked(uncertain: Any) -> Mapping[str, Distribution]:
