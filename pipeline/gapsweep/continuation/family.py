@@ -4,7 +4,7 @@ import inspect
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -219,6 +219,12 @@ class Family:
         if AMPLITUDE in self.names and not found.is_loaded:
             return replace(general_form(found), forcing=())
         return found
+
+    def at(self, values: Mapping[str, float]) -> tuple[Any, dict[str, ContactLaw]]:
+        """The model, or its function with some arguments set, and the laws by contact."""
+        known = {name: value for name, value in values.items() if name in self._arguments}
+        model = partial(self.model, **known) if callable(self.model) else self.model_at(values)
+        return model, dict(zip(self.example.contacts, self.laws_at(values), strict=True))
 
     def laws_at(self, values: Mapping[str, float]) -> tuple[ContactLaw, ...]:
         """The laws of all contacts, in the model's order, at parameter values.
