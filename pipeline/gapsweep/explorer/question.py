@@ -482,7 +482,7 @@ def of_model(
         if not isinstance(one, ContactLaw):
             raise ModelError(f"law = {one!r:.80}: must be a contact law, as gapsweep.Piecewise")
         _refuse_damping(one.losses.damping or one.losses.chi)
-        _refuse_one_wall([one.gap.j_1, one.gap.j_2])
+        _refuse_other_walls([one.gap.j_1, one.gap.j_2])
     if set(several) != set(example.contacts):
         raise ModelError(f"law: of {list(several)}: must name {list(example.contacts)}")
     is_one = len(set(map(id, several.values()))) == 1
@@ -541,7 +541,7 @@ def of_study(study: Study) -> tuple[Question, dict[str, tuple[float, float]]]:
         raise ModelError(f"{study.source}: {_NOT_SHOWN}")
     _refuse_damping(max(grid.axes.get("damping", (0.0,))))
     gaps = grid.gaps if {"gap", "j_1"} & grid.axes.keys() else ()
-    _refuse_one_wall([wall for gap in gaps for wall in (gap.j_1, gap.j_2)])
+    _refuse_other_walls([wall for gap in gaps for wall in (gap.j_1, gap.j_2)])
     machine = _machine_of(study, gaps)
     ranges = {
         name: (min(axis), max(axis)) for name, axis in grid.axes.items() if name in machine.names
@@ -578,12 +578,13 @@ def _refuse_damping(damping: float) -> None:
         raise ModelError(f"damping = {damping:g}: explore has elastic walls; use gapsweep.respond")
 
 
-def _refuse_one_wall(distances: Sequence[float]) -> None:
-    if math.inf in distances:
-        raise ModelError(
-            "gap = inf: explore has walls on both sides, as gs.Gap(4e-4, 4e-4); use "
-            "gapsweep.respond"
-        )
+def _refuse_other_walls(distances: Sequence[float]) -> None:
+    for distance in distances:
+        if not 0.0 <= distance < math.inf:
+            raise ModelError(
+                f"gap = {distance:g}: explore has walls on both sides, as gs.Gap(4e-4, 4e-4); use "
+                "gapsweep.respond"
+            )
 
 
 def _machine_of(study: Study, gaps: Sequence[Gap]) -> Machine:
@@ -601,7 +602,7 @@ def _machine_of(study: Study, gaps: Sequence[Gap]) -> Machine:
                 )
         _refuse_damping(own.pop("damping", 0.0))
         if "gap" in own:
-            _refuse_one_wall(own["gap"])
+            _refuse_other_walls(own["gap"])
             own["j_1"], own["j_2"] = own.pop("gap")
             widths.append(own["j_1"] + own["j_2"])
         walls[contact] = {name: own.get(name, name) for name in _WALLS}
