@@ -1,16 +1,22 @@
 """Parameters fitted to simulated measurements, and intervals in which demands hold."""
 
+import json
 import math
+import re
 
 import numpy as np
 import pandas as pd
 import pytest
+import scipy.stats
 from scipy.io import savemat
 
 import gapsweep as gs
+from gapsweep.analysis.datasets.fit_file import fit_of
 from gapsweep.design.measured import sweeps
 from gapsweep.integrate.problem import Models, Solver
+from gapsweep.report.inputs import Inputs
 from gapsweep.report.marks import marks_of
+from gapsweep.report.sections import fitted
 from gapsweep.response.respond import respond_models
 
 # The public oscillator: m 1, c .05, k 1, walls at .1745, K_c 2, F .03.
@@ -54,6 +60,76 @@ def test_no_contact_ends_where_the_linear_response_reaches_the_wall():
         omega=0.8 / (2 * math.pi), starts=[[0.0, 0.0]],
     )  # fmt: skip
     assert [each.low for each in found] == [pytest.approx(amplitude, rel=1e-8)]
+
+
+@pytest.mark.parametrize("at_most", [0.02, 0.2])
+def test_a_probability_ends_an_interval_where_its_samples_are_within_the_limit(at_most):
+    """Amplitude R F of a linear oscillator; F deviates from its value by a normal number."""
+    linear, rate = gs.Piecewise(0.0, gs.Gap(1.0, 1.0)), 0.8
+    response = 1.0 / math.hypot(1.0 - rate**2, 0.05 * rate)
+    deviation, largest = scipy.stats.norm(0.0, 0.002), 0.1
+    demand = gs.probability(
+        {"quantity": "amplitude", "above": largest}, at_most, {"forcing": deviation}
+    )
+    found = gs.choose(
+        "forcing", (0.01, 0.06), PUBLIC, linear, so_that=demand, omega=rate / (2 * math.pi)
+    )
+    (only,) = found
+    true = largest / response - deviation.isf(at_most)
+    sure = float(re.search(r"above the limit from (\S+)", only.high_limit)[1])
+    assert only.low == 0.01
+    assert only.high <= true <= sure
+    assert sure - only.high < 0.001
+    machine = gs.Oscillator(mass=1.0, omega_n=1 / (2 * math.pi), zeta=0.025, forcing=only.high)
+    at_end = gs.risk(
+        machine, linear, {"forcing": scipy.stats.norm(only.high, 0.002)}, rate / (2 * math.pi),
+        events={"large": {"quantity": "amplitude", "above": largest}}, samples=128,
+    )  # fmt: skip
+    assert f"P = {at_end['probability'].item():.3g}" in only.high_limit
+    assert at_end["high"].item() <= at_most
+
+
+def test_a_probability_that_is_never_small_says_where_it_is_least():
+    event = {"quantity": "force_max", "above": 0.0}
+    demand = gs.probability(event, 0.01, {"forcing": scipy.stats.norm(0.03, 1e-3)}, samples=8)
+    found = gs.choose("gap", (0.01, 0.02), PUBLIC, PUBLIC_LAW, so_that=demand, omega=RATE)
+    assert len(found) == 0
+    assert re.search(r"holds nowhere for certain.* least at .*P = 1 \(", repr(found))
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"at_most": 1.0}, "at_most = 1: must be < 1"),
+        ({"at_most": 0.0}, "at_most"),
+        ({"event": {"quantity": "amplitude"}}, "no threshold"),
+        ({"uncertain": {"forcing": 0.03}}, "must be a distribution"),
+        ({"samples": 100}, "power of two"),
+    ],
+)
+def test_a_bad_probability_is_refused_in_one_line(change, words):
+    good = {
+        "event": {"quantity": "amplitude", "above": 0.1},
+        "at_most": 0.01,
+        "uncertain": {"forcing": scipy.stats.norm(0.03, 1e-3)},
+    }
+    with pytest.raises(gs.ModelError, match=words) as raised:
+        gs.probability(**(good | change))
+    assert "\n" not in str(raised.value)
+
+
+def test_a_probability_is_the_only_demand_of_a_call():
+    chance = gs.probability(
+        {"response_class": "chaotic"}, 0.1, {"zeta": scipy.stats.norm(0.1, 0.01)}
+    )
+    good = {"oscillator": PUBLIC, "law": PUBLIC_LAW, "omega": RATE}
+    with pytest.raises(gs.ModelError, match="cannot be one of several"):
+        gs.choose("gap", (0.1, 0.3), so_that=[chance, gs.no_chaos()], **good)
+    with pytest.raises(gs.ModelError, match="starts, rtol: leave them out"):
+        gs.choose("gap", (0.1, 0.3), so_that=chance, starts=[[0.0, 0.0]], **good)
+    both = gs.probability({"response_class": "chaotic"}, 0.1, {"gap": scipy.stats.norm(0.0, 0.01)})
+    with pytest.raises(gs.ModelError, match="'gap' sets both walls"):
+        gs.choose("j_1", (0.1, 0.3), so_that=both, **good)
 
 
 def test_a_demand_that_never_holds_says_so_in_one_line():
@@ -317,13 +393,13 @@ def test_sweeps_from_rpm_columns_of_both_directions_and_other_tables(tmp_path):
     [
         ("frequency, amplitude [mm]", ROWS, ["frequency", "unit", "[Hz]"]),
         ("frequency [Hz], amplitude", ROWS, ["amplitude", "unit", "[mm]"]),
-        ("frequency [Hz], amplitude [s]", ROWS, ["amplitude", "'s'"]),
+        ("frequency [Hz], amplitude [s]", ROWS, ["amplitude [s]", "'1 s'"]),
         ("frequency [Hz], amplitude [parrots]", ROWS, ["parrots"]),
         ("frequency [1/s], amplitude [mm]", ROWS, ["1/s", "rad/s"]),
         ("frequency [Hz], loudness [mm]", ROWS, ["loudness"]),
-        ("frequency [Hz], amplitude [mm]", [*ROWS, (11.0, "nan")], ["row 5", "nan"]),
-        ("frequency [Hz], amplitude [mm]", [*ROWS, (11.0, "")], ["row 5"]),
-        ("frequency [Hz], amplitude [mm]", [*ROWS, (11.0,)], ["row 6", "1 columns"]),
+        ("frequency [Hz], amplitude [mm]", [*ROWS, (11.0, "nan")], ["line 6", "nan", "column 2"]),
+        ("frequency [Hz], amplitude [mm]", [*ROWS, (11.0, "")], ["line 6"]),
+        ("frequency [Hz], amplitude [mm]", [*ROWS, (11.0,)], ["line 6", "column 2"]),
         ("frequency [Hz], amplitude [mm]", [*ROWS, (1, 1), (3, 1), (2, 1)], ["sorted"]),
         ("frequency [Hz], amplitude [mm], sweep", [(9, 1, "left")] * 4, ["left", "up or down"]),
         ("frequency [Hz], amplitude [mm]", ROWS[:2], ["2 points"]),
@@ -383,3 +459,109 @@ def test_bad_arguments_of_choose_are_refused_in_one_line(arguments, word):
 def test_a_demand_of_an_unknown_quantity_is_refused():
     with pytest.raises(gs.ModelError, match="loudness"):
         gs.at_most("loudness", 1.0)
+
+
+# --- a fit in a study -----------------------------------------------------------------------------
+
+STUDY = {
+    "study": {"name": "identify"},
+    "oscillator": {"mass": 1.0, "omega_n": 1 / (2 * math.pi), "zeta": 0.025, "forcing": 0.03},
+    "sweep": [{"representation": "piecewise", "K_c": 1.0, "gap": [0.1, 0.1], "omega": 0.2}],
+}
+FREE = {"gap": [0.1, 0.3], "K_c": [0.5, 8.0]}
+
+
+@pytest.fixture(scope="module")
+def measurement(tmp_path_factory):
+    """A CSV file of the public oscillator in mm, its folder, and the noise [m]."""
+    folder = tmp_path_factory.mktemp("measured")
+    table, sigma = measured_sweeps(PUBLIC, PUBLIC_LAW, np.linspace(0.14, 0.24, 16), 0.01, 5)
+    rows = zip(*table.values(), strict=True)
+    lines = [f"{float(omega)!r}, {1e3 * float(x)!r}, {direction}" for omega, x, direction in rows]
+    text = "\n".join(["frequency [Hz], amplitude [mm], sweep", *lines])
+    (folder / "sweep.csv").write_text(text)
+    return folder, sigma
+
+
+def study_of(folder, **fit):
+    table = {"data": "sweep.csv", "free": FREE} | fit
+    return gs.Study.from_dict(STUDY | {"fit": table}, str(folder / "study.toml"))
+
+
+def test_a_study_has_the_fit_of_a_call(measurement):
+    folder, sigma = measurement
+    study = study_of(
+        folder, noise=f"{1e3 * float(sigma)!r} mm", free=FREE | {"gap": ["100 mm", 0.3]}
+    )
+    found = fit_of(study)
+    law = gs.Piecewise(1.0, gs.Gap(0.1, 0.1))
+    expected = gs.fit(folder / "sweep.csv", PUBLIC, law, free=FREE, noise=sigma)
+    for name in FREE:
+        at = found.sel(parameter=name)
+        assert at["value"].item() == pytest.approx(expected.values[name], rel=1e-9)
+        assert at["standard_error"].item() == pytest.approx(expected.errors[name], rel=1e-6)
+    np.testing.assert_allclose(found["residual"], expected.residual, atol=1e-9)
+    np.testing.assert_array_equal(found["is_on_branch"], expected.is_on_branch)
+    assert {0, 1} <= {*found["stable"].values.ravel().tolist()}
+    assert abs(found["value"].values[0] - 0.1745) < 3.0 * found["standard_error"].values[0]
+    again = gs.Study.from_dict(json.loads(found.attrs["study_json"]))
+    assert again.json == study.json
+
+
+def test_the_report_shows_the_fit_and_what_is_not_determined():
+    table, sigma = measured_sweeps(
+        PUBLIC, gs.Piecewise(2.0, gs.Gap(9.0, 9.0)), [0.1, 0.12, 0.14, 0.2], 0.001, 1
+    )
+    free = {"K_c": [0.5, 8.0], "forcing": [0.02, 0.04]}
+    sweep = [STUDY["sweep"][0] | {"gap": [9.0, 9.0]}]
+    tables = STUDY | {"sweep": sweep, "fit": {"data": table, "free": free, "noise": sigma}}
+    found = fit_of(gs.Study.from_dict(tables))
+    (part,) = fitted.sections(Inputs(None, None, fit=found))
+    values, *others = part.sentences
+    assert re.match(r"forcing = 0\.0\d+ ± \S+ N \(standard errors\)", values)
+    assert "K_c" not in values
+    assert any("K_c cannot be identified" in sentence for sentence in others)
+    (rows,) = [one.rows for one in part.tables]
+    assert [row[0] for row in rows] == ["K_c", "forcing"]
+    assert rows[0][2] == "unknown"
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"data": "none.csv"}, r"none\.csv: cannot be read"),
+        ({"data": 3}, "measured = 3: must be a file"),
+        ({"free": {"gap": [0.3, 0.1]}}, "must be ascending"),
+        ({"free": {"gapp": [0.1, 0.3]}}, r"fit\.free\.gapp: must be one of K_c, gap, .*mass"),
+        ({"free": {"mass": [-1.0, 1.0]}}, r"fit\.free: .*mass"),
+        ({"free": {"gap": [-0.1, 0.3]}}, r"fit\.free: j_1"),
+        ({"free": None}, "fit: free = None: must be ranges by name"),
+        ({"noise": "5 N"}, "noise = '5 N': must be a number in m"),
+        ({"noise": -1.0}, r"fit\.noise = -1\.0: must be > 0"),
+        ({"nois": 1.0}, r"fit\.nois = 1\.0: unknown key; did you mean noise"),
+    ],
+)
+def test_a_bad_fit_of_a_study_is_refused_in_one_line(change, words, measurement):
+    with pytest.raises(gs.StudyError, match=words) as raised:
+        study_of(measurement[0], **change)
+    assert len(raised.value.problems) == 1
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"omega_n": [0.1, 0.2]}, "omega_n: swept by the study; sweep one value"),
+        ({"representation": "piecewise@paper"}, "begin with 'piecewise'"),
+        ({"gap": [[0.1, 0.1], [0.2, 0.2]], "K_c": [1.0, 2.0]}, None),
+    ],
+)
+def test_numbers_that_are_not_free_have_one_value(change, words, measurement):
+    tables = STUDY | {"sweep": [STUDY["sweep"][0] | change], "protocol": {"paper": {"rtol": 1e-6}}}
+    tables |= {"fit": {"data": "sweep.csv", "free": FREE}}
+    source = str(measurement[0] / "study.toml")
+    if words is None:
+        assert gs.Study.from_dict(tables, source).spec.fit.noise is None
+        return
+    with pytest.raises(gs.StudyError, match=words) as raised:
+        gs.Study.from_dict(tables, source)
+    assert len(raised.value.problems) == 1

@@ -235,6 +235,27 @@ def test_parameters_of_systems_are_uncertain():
     np.testing.assert_array_equal(models.systems[models.system[3]].stiffness, expected.stiffness)
 
 
+def test_models_of_samples_are_those_of_single_rows():
+    """Also where one of them is invalid, which is refused without the others."""
+    uncertain = UNCERTAIN | {"forcing": {"normal": 4.0, "sd": 0.1}, "K_ratio": {"uniform": [0, 2]}}
+    labels = ["piecewise", "tanh-1e4", "poly-13"]
+    found = study(small_study(), uncertain, sweep__0__omega=9.0, sweep__0__representation=labels)
+    for _, rows in found.points(np.arange(48)):
+        (_, models), refused = rows.models()
+        assert not refused
+        for k in range(16):
+            (_, one), _ = rows.take([k]).models()
+            assert models.systems[models.system[k]] == one.systems[0]
+            assert models.laws[models.law[k]] == one.laws[0]
+        damaged = rows.numbers.copy()
+        damaged[3, rows.kind.numbers.index("mass")] = -1.0
+        damaged[5, rows.kind.numbers.index("K_c")] = np.nan
+        (kept, models), refused = type(rows)(rows.kind, damaged).models()
+        assert sorted(refused) == [3, 5]
+        assert "mass = -1" in str(refused[3])
+        assert len(models) == len(kept) == 14
+
+
 def test_missing_values_are_medians():
     tables = changed(small_study(), sweep__0__gap=None, oscillator__forcing=None)
     uncertain = UNCERTAIN | {"forcing": {"triangular": [1.0, 2.0, 5.0]}}
@@ -272,9 +293,37 @@ def test_measured_values_from_a_file(tmp_path):
     )
     assert gaps.min() <= values.min()
     assert values.max() <= gaps.max()
+    (tmp_path / "gaps.csv").write_text(
+        "part; gap [mm]\n" + "".join(f"a b; {1e3 * gap}\n" for gap in gaps)
+    )
+    in_mm = gs.Study.from_dict(tables, str(tmp_path / "study.toml")).grid.axes["sample"]
+    np.testing.assert_allclose(in_mm.numbers["gap"], values, rtol=1e-12)
     uncertain["gap"]["column"] = "width"
     with pytest.raises(gs.StudyError, match=r"'width': gaps.csv has part, gap"):
         gs.Study.from_dict(tables, str(tmp_path / "study.toml"))
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("gap [s]\n4e-4\n", r"column 'gap \[s\]': gap = '1 s': must be a number in m"),
+        (
+            "gap [mm]\n0.4\nabout 0.5\n",
+            r"line 3: about 0\.5: must have a finite number in column 1",
+        ),
+        ("part, gap\na, 4e-4\nb, nan\n", r"line 3: b, nan: must have a finite number in column 2"),
+        ("part; gap\na 1; 0,4\n", "line 2: .*decimal points"),
+        ("gap\n", "no line with a number"),
+        ("4e-4\n5e-4\n", "column 'gap': gaps.csv has no titles"),
+    ],
+)
+def test_bad_files_of_measured_values_have_one_line(text, words, tmp_path):
+    (tmp_path / "gaps.csv").write_text(text)
+    uncertain = UNCERTAIN | {"gap": {"data": "gaps.csv", "column": "gap"}}
+    tables = small_study() | {"uncertain": uncertain}
+    with pytest.raises(gs.StudyError, match=words) as caught:
+        gs.Study.from_dict(tables, str(tmp_path / "study.toml"))
+    assert len(caught.value.problems) == 1
 
 
 def test_correlated_numbers():
@@ -320,6 +369,17 @@ def test_figures_show_the_dataset():
         found.drop_vars("probability").gapsweep.risk("large")
 
 
+def test_a_tornado_has_the_number_of_points_left_out():
+    of, settings = of_ratio(0.05, 0.1), {"indices": True, "repeats": 2}
+    kind = np.zeros(2 * 4 * 256, int)
+    kind[[3, 3 + 256, 700]] = gs.ResponseClass.UNRESOLVED  # twice the point 3, and point 188
+    found = risk(of, of_switch, response_class=kind, **settings)
+    assert found["n_left_out"] == found["quantity_n_left_out"] == 2
+    assert "2 Sobol points" in found.gapsweep.tornado("large").get_xlabel()
+    whole = risk(of, of_switch, **settings)
+    assert "left out" not in whole.gapsweep.tornado("large").get_xlabel()
+
+
 def test_safe_values_are_judged_by_whole_intervals():
     p = xr.DataArray([[0.001, 0.04, 0.06, 0.2]], dims=("event", "gap"))
     risk = xr.Dataset({"probability": p, "low": p - 0.001, "high": p + 0.02}, {"event": ["large"]})
@@ -348,7 +408,7 @@ MISTAKES = {
     "descending": ({"gap": {"uniform": [5e-4, 4e-4]}}, r"uniform: .*must be ascending"),
     "matrix": ({"correlation": [[1.0, 0.2], [0.2, 1.0]]}, r"must be 1 rows of 1 numbers"),
     "swept": ({"omega_n": {"normal": 5.0, "sd": 0.1}}, r"omega_n: swept and uncertain"),
-    "no file": ({"gap": {"data": "no.csv", "column": "gap"}}, r"no\.csv cannot be read"),
+    "no file": ({"gap": {"data": "no.csv", "column": "gap"}}, r"no\.csv: cannot be read"),
 }  # fmt: skip
 
 

@@ -61,22 +61,8 @@ def prepared(models: Models, solver: Solver, shifts: Shifts | None = None) -> In
             scenes, method = runge_kutta_scenes(scenes, laws, mass, solver)
 
     def integrate(problems: Problems) -> Motions:
-        run = batch.run(
-            scenes,
-            method,
-            problems.which,
-            problems.start,
-            problems.t_0,
-            problems.t_end,
-            problems.record_from,
-            queue=_queue(problems),
-            follows=problems.follows,
-            section_only=problems.section_only,
-            tangent=problems.tangent,
-            dense_output=problems.dense_output,
-            sampled=problems.sampled,
-            contacts=problems.contacts or (problems.contact_time and not is_located),
-        )
+        records_contacts = problems.contacts or (problems.contact_time and not is_located)
+        run = batch.run(scenes, method, problems, _queue(problems), contacts=records_contacts)
 
         def events() -> Events:
             return _events(len(problems), run)

@@ -71,15 +71,15 @@ class Models:
     size: Array | None = None
 
     def __post_init__(self) -> None:
-        for system in self.systems:
+        # One object of each type: there may be as many objects as rows.
+        for system in {type(system): system for system in self.systems}.values():
             if not isinstance(system, Oscillator | System):
                 raise ModelError(
                     f"oscillator = {system!r}: must be a gapsweep.Oscillator(...) or a "
                     "gapsweep.System()"
                 )
-        for laws in self.laws:
-            for each in laws:
-                checked_law(each)
+        for law in {type(law): law for laws in self.laws for law in laws}.values():
+            checked_law(law)
         object.__setattr__(self, "systems", [_integrated(system) for system in self.systems])
 
     @classmethod
@@ -155,6 +155,10 @@ class Models:
             return np.full(len(self), solver.atol)
         return np.asarray(solver.rtol * (self._length if self.size is None else self.size))
 
+    def sized(self) -> "Models":
+        """Return the models with their `size`, so that it is computed once."""
+        return replace(self, size=self._length)
+
     @property
     def _length(self) -> Array:
         """Length [m] of each problem, as in `absolute`."""
@@ -173,11 +177,11 @@ class Models:
                     walls += _stiffness(law) * np.outer(b, b)
                 length[rows] = np.minimum(length[rows], system.held(walls) + farther[rows])
         for number, laws in enumerate(self.laws):
-            rows = np.flatnonzero((self.law == number) & np.isfinite(spring) & (length > 0.0))
-            if len(laws) == 1 and isinstance(laws[0], UserLaw | ForceTable) and rows.size:
+            if len(laws) == 1 and isinstance(law := laws[0], UserLaw | ForceTable):
+                rows = np.flatnonzero((self.law == number) & np.isfinite(spring) & (length > 0.0))
                 x, load = length[rows], spring[rows] * length[rows]
                 with np.errstate(all="ignore"):  # far outside the range of the law
-                    force = np.minimum(abs(laws[0].force(x)), abs(laws[0].force(-x)))
+                    force = np.minimum(abs(law.force(x)), abs(law.force(-x)))
                     length[rows] = np.where(np.isfinite(force), x * load / (load + force), x)
         if not length.all():
             rate = [2.0 * math.pi * (one.slowest or one.fastest or 1.0) for one in self.systems]
@@ -191,12 +195,8 @@ class Models:
         """Return the models of one kind with the walls of pairs that overlap as two contacts."""
         pairs = [with_walls_apart(system, self.laws[0]) for system in self.systems]
         several = [with_walls_apart(self.systems[0], laws) for laws in self.laws]
-        return replace(
-            self,
-            systems=[system for system, _ in pairs],
-            laws=[laws for _, laws in several],
-            size=self._length,
-        )
+        systems, laws = [system for system, _ in pairs], [laws for _, laws in several]
+        return replace(self.sized(), systems=systems, laws=laws)
 
     def check_losses(self, solver: "Solver") -> None:
         """Raise a `ModelError` if contacts lose energy in a way that the solver cannot integrate.

@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 from gapsweep.errors import ModelError
 from gapsweep.model.arithmetic import select
 from gapsweep.model.arrays import numbers
-from gapsweep.model.contact_modes import Losses
+from gapsweep.model.contact_modes import NO_LOSSES, Losses
 from gapsweep.model.oscillator import Gap, called_as, checked
 from gapsweep.status import DIVERGED_AT
 
@@ -135,7 +135,7 @@ class ContactLaw:
     @property
     def losses(self) -> Losses:
         """Energy losses of the contact; none of an elastic contact."""
-        return Losses()
+        return NO_LOSSES
 
     @property
     def stiffnesses(self) -> tuple[float, float]:
@@ -267,7 +267,7 @@ class Piecewise(ContactLaw):
 
     @property
     def losses(self) -> Losses:
-        return Losses(self.damping, bool(self.damping) and not self.pulls)
+        return Losses(self.damping, not self.pulls) if self.damping else NO_LOSSES
 
     @classmethod
     def canonical(cls, label: str, parameter: str) -> str:

@@ -66,3 +66,6 @@ class Losses(NamedTuple):
     def __str__(self) -> str:
         """The number that loses energy, as ``damping = 60``."""
         return f"chi = {self.chi:g}" if self.chi else f"damping = {self.damping:g}"
+
+
+NO_LOSSES = Losses()  # of all elastic contacts

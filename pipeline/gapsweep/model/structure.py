@@ -5,11 +5,11 @@ and coordinates ``q_1``, ``q_2``, ...
 """
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from itertools import accumulate, pairwise
-from typing import Any, ClassVar, TypeAlias
+from typing import Any, ClassVar, TypeAlias, TypeVar, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +20,7 @@ from gapsweep.model.system import LATE, Cubic, Harmonic, Lags, Modulation, Syste
 from gapsweep.model.waves import ForceByPieces, Wave
 
 Array = NDArray[np.float64]
+T = TypeVar("T")
 AnyStructure: TypeAlias = "Structure | OscillatorStructure"
 
 
@@ -63,6 +64,29 @@ def with_walls_apart(
     contacts = {str(i): system.contacts[name] for i, name in enumerate(names)}
     system = replace(system, contacts=contacts, modulation=modulation, units={})
     return system, tuple(law for several in apart for law in several)
+
+
+def extremes(rows: Array) -> Iterator[Array]:
+    """Yield the smallest, the smallest positive and the largest numbers of all rows, as rows.
+
+    Numbers that have each a range of its own are all valid if these are.
+    """
+    smallest, largest = rows.min(axis=0), rows.max(axis=0)
+    positive = np.min(rows, axis=0, where=rows > 0.0, initial=math.inf)
+    yield from (smallest, np.where(np.isinf(positive), largest, positive), largest)
+
+
+def copies(example: T, columns: Mapping[str, Sequence[Any]]) -> list[T]:
+    """Return copies of a frozen dataclass with other values of some fields, not checked."""
+    names = {field.name: getattr(example, field.name) for field in fields(cast(Any, example))}
+    fixed = [(name, value) for name, value in names.items() if name not in columns]
+    kind, new, put, found = type(example), object.__new__, object.__setattr__, []
+    for row in zip(*columns.values(), strict=True):
+        made = new(kind)
+        for name, value in (*fixed, *zip(columns, row, strict=True)):
+            put(made, name, value)
+        found.append(made)
+    return found
 
 
 def read_structure(fields: Mapping[str, Any]) -> AnyStructure:
@@ -116,6 +140,11 @@ class OscillatorStructure:
     def system(self, row: Array) -> Oscillator:
         """Return the oscillator of a row."""
         return Oscillator(**dict(zip(OSCILLATOR, row.tolist(), strict=True)), wave=self.wave)
+
+    def systems(self, rows: Array) -> list[Oscillator]:
+        """Return the oscillators of many rows, each a tenth as expensive as from its row."""
+        example, *_ = map(self.system, extremes(rows))
+        return copies(example, dict(zip(OSCILLATOR, rows.T.tolist(), strict=True)))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -220,6 +249,10 @@ class Structure:
         )
         # Adding zero turns -0.0 into 0.0, the same number.
         return np.concatenate([np.ravel(np.asarray(part, float)) for part in parts]) + 0.0
+
+    def systems(self, rows: Array) -> list[System]:
+        """Return the systems of many rows."""
+        return [self.system(row) for row in rows]
 
     def system(self, row: Array) -> System:
         """Return the system of a row."""

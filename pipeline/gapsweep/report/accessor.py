@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, Concatenate, ParamSpec
 import numpy as np
 import xarray as xr
 
+from gapsweep.analysis.datasets.tracks import with_tracks
 from gapsweep.analysis.dimensions import selected
 from gapsweep.errors import DatasetError
 from gapsweep.report import backdrop, contacts, drawing, dynamics, maps, marks, risk_figures
@@ -19,6 +20,7 @@ from gapsweep.report.continued import with_absolute
 from gapsweep.report.drawing import labels_of
 from gapsweep.report.dynamics import CURVES, WORDS
 from gapsweep.report.labelled import axes_of, axis_of, finished, loglog, scene_along, titled
+from gapsweep.report.losses import force_loop, with_losses
 from gapsweep.report.rows import to_csv
 from gapsweep.report.scales import axis_label
 from gapsweep.report.selection import missing_variable, scene
@@ -73,6 +75,29 @@ class GapsweepAccessor:
         from its section.
         """
         return with_absolute(self._dataset)
+
+    def with_losses(self) -> xr.Dataset:
+        """The responses with `energy_lost` [J], which every contact loses per forcing period.
+
+        Every response is simulated once more from its section. Every plot of a number draws it, as
+        ``ds.gapsweep.with_losses().gapsweep.frequency_response("energy_lost")``.
+        """
+        return with_losses(self._dataset)
+
+    def with_tracks(self, along: str | None = None) -> xr.Dataset:
+        """The attractors of ``attractors.nc`` with `track`: the number of each along an axis.
+
+        A track follows an attractor from value to value, while peaks and troughs at neighbouring
+        values differ by at most half of the larger modulus.
+
+        Parameters
+        ----------
+        along : str, optional
+            As for `frequency_response`.
+        """
+        if "basin_share" not in self._dataset:
+            raise DatasetError(missing_variable(self._dataset, "basin_share"))
+        return with_tracks(self._dataset, axis_of(self._dataset, along, {}))
 
     def to_dataframe(self) -> Any:
         """The sweep points as a `pandas.DataFrame`, a row each, without extrema and sections.
@@ -135,10 +160,12 @@ class GapsweepAccessor:
 
     bifurcation = _figure(dynamics.bifurcation)
     lyapunov = _figure(dynamics.lyapunov)
+    basin_shares = _figure(dynamics.basin_shares)
     poincare = _figure(dynamics.poincare)
     waterfall = _figure(dynamics.waterfall)
     impacts = _figure(contacts.impacts)
     contact_map = _figure(contacts.contact_map)
+    force_loop = _figure(force_loop)
     risk = _figure(risk_figures.risk)
     quantiles = _figure(risk_figures.quantiles)
     tornado = _figure(risk_figures.tornado)
@@ -164,7 +191,8 @@ class GapsweepAccessor:
 
         Each branch has its colour, or each representation where there are several. Special points
         are marked: LP fold, PD period doubling, NS Neimark–Sacker, BP branch point, SB
-        symmetry breaking, GR graze, H Hopf, CP cusp; their symbols stand where there is room.
+        symmetry breaking, GR graze, BLP border fold, BPD border flip, H Hopf, CP cusp; their
+        symbols stand where there is room.
 
         Parameters
         ----------

@@ -13,7 +13,10 @@ from gapsweep.report.sections import (
     answer,
     benchmarks,
     claim_list,
+    contact_losses,
+    derivatives,
     findings,
+    fitted,
     force_errors,
     model,
     overview,
@@ -62,6 +65,7 @@ def results(inputs: Inputs) -> Iterator[Part]:
 
 SECTIONS = (
     Section(answer.sections, template="_answer.html", script="answer"),
+    Section(fitted.sections),
     Section(uncertainty.sections),
     Section(findings.sections, template="_findings.html"),
     Section(model.sections, template="_pairs.html"),
@@ -69,7 +73,9 @@ SECTIONS = (
     Section(benchmarks.work_precision, RESULTS),
     Section(benchmarks.stability, RESULTS),
     Section(results, RESULTS),
+    Section(derivatives.sections),
     Section(force_errors.sections),
+    Section(contact_losses.sections),
     Section(claim_list.sections, template="_claims.html", script="claims"),
     Section(provenance.sections, template="_provenance.html"),
 )

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gapsweep.model.contact import ContactLaw
+from gapsweep.model.contact import ContactLaw, Piecewise
 from gapsweep.model.equilibria import search_points, sign_changes
 from gapsweep.model.user_law import UserLaw
 from gapsweep.response.ensemble import Ensemble
@@ -40,16 +40,28 @@ def largest_forces(laws: Sequence[ContactLaw], x_min: Array, x_max: Array) -> Ar
     # Searched up to the next power of two of each motion: results do not depend on other points.
     _, powers = np.frexp(np.maximum(np.abs(x_min), np.abs(x_max)))
     for row, (law, power) in enumerate(zip(laws, powers.tolist(), strict=True)):
-        # By identity: the laws stay alive, and some hash slowly.
-        rows.setdefault((id(law), power if law.turns is None else 0), []).append(row)
+        # By identity: the laws stay alive, and some hash slowly. Exact laws have one formula.
+        which = 0 if isinstance(law, Piecewise) else id(law)
+        rows.setdefault((which, power if law.turns is None else 0), []).append(row)
     found = np.empty(len(laws))
     for (_, power), here in rows.items():
         law, low, high = laws[here[0]], x_min[here], x_max[here]
+        if isinstance(law, Piecewise):
+            found[here] = _largest_of_exact([laws[row] for row in here], low, high)
+            continue
         turns = _searched_turns(law, 2.0**power) if law.turns is None else law.turns
         x = np.array([low, high, *(np.clip(turn, low, high) for turn in turns)])
         forces = [_values(each, each.force, x) for each in law.of_walls]
         found[here] = np.fmax.reduce(np.abs(np.concatenate(forces)))
     return found
+
+
+def _largest_of_exact(laws: Sequence[ContactLaw], x_min: Array, x_max: Array) -> Array:
+    """Largest magnitudes [N] of the springs' forces, as `largest_forces`, of all laws at once."""
+    numbers = [(law.K_c, law.K_ratio, law.gap.j_1, law.gap.j_2) for law in laws]
+    K_c, ratio, j_1, j_2 = np.array(numbers).T
+    above, below = np.maximum(x_max - j_2, 0.0), ratio * np.maximum(-j_1 - x_min, 0.0)
+    return np.asarray(np.fmax(K_c * above, K_c * below))
 
 
 @lru_cache(maxsize=256)
