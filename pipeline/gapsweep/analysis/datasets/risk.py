@@ -68,11 +68,17 @@ _OF_NUMBERS = {
     "total": "total Sobol index: share of the variance with the number's interactions",
     "total_error": "half-width of the 95 % interval of the total index",
 }
+_OF_WHAT = (("", EVENT), ("quantity_", QUANTITY))
 # Those of a study or call that asks for Sobol indices: of events, and of quantities.
 INDICES = {
     f"{prefix}{name}": Variable("f8", "1", text, dims=(dim, NUMBER))
-    for prefix, dim in (("", EVENT), ("quantity_", QUANTITY))
+    for prefix, dim in _OF_WHAT
     for name, text in _OF_NUMBERS.items()
+} | {
+    f"{prefix}n_left_out": Variable(
+        "f8", "1", "Sobol points left out of the indices: a sample is undecided", dims=(dim,)
+    )
+    for prefix, dim in _OF_WHAT
 }
 AXES = {
     EVENT: Variable("str", "1", "event"),
@@ -283,7 +289,7 @@ def _indices(values: Array, unknown: Bools) -> dict[str, Array]:
         mean = of_ab.sum(axis=(-3, -2, -1)) / (2.0 * n_all[..., 0])
         variance = (of_ab**2).sum(axis=(-3, -2, -1)) / (2.0 * n_all[..., 0]) - mean**2
         variance = np.where(variance > 0.0, variance, np.nan)[..., None]
-        found = dict[str, Array]()
+        found = {"n_left_out": (~known).sum(axis=(-3, -2, -1)).astype(float)}
         for name, sums in (
             ("first_order", (b * (mixed - a)).sum(axis=-1)),
             ("total", 0.5 * ((a - mixed) ** 2).sum(axis=-1)),
@@ -359,11 +365,8 @@ def risk_of_call(
             raise ModelError("omega = []: must be at least one frequency, as omega=9.0, in Hz")
     first = None if omega is None else rates[0]
     of_model = [name for name in uncertain if not STATE.fullmatch(name)]
-    columns = [found.numbers[name].tolist() for name in of_model]
-    rows = [
-        {name: of[i] for name, of in zip(of_model, columns, strict=True)} for i in range(len(found))
-    ]
-    family = Family(oscillator, {} if law is None else law, first, tuple(of_model), rows[0])
+    at_first = {name: float(found.numbers[name][0]) for name in of_model}
+    family = Family(oscillator, {} if law is None else law, first, tuple(of_model), at_first)
     model = family.example
     structure = structure_of(model)
     problems = [
@@ -379,10 +382,10 @@ def risk_of_call(
         if name not in names:
             raise ModelError(f"{name}: must be an initial state: {', '.join(names)}")
         start[:, names.index(name)] = found.numbers[name]
-    warn_of(doubts([model], [family.laws_at(rows[0])], np.array(rates), start[:1]))
+    warn_of(doubts([model], [family.laws_at(family.values)], np.array(rates), start[:1]))
     bases = {one.partition("[")[0] for one in table.all_quantities}
     wanted = ["status", "response_class", *sorted(bases)]
-    values = _columns(family, rows, start, rates, (solver, steady), wanted)
+    values = _columns(family, found, start, rates, (solver, steady), wanted)
     of = _dataset(values, found, rates, model)
     made = risk_of(of, table).isel({START: 0} if first else {START: 0, "omega": 0}, drop=True)
     if isinstance(law, ContactLaw):  # plots have the style of its family
@@ -494,27 +497,31 @@ def _state(model: Any, x_0: ArrayLike, v_0: ArrayLike, q_0: ArrayLike, z_0: Arra
 
 def _columns(
     family: Family,
-    rows: list[dict[str, float]],
+    samples: Samples,
     start: Array,
     rates: list[float],
     settings: tuple[Solver, Steady],
     wanted: list[str],
 ) -> dict[str, NDArray[Any]]:
-    """Return columns of the responses of all samples at all frequencies, shape (omega, n, ...)."""
-    models, laws = [family.model_at(row) for row in rows], [family.laws_at(row) for row in rows]
+    """Return columns of the responses of all samples at all frequencies, shape (omega, n, ...).
+
+    Only the models of one part of the samples are in memory at a time.
+    """
     solver, steady = settings
-    found: dict[str, list[NDArray[Any]]] = {name: [] for name in wanted}
-    for rate in rates:
-        for first in range(0, len(rows), _PART):
-            part = slice(first, first + _PART)
-            omega = np.full(len(rows[part]), rate)
-            some = Models.of(models[part], laws[part], omega)
-            columns = respond_models(some, solver, start[part], steady).columns
-            for name in wanted:
-                found[name].append(columns[name])
+    found: list[list[Mapping[str, NDArray[Any]]]] = [[] for _ in rates]
+    for first in range(0, len(samples), _PART):
+        some = samples.take(slice(first, first + _PART))
+        columns = [some.numbers[name].tolist() for name in family.names]
+        every = zip(*columns, strict=True) if columns else [()] * len(some)
+        rows = [dict(zip(family.names, row, strict=True)) for row in every]
+        models, laws = [family.model_at(row) for row in rows], [family.laws_at(row) for row in rows]
+        for parts, rate in zip(found, rates, strict=True):
+            of = Models.of(models, laws, np.full(len(some), rate))
+            answer = respond_models(of, solver, start[first : first + _PART], steady)
+            parts.append({name: answer.columns[name] for name in wanted})
     return {
-        name: np.concatenate(parts).reshape(len(rates), len(rows), *parts[0].shape[1:])
-        for name, parts in found.items()
+        name: np.stack([np.concatenate([part[name] for part in parts]) for parts in found])
+        for name in wanted
     }
 
 
