@@ -271,7 +271,10 @@ def test_a_steep_continuous_force_is_taken(force, gap):
 @pytest.mark.parametrize(
     ("build", "message"),
     [
-        (lambda: gs.Gap(-1e-3, 0.0), r"j_1 = -0.001: must be >= 0"),
+        (lambda: gs.contact_law("logarctan-1e4", SOFT, (-1e-4, 4e-4)), r"-0.0001: .*at x = 0"),
+        (lambda: gs.contact_law("poly-13", SOFT, (-2e-4, 1e-4)), r"-0.0002, 0.0001: .*overlap"),
+        (lambda: gs.law(lambda x: x, SOFT, (-2e-4, 1e-4)), r"overlap"),
+        (lambda: gs.ForceTable([-1.0, 1.0], [-1.0, 1.0], gap=(-0.2, 0.1)), r"overlap"),
         (lambda: gs.Gap(0.0, math.nan), r"j_2 = nan: must be finite"),
         (lambda: gs.Piecewise(-1.0, SYMMETRIC), r"K_c = -1: must be >= 0"),
         (lambda: gs.Tanh(SOFT, SYMMETRIC, 0.0), r"epsilon = 0: must be > 0"),

@@ -101,10 +101,10 @@ def checked(name: str, value: float, *, low: float = -math.inf, strict: bool = F
 
 
 def checked_distance(name: str, value: float | None) -> float:
-    """Return the distance of a wall [m] as a float ``>= 0``; infinity for None, no wall."""
+    """Return the distance of a wall [m] as a float; infinity for None, no wall."""
     value = without_units(name, value)
     is_none = value is None or (is_number(value) and value == math.inf)
-    return math.inf if is_none else checked(name, value, low=0.0)
+    return math.inf if is_none else checked(name, value)
 
 
 def _number(name: str, value: Any) -> float:
@@ -349,11 +349,14 @@ class Oscillator:
 class Gap:
     """Distances of the walls: there is no contact while ``-j_1 <= x <= j_2``.
 
+    A negative distance is prestress: that wall presses on the mass at the origin. If the walls
+    overlap, ``j_1 + j_2 < 0``, both act between ``j_2`` and ``-j_1``, and one of them beyond.
+
     Parameters
     ----------
     j_1, j_2 : float or None
-        Distances of the lower and the upper wall from the origin [m], ``>= 0``. None, kept as
-        ``inf``: no wall on that side.
+        Distances of the lower and the upper wall from the origin [m]. None, kept as ``inf``: no
+        wall on that side.
 
     Raises
     ------
@@ -392,13 +395,13 @@ class Gap:
 
     @property
     def width(self) -> float:
-        """Distance between the walls [m]; infinite for a wall on one side."""
+        """Distance between the walls [m]; infinite for one wall, negative if they overlap."""
         return self.j_1 + self.j_2
 
     @property
     def size(self) -> float:
-        """Sum of the distances of the walls that exist [m], to which rounding errors relate."""
-        return sum(self.distances)
+        """Sum of the walls' distances without sign [m], to which rounding errors relate."""
+        return sum(map(abs, self.distances))
 
     @property
     def is_symmetric(self) -> bool:
