@@ -435,6 +435,8 @@ def test_damping_of_contacts_has_a_slider_and_pulls_is_kept():
     stop, between = asked(question, moved).laws(EXACT)
     assert stop == replace(laws["stop"], damping=4.0)
     assert between == replace(laws["between"], chi=0.5)
+    stop, _ = asked(question, moved).laws("huntcrossley-2")  # in place of the damper
+    assert stop == gs.HuntCrossley(100.0, gs.Gap(0.05, 0.06), chi=2.0)
     assert [dial.value for dial in dials(of_model(LINEAR, FREE)) if dial.name == "damping"] == [0.0]
 
 

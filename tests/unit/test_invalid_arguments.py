@@ -93,6 +93,10 @@ REFUSED = {
     "misspelt end": (lambda: simulated(tend=1.0), r"'tend'; .*t_end.*write gs\.simulate\("),
     "misspelt criterion": (lambda: gs.Steady(n_period=3), r"'n_period'; .*write gs\.Steady\("),
     "label without numbers": (lambda: gs.contact_law("tanh-1e4"), r"'K_c'; .*gs\.contact_law\("),
+    "basins with half a ray": (
+        lambda: gs.basins(OSCILLATOR, LAW, 9.0, x=[0.0], v=[0.0], rays=0.5),
+        r"rays = 0\.5: must be a whole number in 0\.\.4096",
+    ),
     "basins without starts": (lambda: gs.basins(OSCILLATOR, LAW, 9.0), r"'x'; .*gs\.basins\("),
     "branches of no law": (lambda: gs.branches(OSCILLATOR), r"^law: missing .*law=gs\.Piecewise\("),
     "curve of nothing": (lambda: gs.special_curve(OSCILLATOR), r"'point'; .*gs\.special_curve\("),

@@ -12,6 +12,7 @@ has a wave in place of the cosine of p.
 
 import math
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import wraps
 from inspect import signature
@@ -87,15 +88,7 @@ def checked(name: str, value: float, *, low: float = -math.inf, strict: bool = F
     A strictly positive number (``low=0.0, strict=True``) must be at least `SMALLEST`, and no number
     may be larger than `LARGEST`.
     """
-    value = without_units(name, value)
-    try:
-        number = float(value) if is_number(value) else None
-    except (TypeError, ValueError, OverflowError):
-        number = None
-    if number is None:
-        is_load = name == "forcing" and value is not None
-        remedy = ", or a force as gs.PeriodicForce.from_csv('force.csv', period=0.02)"
-        raise ModelError(f"{name} = {shown(value)}: must be a number{remedy if is_load else ''}")
+    number = value if type(value) is float else _number(name, value)
     if not math.isfinite(number):
         raise ModelError(f"{name} = {number}: must be finite")
     if number < low or (strict and number == low):
@@ -112,6 +105,17 @@ def checked_distance(name: str, value: float | None) -> float:
     value = without_units(name, value)
     is_none = value is None or (is_number(value) and value == math.inf)
     return math.inf if is_none else checked(name, value)
+
+
+def _number(name: str, value: Any) -> float:
+    """Return a value or a quantity as a float; raise a `ModelError` that names it otherwise."""
+    value = without_units(name, value)
+    with suppress(TypeError, ValueError, OverflowError):
+        if is_number(value):
+            return float(value)
+    is_load = name == "forcing" and value is not None
+    remedy = ", or a force as gs.PeriodicForce.from_csv('force.csv', period=0.02)"
+    raise ModelError(f"{name} = {shown(value)}: must be a number{remedy if is_load else ''}")
 
 
 def share(name: str, value: float) -> float:

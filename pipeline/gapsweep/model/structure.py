@@ -69,7 +69,7 @@ def with_walls_apart(
 def extremes(rows: Array) -> Iterator[Array]:
     """Yield the smallest, the smallest positive and the largest numbers of all rows, as rows.
 
-    Numbers that have each a range of its own are all valid if these are.
+    Where each number has a separate range, all rows are valid if these are.
     """
     smallest, largest = rows.min(axis=0), rows.max(axis=0)
     positive = np.min(rows, axis=0, where=rows > 0.0, initial=math.inf)
