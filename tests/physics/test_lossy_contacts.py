@@ -142,20 +142,27 @@ def drawn(seed, kind):
     walls, laws, contacts = [], {}, {}
     for j, b in enumerate(directions[: 1 if n == 1 else int(rng.integers(1, 4))]):
         K_c, c, ratio = (
-            10 ** rng.uniform(0.3, 2.5),
+            # The oracle misses contacts shorter than its longest step.
+            10 ** rng.uniform(0.3, 1.5 if kind.startswith("prestressed") else 2.5),
             10 ** rng.uniform(-2.0, 0.7),
             rng.choice([0.0, 1.5]),
         )
         j_1, j_2 = rng.uniform(0.02, 0.4, 2)
+        if kind.startswith("prestressed"):  # at the origin both walls act, or one
+            ratio, j_1, j_2 = 1.5, -j_1, (-0.5 if j != 1 else 1.5) * j_2
+        elif kind == "one wall":
+            ratio, j_1, j_2 = 1.5, *rng.permutation([math.inf, rng.choice([-0.2, 1.0]) * j_2])
         if kind == "hunt-crossley" and j != 1:  # the second contact differs
             named = {"c": 0.0, "chi": c}
             law = gs.HuntCrossley(K_c, gs.Gap(j_1, j_2), K_ratio=ratio, chi=c)
         else:
-            named = {"c": c, "pulls": kind != "never pulls" or j == 1}
+            c = 0.0 if kind in ("one wall", "prestressed") else c
+            named = {"c": c, "pulls": not kind.endswith("never pulls") or j == 1}
             pulls = named["pulls"]
             law = gs.Piecewise(K_c, gs.Gap(j_1, j_2), K_ratio=ratio, damping=c, pulls=pulls)
-        walls.append(Wall(b, j_2, K_c, **named))
-        if ratio:
+        if j_2 < math.inf:
+            walls.append(Wall(b, j_2, K_c, **named))
+        if ratio and j_1 < math.inf:
             walls.append(Wall([-each for each in b], j_1, ratio * K_c, **named))
         laws[str(j)], contacts[str(j)] = law, b
     system = gs.System(
@@ -167,7 +174,13 @@ def drawn(seed, kind):
 
 
 @pytest.mark.extended  # layouts of systems
-@pytest.mark.parametrize("kind", ["pulls", "never pulls", "hunt-crossley"])
+@pytest.mark.parametrize(
+    "kind",
+    [
+        *("pulls", "never pulls", "hunt-crossley"),
+        *("one wall", "prestressed", "prestressed, pulls", "prestressed, never pulls"),
+    ],
+)
 def test_drawn_systems_move_as_scipy_says(kind):
     """State, tangent, number of contacts, and determinant of the tangent."""
     for seed in range(6):
@@ -187,6 +200,65 @@ def test_drawn_systems_move_as_scipy_says(kind):
             assert np.linalg.det(run.monodromy) == pytest.approx(
                 math.exp(-found.shrunk), abs=error * size**2
             )
+
+
+@BOTH
+@pytest.mark.parametrize("damping", [0.0, 0.2])
+def test_a_response_between_walls_that_overlap_is_that_of_two_contacts(damping, engine):
+    """Without separation it is linear; with it the oracle has a wall on each side."""
+    k, j, omega, named = (2.0, 2.6), (0.1, 0.15), 1.5, {"damping": damping, "pulls": True}
+    law = gs.Piecewise(k[0], gs.Gap(-j[0], -j[1]), K_ratio=k[1] / k[0], **named)
+    found = gs.respond(oscillator(0.001), law, omega / TURN, engine=engine, rtol=1e-10)
+    centre, spring = (k[1] * j[0] - k[0] * j[1]) / (1.0 + sum(k)), 1.0 + sum(k) - omega**2
+    reach = 0.001 / math.hypot(spring, (0.05 + 2.0 * damping) * omega)
+    assert found.x_max - centre == pytest.approx(reach, rel=1e-6)
+    assert (found.contact_share, found.contacts_per_period) == (1.0, 0.0)
+    if not damping:
+        assert found.force_max == pytest.approx(k[0] * (found.x_max + j[1]), rel=1e-9)
+
+    found = gs.respond(oscillator(0.3), law, omega / TURN, engine=engine, rtol=1e-10)
+    walls = [Wall([1.0], -j[1], k[0], damping), Wall([-1.0], -j[0], k[1], damping)]
+    one = np.eye(1)
+    oracle = Lossy(one, 0.05 * one, one, [0.3], omega, walls)
+    y = np.array([found.x_end, found.v_end])
+    for _ in range(2):  # Newton's method
+        ended = oracle.run(y, TURN / omega)
+        y = y - np.linalg.solve(ended.tangent - np.eye(2), ended.y - y)
+    assert y == pytest.approx([found.x_end, found.v_end], rel=1e-7)
+    assert np.sort_complex(found.multipliers) == pytest.approx(
+        np.sort_complex(np.linalg.eigvals(ended.tangent)), rel=1e-6
+    )
+    assert found.contacts_per_period == 0.5 * ended.n_contacts
+    assert found.force_max == pytest.approx(ended.largest, rel=1e-6)  # at samples
+    assert ended.worked == pytest.approx(ended.lost, rel=1e-9)
+
+
+def test_a_mass_at_rest_between_walls_that_overlap_is_held_by_both():
+    one = np.eye(1)
+    free = gs.System(mass=one, stiffness=one, damping=0.1 * one, contacts={"x": [1.0]})
+    laws = {"x": gs.Piecewise(2.0, gs.Gap(-0.1, -0.3))}
+    found = gs.respond(free, laws, q_0=0.5)
+    assert found.response_class == gs.ResponseClass.EQUILIBRIUM
+    assert found.x_max == pytest.approx((2.0 * 0.1 - 2.0 * 0.3) / 5.0, rel=1e-9)
+    assert found.contact_share == 1.0
+
+
+@pytest.mark.parametrize("pulls", [True, False])
+def test_gradients_and_branches_know_walls_that_overlap(pulls):
+    def at(j_1=-0.1, damping=0.0):
+        return gs.Piecewise(2.0, gs.Gap(j_1, -0.15), K_ratio=1.3, damping=damping, pulls=pulls)
+
+    o, omega, h = oscillator(0.3), 1.5 / TURN, 1e-6
+    found = gs.gradient(o, at(), ["j_1"], omega=omega)["gradient"].isel(parameter=0)
+    above, below = (gs.respond(o, at(-0.1 + by), omega, rtol=1e-12) for by in (h, -h))
+    for name in ("x_max", "x_min", "force_max"):
+        slope = (getattr(above, name) - getattr(below, name)) / (2.0 * h)
+        assert found.sel(quantity=name).item() == pytest.approx(slope, rel=1e-6), name
+    assert found.sel(quantity="contact_share").item() == 0.0
+    branch = gs.branches(o, at(damping=0.2), "omega", (0.8 / TURN, 2.5 / TURN))
+    names = np.array(branch["special"].attrs["flag_meanings"].split())
+    # where the mass begins to leave a wall, and ceases to
+    assert (names[branch["special"].values] == "grazing").sum() == 2
 
 
 @pytest.mark.parametrize(("pulls", "fold"), [(True, 1.259531780516715), (False, 1.263345037548026)])

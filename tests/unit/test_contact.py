@@ -21,6 +21,7 @@ from gapsweep.model.contact import FIT_RANGE
 from gapsweep.model.fit import Fit, best_pole_free, poles, rational_candidates, unit_force
 from gapsweep.model.labels import EXAMPLES, Representation
 from gapsweep.model.laws.fitted import Fitted, in_blocks
+from gapsweep.model.parameters import numbers_of, with_numbers
 
 SOFT = 1.4e4
 SYMMETRIC = gs.Gap(0.4e-3, 0.4e-3)
@@ -270,7 +271,10 @@ def test_a_steep_continuous_force_is_taken(force, gap):
 @pytest.mark.parametrize(
     ("build", "message"),
     [
-        (lambda: gs.Gap(-1e-3, 0.0), r"j_1 = -0.001: must be >= 0"),
+        (lambda: gs.contact_law("logarctan-1e4", SOFT, (-1e-4, 4e-4)), r"-0.0001: .*at x = 0"),
+        (lambda: gs.contact_law("poly-13", SOFT, (-2e-4, 1e-4)), r"-0.0002, 0.0001: .*overlap"),
+        (lambda: gs.law(lambda x: x, SOFT, (-2e-4, 1e-4)), r"overlap"),
+        (lambda: gs.ForceTable([-1.0, 1.0], [-1.0, 1.0], gap=(-0.2, 0.1)), r"overlap"),
         (lambda: gs.Gap(0.0, math.nan), r"j_2 = nan: must be finite"),
         (lambda: gs.Piecewise(-1.0, SYMMETRIC), r"K_c = -1: must be >= 0"),
         (lambda: gs.Tanh(SOFT, SYMMETRIC, 0.0), r"epsilon = 0: must be > 0"),
@@ -416,3 +420,18 @@ def test_only_an_oscillator_of_the_paper_has_its_numbers():
     paper = gs.systems.paper_oscillator(zeta=0.1)
     stated = {"zeta": 0.1, "omega_n": 5.0, "mass": 3.0, "alpha": 7e8, "forcing": 4.0}
     assert paper == gs.Oscillator(**stated)
+
+
+def test_numbers_are_read_and_set_by_name():
+    oscillator = gs.Oscillator(mass=3.0, omega_n=5.0, zeta=0.03, forcing=4.0)
+    law = gs.Piecewise(1e4, gs.Gap(4e-4, np.inf))
+    assert numbers_of(oscillator).items() >= {"mass": 3.0, "zeta": 0.03, "alpha": 0.0}.items()
+    known = {"K_c": 1e4, "K_ratio": 1.0, "damping": 0.0, "j_1": 4e-4}
+    assert numbers_of(law) == known, "no distance of a wall that is missing"
+    found = with_numbers(law, {"gap": 1e-4, "K_c": 2e4, "zeta": 0.1})
+    assert found == gs.Piecewise(2e4, gs.Gap(1e-4, np.inf))
+    assert with_numbers(law, {"j_2": 2e-4}) == gs.Piecewise(1e4, gs.Gap(4e-4, 2e-4))
+    assert with_numbers(oscillator, {"gap": 1e-4, "K_c": 2e4}) is oscillator
+    spring = gs.UserLaw(1e4, law.gap, lambda x, k: k * x, {"k": 3.0})
+    found = with_numbers(spring, {"k": 5.0, "gap": 2e-4})
+    assert (found.parameters, found.gap) == ({"k": 5.0}, law.gap), "its walls push nothing"

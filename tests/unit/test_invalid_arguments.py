@@ -337,8 +337,8 @@ BOTH = {
     "K_c in words": (*contact(K_c="14 kN"), " = '14 kN': must be a number"),
     "infinite K_c": (*contact(K_c=INF), " = inf: must be finite"),
     "negative ratio": (*contact(K_ratio=-1.0), "must be >= 0"),
-    "negative gap": (*contact(gap=(-4e-4, 4e-4)), " = -0.0004: must be >= 0"),
-    "infinite gap": (*contact(gap=(4e-4, INF)), " = inf: must be finite"),
+    "gap without walls": (*contact(gap=(INF, INF)), "no wall on either side"),
+    "gap that is no number": (*contact(gap=(math.nan, 4e-4)), " = nan: must be "),
     "unknown law": (
         *contact("tan-1e4"),
         "unknown representation 'tan-1e4': did you mean tanh-1e4?",

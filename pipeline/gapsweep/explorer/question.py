@@ -229,7 +229,10 @@ class Question:
             if law == EXACT and exact is not None:
                 found.append(replace(exact, **of_walls))
                 continue
-            of_walls.pop(_CHI, None)
+            # A law with losses in its label has no damper in addition.
+            loses = law != EXACT and Representation(law).is_located
+            others = {_CHI, "damping"} if loses else {_CHI}
+            of_walls = {name: of_walls[name] for name in of_walls.keys() - others}
             found.append(contact_law(law, fit_range=self.fit_range, **of_walls))
         return tuple(found)
 

@@ -14,6 +14,7 @@ from gapsweep.integrate.lanes.method import Method
 from gapsweep.integrate.lanes.scene_table import SceneTable, scenes
 from gapsweep.integrate.lanes.system_rows import Walls, system_scenes
 from gapsweep.integrate.motions import Events, Motions
+from gapsweep.integrate.overlap import apart
 from gapsweep.integrate.problem import Integrate, Models, Problems, Shifts, Solver
 from gapsweep.integrate.runge_kutta import representations
 from gapsweep.integrate.runge_kutta.smooth_scenes import runge_kutta_scenes
@@ -36,6 +37,7 @@ _THICK_LAYERS_UP_TO = 1e-5
 _LONGEST = 200  # characters of numba's message
 
 
+@apart
 def prepared(models: Models, solver: Solver, shifts: Shifts | None = None) -> Integrate:
     """Return the integrator of some models; no result depends on the other rows of a call.
 

@@ -17,7 +17,7 @@ from gapsweep.integrate.motions import Motions
 from gapsweep.model.contact import ContactLaw, Piecewise, checked_law
 from gapsweep.model.laws.tanh import Tanh
 from gapsweep.model.oscillator import Oscillator, checked
-from gapsweep.model.structure import general_form
+from gapsweep.model.structure import general_form, with_walls_apart
 from gapsweep.model.system import System
 from gapsweep.model.table import ForceTable
 from gapsweep.model.user_law import UserLaw
@@ -191,6 +191,13 @@ class Models:
                 length = np.where(length > 0.0, length, other)
         return np.where(length > 0.0, length, _NO_LENGTH)
 
+    def with_walls_apart(self) -> "Models":
+        """Return the models of one kind with the walls of pairs that overlap as two contacts."""
+        pairs = [with_walls_apart(system, self.laws[0]) for system in self.systems]
+        several = [with_walls_apart(self.systems[0], laws) for laws in self.laws]
+        systems, laws = [system for system, _ in pairs], [laws for _, laws in several]
+        return replace(self.sized(), systems=systems, laws=laws)
+
     def check_losses(self, solver: "Solver") -> None:
         """Raise a `ModelError` if contacts lose energy in a way that the solver cannot integrate.
 
@@ -231,7 +238,7 @@ def _stiffness(law: ContactLaw) -> float:
 def _farther(law: ContactLaw) -> float:
     """Distance [m] of the farther wall that has stiffness."""
     lower = law.gap.j_1 if law.K_ratio else 0.0
-    return max(j if j < math.inf else 0.0 for j in (lower, law.gap.j_2))
+    return max(abs(j) if j < math.inf else 0.0 for j in (lower, law.gap.j_2))
 
 
 def _integrated(system: Model) -> Model:
@@ -267,7 +274,8 @@ def law_kind(law: ContactLaw) -> Hashable:
         return law.function
     if checked_law(law).is_numbers:
         is_thin = isinstance(law, Tanh) and law.has_thin_layers
-        return type(law), is_thin, isinstance(law, Piecewise) and law.located, law.losses.kind
+        is_located, overlaps = isinstance(law, Piecewise) and law.located, law.gap.width < 0.0
+        return type(law), is_thin, is_located, law.losses.kind, overlaps
     return law
 
 
@@ -487,8 +495,8 @@ class Solver:
         ):
             raise ModelError(
                 f"{self.runge_kutta_setting}: needs an Oscillator with omega_n > 0, "
-                "mean_load = 0, base_damping = 1 and no force by pieces; otherwise use "
-                "engine='scipy', or located=False (piecewise-noevents)"
+                "mean_load = 0, base_damping = 1, no force by pieces and j_1 + j_2 >= 0; "
+                "otherwise use engine='scipy', or located=False (piecewise-noevents)"
             )
         if 0 < n_located < n_contacts:
             raise ModelError(

@@ -26,6 +26,7 @@ from scipy.interpolate import PPoly
 from scipy.optimize import brentq
 
 from gapsweep.integrate.motions import COUNTS, SCALARS, Events, Motions
+from gapsweep.integrate.overlap import apart
 from gapsweep.integrate.problem import Integrate, Models, Problems, Solver
 from gapsweep.integrate.reference_motion import (
     extrema_of,
@@ -125,6 +126,7 @@ class _Record:
         self.n_rejected += (nfev - _START_NFEV) // _STEP_NFEV[method] - n_steps
 
 
+@apart
 def prepared(models: Models, solver: Solver) -> Integrate:
     """Return the function that integrates these models with scipy, one motion after the other.
 

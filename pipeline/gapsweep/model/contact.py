@@ -11,7 +11,7 @@ compiled engine uses.
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
@@ -21,7 +21,6 @@ from gapsweep.errors import ModelError
 from gapsweep.model.arithmetic import select
 from gapsweep.model.arrays import numbers
 from gapsweep.model.contact_modes import NO_LOSSES, Losses
-from gapsweep.model.fit import unit_force
 from gapsweep.model.oscillator import Gap, called_as, checked
 from gapsweep.status import DIVERGED_AT
 
@@ -78,6 +77,8 @@ class ContactLaw:
     family: ClassVar[str] = ""
     # Whether laws of the family differ only in numbers, so that one compiled form takes them all.
     is_numbers: ClassVar[bool] = False
+    # Whether the force is the sum of the forces of both walls, which then may overlap.
+    adds_walls: ClassVar[bool] = True
     # Whether the law has a convergence parameter: the larger, the closer to the exact law.
     is_sharpened: ClassVar[bool] = False
     # Name of the field that the label holds, if the law errs less the larger it is.
@@ -174,6 +175,19 @@ class ContactLaw:
         for name in ("K_c", "K_ratio"):
             object.__setattr__(self, name, checked(name, getattr(self, name), low=0.0))
         object.__setattr__(self, "gap", checked_gap(self.gap))
+        if self.gap.width < 0.0 and not self.adds_walls:
+            raise ModelError(
+                f"gap = {self.gap.j_1:g}, {self.gap.j_2:g}: the walls overlap (j_1 + j_2 < 0), "
+                f"which {type(self).__name__} does not cover; use gs.Piecewise or gs.Tanh"
+            )
+
+    @property
+    def of_walls(self) -> "tuple[ContactLaw, ...]":
+        """The law; for walls that overlap the laws of the upper and of the lower wall."""
+        if self.gap.width >= 0.0:
+            return (self,)
+        walls = Gap(math.inf, self.gap.j_2), Gap(self.gap.j_1, math.inf)
+        return tuple(replace(self, gap=gap) for gap in walls)
 
     @property
     def valid_range(self) -> tuple[float, float]:
@@ -270,18 +284,22 @@ class Piecewise(ContactLaw):
         return ()
 
     def force(self, x: ArrayLike, v: ArrayLike = 0.0) -> Array:
-        x = numbers("x", x)
-        force = np.asarray(self.K_c * unit_force(x, self.gap, self.K_ratio))
+        x, v = numbers("x", x), numbers("v", v)
+        above = self._pressure(x - self.gap.j_2, v, 1.0)
+        return np.asarray(above - self._pressure(-self.gap.j_1 - x, -v, self.K_ratio))
+
+    def _pressure(self, depth: Array, speed: Array, ratio: float) -> Array:
+        """Force of a wall [N], ``ratio`` times as stiff as the upper one, at a depth [m]."""
+        spring = self.K_c * (ratio * np.maximum(depth, 0.0))
         if not self.damping:
-            return force
-        side = np.where(x > self.gap.j_2, 1.0, np.where(x < -self.gap.j_1, -1.0, 0.0))
-        pressure = side * force + np.abs(side) * self.damping * side * numbers("v", v)
-        return np.asarray(side * (pressure if self.pulls else np.maximum(pressure, 0.0)))
+            return spring
+        damper = np.where(depth > 0.0, self.damping * speed, 0.0)
+        return spring + damper if self.pulls else np.maximum(spring + damper, 0.0)
 
     def derivative(self, x: ArrayLike) -> Array:
         x = numbers("x", x)
         below = np.where(x < -self.gap.j_1, self.K_ratio * self.K_c, 0.0)
-        return np.where(x > self.gap.j_2, self.K_c, below)
+        return np.where(x > self.gap.j_2, self.K_c, 0.0) + below
 
 
 @called_as("gs.HuntCrossley(1.4e4, gs.Gap(4e-4, 4e-4), chi=0.3), in N/m, m and s/m")
@@ -338,10 +356,8 @@ class HuntCrossley(Piecewise):
     def of_label(cls, parameter: str, fit_range: float) -> dict[str, Any]:
         return {"chi": float(parameter)}
 
-    def force(self, x: ArrayLike, v: ArrayLike = 0.0) -> Array:
-        x = numbers("x", x)
-        side = np.where(x > self.gap.j_2, 1.0, np.where(x < -self.gap.j_1, -1.0, 0.0))
-        return np.asarray(super().force(x) * (1.0 + self.chi * side * numbers("v", v)))
+    def _pressure(self, depth: Array, speed: Array, ratio: float) -> Array:
+        return super()._pressure(depth, speed, ratio) * (1.0 + self.chi * speed)
 
 
 def checked_gap(gap: Gap | Sequence[float]) -> Gap:

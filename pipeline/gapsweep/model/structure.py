@@ -6,7 +6,7 @@ and coordinates ``q_1``, ``q_2``, ...
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from itertools import accumulate, pairwise
 from typing import Any, ClassVar, TypeAlias, TypeVar, cast
@@ -14,6 +14,7 @@ from typing import Any, ClassVar, TypeAlias, TypeVar, cast
 import numpy as np
 from numpy.typing import NDArray
 
+from gapsweep.model.contact import ContactLaw
 from gapsweep.model.oscillator import OSCILLATOR, Oscillator
 from gapsweep.model.system import LATE, Cubic, Harmonic, Lags, Modulation, System
 from gapsweep.model.waves import ForceByPieces, Wave
@@ -47,6 +48,22 @@ def general_form(oscillator: Oscillator) -> System:
         ],
         coordinates=o.coordinates,
     )
+
+
+def with_walls_apart(
+    model: Oscillator | System, laws: tuple[ContactLaw, ...]
+) -> tuple[Oscillator | System, tuple[ContactLaw, ...]]:
+    """Return a model in which each wall of a pair that overlaps is a contact, and its laws."""
+    apart = [law.of_walls for law in laws]
+    if len(laws) == sum(map(len, apart)):
+        return model, laws
+    system = general_form(model) if isinstance(model, Oscillator) else model
+    names = [name for name, several in zip(system.contacts, apart, strict=True) for _ in several]
+    terms = system.modulation
+    modulation = {str(i): terms[name] for i, name in enumerate(names) if name in terms}
+    contacts = {str(i): system.contacts[name] for i, name in enumerate(names)}
+    system = replace(system, contacts=contacts, modulation=modulation, units={})
+    return system, tuple(law for several in apart for law in several)
 
 
 def extremes(rows: Array) -> Iterator[Array]:

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from functools import cached_property
 from os import PathLike
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -64,6 +64,8 @@ class ForceTable(ContactLaw):
     >>> law.gap.label, law.force(1e-3).item()
     ('0.4/0.4', 8.0)
     """
+
+    adds_walls: ClassVar[bool] = False
 
     x: tuple[float, ...]
     F: tuple[float, ...]

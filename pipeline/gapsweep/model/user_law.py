@@ -4,7 +4,7 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from inspect import Parameter, signature
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -53,6 +53,8 @@ class UserLaw(ContactLaw):
     >>> law.force(1e-3).item()
     20.0
     """
+
+    adds_walls: ClassVar[bool] = False
 
     function: Callable[..., float]
     parameters: Mapping[str, float] = field(default_factory=dict, hash=False)

@@ -21,7 +21,7 @@ from gapsweep.model.contact import OF_WALLS, ContactLaw, Piecewise
 from gapsweep.model.labels import EXACT, Representation, contact_law
 from gapsweep.model.oscillator import Gap, Oscillator
 from gapsweep.model.own_law import OwnLaw, checked
-from gapsweep.model.parameters import Parameter
+from gapsweep.model.parameters import Parameter, with_numbers
 from gapsweep.model.structure import AnyStructure
 from gapsweep.response.result import Steady
 from gapsweep.study.axes import MAX_POINTS, MAX_VALUES, forms
@@ -208,17 +208,9 @@ class Study:
         """Values of ranges of numbers that no model can have."""
         for name, value in ((name, value) for name, ends in ranges.items() for value in ends):
             try:
-                match name:
-                    case "gap" | "j_1" | "j_2":
-                        Gap(value, value)
-                    case "K_c":
-                        Piecewise(value, Gap(0.0, 0.0))
-                    case "K_ratio":
-                        Piecewise(1.0, Gap(0.0, 0.0), K_ratio=value)
-                    case "damping":
-                        Piecewise(1.0, Gap(0.0, 0.0), damping=value)
-                    case _ if self.model.is_oscillator and name in self.spec.model:
-                        replace(self.oscillator, **{name: value})
+                with_numbers(Piecewise(1.0, Gap(0.0, 0.0)), {name: value})
+                if self.model.is_oscillator and name in self.spec.model:
+                    with_numbers(self.oscillator, {name: value})
             except ModelError as error:
                 yield f"{where}: {error}"
 

@@ -8,6 +8,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from gapsweep.errors import ModelError
 from gapsweep.model.arithmetic import fma, is_any
 from gapsweep.model.arrays import numbers
 from gapsweep.model.contact import Formulas, penetrations
@@ -68,6 +69,14 @@ class LogArctan(Sharpened):
     formulas: ClassVar[Formulas] = Formulas(_force, _slope)
 
     gamma: float
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if (nearest := min(self.gap.distances)) < 0.0:
+            raise ModelError(
+                f"gap: {nearest:g}: LogArctan has no force at x = 0, which must not lie beyond a "
+                "wall; use gs.Piecewise or gs.Tanh"
+            )
 
     @classmethod
     def rows(cls, low: Array, high: Array, ratio: Array, sharpness: Array) -> dict[str, Array]:

@@ -112,13 +112,14 @@ class Tanh(Switched):
     def turns(self) -> tuple[float, ...] | None:
         """Both extrema of the force [m] between walls of equal stiffness; None for unequal ones.
 
-        If the force has no extrema, both values are the middle of the gap. None, too, for one wall.
+        If the force has no extrema, both values are the middle of the gap. None, too, for one wall
+        and for walls that overlap.
 
         With walls ``w`` apart in ``u = ε (x - middle)`` the slope is ``h'(u - w/2) + h'(-u - w/2)``
         with ``h' = d/dz z (1 + tanh z)``. If the slope is negative in the middle, it changes sign
         once before each wall; if it is positive in the middle, it is positive everywhere.
         """
-        if self.K_ratio != 1.0 or self.gap.width == math.inf:
+        if self.K_ratio != 1.0 or not 0.0 <= self.gap.width < math.inf:
             return None
         turn = _turn(0.5 * self.epsilon * self.gap.width) / self.epsilon
         centre = 0.5 * (self.gap.j_2 - self.gap.j_1)
