@@ -22,6 +22,7 @@ from gapsweep.model.contact import FIT_RANGE
 from gapsweep.model.fit import Fit, best_pole_free, poles, rational_candidates, unit_force
 from gapsweep.model.labels import EXAMPLES, Representation
 from gapsweep.model.laws.fitted import Fitted, in_blocks
+from gapsweep.model.parameters import numbers_of, with_numbers
 
 SOFT = 1.4e4
 SYMMETRIC = gs.Gap(0.4e-3, 0.4e-3)
@@ -443,3 +444,18 @@ def test_only_an_oscillator_of_the_paper_has_its_numbers():
     paper = gs.systems.paper_oscillator(zeta=0.1)
     stated = {"zeta": 0.1, "omega_n": 5.0, "mass": 3.0, "alpha": 7e8, "forcing": 4.0}
     assert paper == gs.Oscillator(**stated)
+
+
+def test_numbers_are_read_and_set_by_name():
+    oscillator = gs.Oscillator(mass=3.0, omega_n=5.0, zeta=0.03, forcing=4.0)
+    law = gs.Piecewise(1e4, gs.Gap(4e-4, np.inf))
+    assert numbers_of(oscillator).items() >= {"mass": 3.0, "zeta": 0.03, "alpha": 0.0}.items()
+    known = {"K_c": 1e4, "K_ratio": 1.0, "damping": 0.0, "j_1": 4e-4}
+    assert numbers_of(law) == known, "no distance of a wall that is missing"
+    found = with_numbers(law, {"gap": 1e-4, "K_c": 2e4, "zeta": 0.1})
+    assert found == gs.Piecewise(2e4, gs.Gap(1e-4, np.inf))
+    assert with_numbers(law, {"j_2": 2e-4}) == gs.Piecewise(1e4, gs.Gap(4e-4, 2e-4))
+    assert with_numbers(oscillator, {"gap": 1e-4, "K_c": 2e4}) is oscillator
+    spring = gs.UserLaw(1e4, law.gap, lambda x, k: k * x, {"k": 3.0})
+    found = with_numbers(spring, {"k": 5.0, "gap": 2e-4})
+    assert (found.parameters, found.gap) == ({"k": 5.0}, law.gap), "its walls push nothing"

@@ -499,7 +499,6 @@ def of_model(
     for one in several.values():
         if not isinstance(one, ContactLaw):
             raise ModelError(f"law = {one!r:.80}: must be a contact law, as gapsweep.Piecewise")
-        _refuse_prestress([one.gap.j_1, one.gap.j_2])
     if set(several) != set(example.contacts):
         raise ModelError(f"law: of {list(several)}: must name {list(example.contacts)}")
     is_one = len(set(map(id, several.values()))) == 1
@@ -568,7 +567,6 @@ def of_study(study: Study) -> tuple[Question, dict[str, tuple[float, float]]]:
     if not (example.is_forced and example.contacts):
         raise ModelError(f"{study.source}: {_NOT_SHOWN}")
     gaps = grid.gaps if {"gap", "j_1"} & grid.axes.keys() else ()
-    _refuse_prestress([wall for gap in gaps for wall in (gap.j_1, gap.j_2)])
     machine = _machine_of(study, gaps)
     ranges = {
         name: (min(axis), max(axis)) for name, axis in grid.axes.items() if name in machine.names
@@ -600,14 +598,6 @@ def of_study(study: Study) -> tuple[Question, dict[str, tuple[float, float]]]:
     return question, ranges
 
 
-def _refuse_prestress(distances: Sequence[float]) -> None:
-    if (nearest := min(distances, default=0.0)) < 0.0:
-        raise ModelError(
-            f"gap = {nearest:g}: explore has walls without prestress, as gs.Gap(4e-4, 4e-4); use "
-            "gapsweep.respond"
-        )
-
-
 def _machine_of(study: Study, gaps: Sequence[Gap]) -> SliderModel:
     """The model of a study; numbers of a contact in [contact] have no slider."""
     walls: dict[str, dict[str, str | float]] = {}
@@ -631,7 +621,6 @@ def _machine_of(study: Study, gaps: Sequence[Gap]) -> SliderModel:
                     f"{study.source}: contact {contact}: {law}: user laws are not computed here"
                 )
         if "gap" in own:
-            _refuse_prestress(own["gap"])
             own["j_1"], own["j_2"] = own.pop("gap")
             widths.append(Gap(own["j_1"], own["j_2"]).size)
         # A contact with a separate law has the damping that the study gives it, if any.

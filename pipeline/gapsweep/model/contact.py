@@ -158,8 +158,8 @@ class ContactLaw:
     @property
     def stiffnesses(self) -> tuple[float, float]:
         """Stiffnesses of the lower and the upper wall [N/m]; 0 without a wall."""
-        has_lower, has_upper = (j < math.inf for j in (self.gap.j_1, self.gap.j_2))
-        return self.K_ratio * self.K_c * has_lower, self.K_c * has_upper
+        gap, K_c = self.gap, self.K_c
+        return self.K_ratio * K_c * (gap.j_1 < math.inf), K_c * (gap.j_2 < math.inf)
 
     @property
     def scale(self) -> tuple[float, float]:
