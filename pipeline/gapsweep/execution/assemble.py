@@ -36,9 +36,13 @@ from gapsweep.status import Status
 from gapsweep.store.cache import Found
 from gapsweep.store.netcdf import LOCK, writing
 from gapsweep.study.grid import Grid, Selection
+from gapsweep.study.points import Points
 from gapsweep.study.study import Study
 from gapsweep.user_code.package_digest import numerics_fingerprint
 from gapsweep.variables import EXTREMUM, MULTIPLIER, SECTION_POINT
+
+# Function of tables of points that returns their responses.
+Respond = Callable[[list[Points]], list[Responses]]
 
 _LOOKED_AT = 256  # pieces of the grid in search of one that is complete
 
@@ -49,7 +53,7 @@ def export(
     attractors: Path,
     *,
     made_from: Callable[[], str] = str,
-    connect: Callable[[], Any] | None = None,
+    respond: Respond | None = None,
 ) -> Iterator[bool]:
     """Write ``responses.nc`` and ``attractors.nc`` from the cache, while points are computed.
 
@@ -63,8 +67,9 @@ def export(
         Results that are stored meanwhile are entered in it.
     made_from : callable
         Returns the value of the files' attribute `made_from`; called when all points are stored.
-    connect : callable, optional
-        Returns the client of the cluster that computes disturbances.
+    respond : callable, optional
+        Returns the responses of tables of points from their fixed initial states. With it,
+        attractors have the smallest disturbances that leave them.
 
     Yields
     ------
@@ -78,7 +83,7 @@ def export(
     """
     attributes = attributes_of(plan.study)
     with writing(attractors, attributes) as others, writing(responses, attributes) as dataset:
-        filling = _Filling(dataset, others, plan, connect=connect)
+        filling = _Filling(dataset, others, plan, respond=respond)
         while filling.pieces:
             yield filling.step()
         digests = made_from()
@@ -118,16 +123,16 @@ class _Filling:
         others: netCDF4.Dataset,
         plan: Plan,
         selection: Selection | None = None,
-        connect: Callable[[], Any] | None = None,
+        respond: Respond | None = None,
     ) -> None:
-        self.dataset, self.others, self.connect = dataset, others, connect
+        self.dataset, self.others, self.respond = dataset, others, respond
         self.plan, self.selection, study = plan, selection, plan.study
         grid = study.grid if selection is None else study.grid.cut(selection)
         laws = {label: study.own_law(label) for label in grid.representations}
         uneven = [label for label, own in laws.items() if own is not None and not own.is_odd]
         mean_load = study.spec.model.get("mean_load", 0.0)
         symmetry: dict[str, Any] = {"uneven": uneven, "mean_load": mean_load}
-        has_disturbances = connect is not None and study.spec.attractors is not None
+        has_disturbances = respond is not None
         self.layout = Layout.of(grid, study.steady, **symmetry, has_disturbances=has_disturbances)
         self.hosts: list[str] = []
         self.versions: set[str] = set()
@@ -181,25 +186,21 @@ class _Filling:
         self, first: NDArray[np.int64], leaders: Responses, unit: NDArray[np.float64]
     ) -> Arrays:
         """Smallest disturbances that leave attractors; `first` are the points of the leaders."""
-        from gapsweep.execution.task import respond_fixed  # numba: a second, which few studies need
-
-        assert self.connect is not None
-        study, client = self.plan.study, self.connect()
+        study, respond = self.plan.study, self.respond
+        assert respond is not None
         assert study.spec.attractors is not None
         tables = study.points(study.grid.cells(first))
 
         def answer(of: NDArray[np.intp], states: NDArray[np.float64]) -> Responses:
-            order, tasks = [], []
+            order, parts = [], []
             for numbers, points in tables:
                 here = np.flatnonzero(np.isin(of, numbers))
                 for some in np.split(here, range(PIECE, len(here), PIECE)):
                     rows = np.searchsorted(numbers, of[some])
-                    tasks.append(points.take(rows).from_states(states[some]))
+                    parts.append(points.take(rows).from_states(states[some]))
                     order.append(some)
-            found = client.gather(
-                [client.submit(respond_fixed, task, pure=False) for task in tasks]
-            )
-            return Responses.concatenated(found).take(np.argsort(np.concatenate(order)))
+            found = Responses.concatenated(respond(parts))
+            return found.take(np.argsort(np.concatenate(order)))
 
         starts = self.layout.grid.starts.states
         found = smallest_disturbances(leaders, unit, starts, study.spec.attractors.rays, answer)

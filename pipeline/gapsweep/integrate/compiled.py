@@ -14,6 +14,7 @@ from gapsweep.integrate.lanes.method import Method
 from gapsweep.integrate.lanes.scene_table import SceneTable, scenes
 from gapsweep.integrate.lanes.system_rows import Walls, system_scenes
 from gapsweep.integrate.motions import Events, Motions
+from gapsweep.integrate.overlap import apart
 from gapsweep.integrate.problem import Integrate, Models, Problems, Shifts, Solver
 from gapsweep.integrate.runge_kutta import representations
 from gapsweep.integrate.runge_kutta.smooth_scenes import runge_kutta_scenes
@@ -37,6 +38,7 @@ _LONGEST = 200  # characters of numba's message
 _IS_ZERO = "one of them is 0 and adds a load, a spring or a wall; give it a small value"
 
 
+@apart
 def prepared(models: Models, solver: Solver, shifts: Shifts | None = None) -> Integrate:
     """Return the integrator of some models; no result depends on the other rows of a call.
 
@@ -48,7 +50,7 @@ def prepared(models: Models, solver: Solver, shifts: Shifts | None = None) -> In
     is_taylor = _by_taylor(models, solver)
     scenes = _scenes(models, solver, is_taylor)
     method: Method = Taylor()
-    is_located = is_taylor and (scenes.at.is_tanh or _is_located(models))
+    is_located = is_taylor and (scenes.at.is_tanh or _is_exact(models))
     mass = models.of_systems(attrgetter("mass")) if _is_oscillator(models) else None
     if shifts is not None:
         scenes = _with_columns(scenes, shifts)
@@ -63,22 +65,8 @@ def prepared(models: Models, solver: Solver, shifts: Shifts | None = None) -> In
             scenes, method = runge_kutta_scenes(scenes, laws, mass, solver)
 
     def integrate(problems: Problems) -> Motions:
-        run = batch.run(
-            scenes,
-            method,
-            problems.which,
-            problems.start,
-            problems.t_0,
-            problems.t_end,
-            problems.record_from,
-            queue=_queue(problems),
-            follows=problems.follows,
-            section_only=problems.section_only,
-            tangent=problems.tangent,
-            dense_output=problems.dense_output,
-            sampled=problems.sampled,
-            contacts=problems.contacts or (problems.contact_time and not is_located),
-        )
+        records_contacts = problems.contacts or (problems.contact_time and not is_located)
+        run = batch.run(scenes, method, problems, _queue(problems), contacts=records_contacts)
 
         def events() -> Events:
             return _events(len(problems), run)
@@ -112,7 +100,7 @@ def _forces(found: Array | None, mass: Array | None, which: NDArray[np.intp]) ->
 
 def _check_columns(models: Models, solver: Solver, shifts: Shifts) -> None:
     """Raise a `ModelError` if motions of the models have no parameter columns."""
-    if not _is_located(models):
+    if not _is_exact(models):
         raise ModelError(
             f"law = {models.laws[0][0]}: gradients need located contacts, as gs.Piecewise(1.4e4, "
             "gs.Gap(4e-4, 4e-4))"
@@ -145,7 +133,11 @@ def _by_taylor(models: Models, solver: Solver) -> bool:
     models.check_losses(solver)
     if solver.controller != "native" or (n_located and solver.runge_kutta_setting):
         return not laws
-    if _is_located(models) or _crosses_layers(models, solver):
+    if _is_exact(models):
+        return True
+    if models.is_lossy:  # their velocities are in the formulas of Runge-Kutta steps only
+        return False
+    if _crosses_layers(models, solver):
         return True
     # Measured (decision 50): series of tanh, and of fits at several contacts, cost more than
     # Runge-Kutta steps.
@@ -153,9 +145,9 @@ def _by_taylor(models: Models, solver: Solver) -> bool:
     return all(isinstance(law, by_series) for law in laws)
 
 
-def _is_located(models: Models) -> bool:
-    """Whether all contacts are located."""
-    return models.n_located == len(models.laws[0])
+def _is_exact(models: Models) -> bool:
+    """Whether all contacts are located ones of this package."""
+    return all(law.is_located and not isinstance(law, UserLaw) for law in models.laws[0])
 
 
 def _crosses_layers(models: Models, solver: Solver) -> bool:
@@ -207,7 +199,7 @@ def _scenes(models: Models, solver: Solver, is_taylor: bool) -> SceneTable:
         found = system_scenes(*of_all, **tolerances)
     if not models.is_lossy:
         return found
-    damping, never_pulls, chi = np.moveaxis(models.of_laws(attrgetter("losses")), -1, 0)
+    damping, never_pulls, chi, _ = np.moveaxis(models.of_laws(attrgetter("losses")), -1, 0)
     mass = models.of_systems(attrgetter("mass"))[:, None] if _is_oscillator(models) else 1.0
     return with_losses(found, damping / mass, never_pulls > 0.0, chi)
 
@@ -257,7 +249,13 @@ def _kernel_law(models: Models, contact: int) -> Any:
         case UserLaw():
             named = [[*each.values()] for each in column("parameters")]
             try:
-                return representations.user(law.function, gaps["j_1"], gaps["j_2"], named)
+                return representations.user(
+                    law.function,
+                    gaps["j_1"],
+                    gaps["j_2"],
+                    named,
+                    is_of_speed=law.is_of_speed,
+                )
             except NumbaError as error:
                 raise ModelError(
                     f"{law}: numba cannot compile it ({_reason(error)}); use arithmetic and "

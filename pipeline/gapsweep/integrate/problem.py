@@ -17,7 +17,7 @@ from gapsweep.integrate.motions import Motions
 from gapsweep.model.contact import ContactLaw, Piecewise, checked_law
 from gapsweep.model.laws.tanh import Tanh
 from gapsweep.model.oscillator import Oscillator, checked
-from gapsweep.model.structure import general_form
+from gapsweep.model.structure import general_form, with_walls_apart
 from gapsweep.model.system import System
 from gapsweep.model.table import ForceTable
 from gapsweep.model.user_law import UserLaw
@@ -129,7 +129,7 @@ class Models:
     @property
     def n_located(self) -> int:
         """Number of contacts that are located, of the first row as of all."""
-        return sum(isinstance(law, Piecewise) and law.located for law in self.laws[0])
+        return sum(law.is_located for law in self.laws[0])
 
     @property
     def is_lossy(self) -> bool:
@@ -191,21 +191,33 @@ class Models:
                 length = np.where(length > 0.0, length, other)
         return np.where(length > 0.0, length, _NO_LENGTH)
 
+    def with_walls_apart(self) -> "Models":
+        """Return the models of one kind with the walls of pairs that overlap as two contacts."""
+        pairs = [with_walls_apart(system, self.laws[0]) for system in self.systems]
+        several = [with_walls_apart(self.systems[0], laws) for laws in self.laws]
+        systems, laws = [system for system, _ in pairs], [laws for _, laws in several]
+        return replace(self.sized(), systems=systems, laws=laws)
+
     def check_losses(self, solver: "Solver") -> None:
         """Raise a `ModelError` if contacts lose energy in a way that the solver cannot integrate.
 
         Steps that pass a wall before they are cut there would see the jump of the force.
         """
-        losses = [law.losses for laws in self.laws for law in laws if law.losses]
+        lossy = [law for laws in self.laws for law in laws if law.losses and law.has_modes]
+        losses = [law.losses for law in lossy]
         if not losses:
             return
+        own = [law for law in lossy if law.losses.by_function]
+        if own and len(own) < len(lossy):
+            others = next(each for each in losses if not each.by_function)
+            raise ModelError(f"{own[0]}: f(x, v) not with {others} in one system; use f for both")
         setting = solver.runge_kutta_setting
         if setting and (solver.engine == "compiled" or solver.contact_force == "as_written"):
             raise ModelError(f"{losses[0]}: not with {setting}; leave that setting out")
         for system, law in {*zip(self.system.tolist(), self.law.tolist(), strict=True)}:
             modulated, laws = self.systems[system].is_modulated, self.laws[law]
             for each in [law.losses for law, m in zip(laws, modulated, strict=True) if m]:
-                if each.never_pulls or each.chi:
+                if each.never_pulls or each.chi or each.by_function:
                     raise ModelError(
                         f"{each}: a contact with periodic stiffness must be a damper that pulls; "
                         "write gs.Piecewise(K_c, gap, damping=60.0, pulls=True)"
@@ -231,7 +243,7 @@ def _stiffness(law: ContactLaw) -> float:
 def _farther(law: ContactLaw) -> float:
     """Distance [m] of the farther wall that has stiffness."""
     lower = law.gap.j_1 if law.K_ratio else 0.0
-    return max(j if j < math.inf else 0.0 for j in (lower, law.gap.j_2))
+    return max(abs(j) if j < math.inf else 0.0 for j in (lower, law.gap.j_2))
 
 
 def _integrated(system: Model) -> Model:
@@ -267,7 +279,8 @@ def law_kind(law: ContactLaw) -> Hashable:
         return law.function
     if checked_law(law).is_numbers:
         is_thin = isinstance(law, Tanh) and law.has_thin_layers
-        return type(law), is_thin, isinstance(law, Piecewise) and law.located, law.losses.kind
+        kind = law.is_located, law.losses.kind, law.gap.width < 0.0
+        return type(law), is_thin, *kind
     return law
 
 
@@ -497,13 +510,13 @@ class Solver:
         ):
             raise ModelError(
                 f"{self.runge_kutta_setting}: needs an Oscillator with omega_n > 0, "
-                "mean_load = 0, base_damping = 1 and no force by pieces; otherwise use "
-                "engine='scipy', or located=False (piecewise-noevents)"
+                "mean_load = 0, base_damping = 1, no force by pieces and j_1 + j_2 >= 0; "
+                "otherwise use engine='scipy', or located=False (piecewise-noevents)"
             )
         if 0 < n_located < n_contacts:
             raise ModelError(
-                f"{Piecewise.family}: contacts are located for all contacts or none; use "
-                "located=False (piecewise-noevents)"
+                f"{Piecewise.family}: contacts are located for all contacts or none, as those of "
+                "own functions f(x, v) are; use located=False (piecewise-noevents)"
             )
 
     def with_rtol(self, rtol: float) -> "Solver":

@@ -6,14 +6,15 @@ and coordinates ``q_1``, ``q_2``, ...
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
-from itertools import accumulate, pairwise
+from itertools import accumulate, pairwise, repeat
 from typing import Any, ClassVar, TypeAlias, TypeVar, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
+from gapsweep.model.contact import ContactLaw
 from gapsweep.model.oscillator import OSCILLATOR, Oscillator
 from gapsweep.model.system import LATE, Cubic, Harmonic, Lags, Modulation, System
 from gapsweep.model.waves import ForceByPieces, Wave
@@ -49,10 +50,26 @@ def general_form(oscillator: Oscillator) -> System:
     )
 
 
+def with_walls_apart(
+    model: Oscillator | System, laws: tuple[ContactLaw, ...]
+) -> tuple[Oscillator | System, tuple[ContactLaw, ...]]:
+    """Return a model in which each wall of a pair that overlaps is a contact, and its laws."""
+    apart = [law.of_walls for law in laws]
+    if len(laws) == sum(map(len, apart)):
+        return model, laws
+    system = general_form(model) if isinstance(model, Oscillator) else model
+    names = [name for name, several in zip(system.contacts, apart, strict=True) for _ in several]
+    terms = system.modulation
+    modulation = {str(i): terms[name] for i, name in enumerate(names) if name in terms}
+    contacts = {str(i): system.contacts[name] for i, name in enumerate(names)}
+    system = replace(system, contacts=contacts, modulation=modulation, units={})
+    return system, tuple(law for several in apart for law in several)
+
+
 def extremes(rows: Array) -> Iterator[Array]:
     """Yield the smallest, the smallest positive and the largest numbers of all rows, as rows.
 
-    Numbers that have each a range of its own are all valid if these are.
+    Where each number has a separate range, all rows are valid if these are.
     """
     smallest, largest = rows.min(axis=0), rows.max(axis=0)
     positive = np.min(rows, axis=0, where=rows > 0.0, initial=math.inf)
@@ -61,14 +78,13 @@ def extremes(rows: Array) -> Iterator[Array]:
 
 def copies(example: T, columns: Mapping[str, Sequence[Any]]) -> list[T]:
     """Return copies of a frozen dataclass with other values of some fields, not checked."""
-    names = {field.name: getattr(example, field.name) for field in fields(cast(Any, example))}
-    fixed = [(name, value) for name, value in names.items() if name not in columns]
-    kind, new, put, found = type(example), object.__new__, object.__setattr__, []
-    for row in zip(*columns.values(), strict=True):
-        made = new(kind)
-        for name, value in (*fixed, *zip(columns, row, strict=True)):
-            put(made, name, value)
-        found.append(made)
+    (size,) = {len(column) for column in columns.values()}
+    found = [object.__new__(type(example)) for _ in range(size)]
+    put = object.__setattr__
+    for field in fields(cast(Any, example)):
+        values = columns.get(field.name, repeat(getattr(example, field.name)))
+        for one, value in zip(found, values, strict=False):  # a repeated value has no end
+            put(one, field.name, value)
     return found
 
 

@@ -155,14 +155,13 @@ class _Search:
             far = np.minimum(self.size[self.of[bases]], self.far[bases])
             if self._improve(bases, directions, far, _FINE).size:
                 self._refine()
+        size, single = (np.where(np.isinf(each), np.nan, each) for each in (self.size, single))
         sides = single.reshape(n, 2, n_states).transpose(0, 2, 1) * self._unit.T[:, :, None]
-        start, none = self.base[self.start] if len(self.base) else self.direction, np.isinf
-        change = self.size[:, None] * self.direction * self._unit.T
         return Disturbances(
-            size=np.where(none(self.size), np.nan, self.size),
-            state=start,
-            change=np.where(none(self.size)[:, None], np.nan, change),
-            single=np.where(none(sides), np.nan, sides) * np.array([-1.0, 1.0]),
+            size=size,
+            state=self.base[self.start] if len(self.base) else self.direction,
+            change=size[:, None] * self.direction * self._unit.T,
+            single=sides * np.array([-1.0, 1.0]),
         )
 
     def _refine(self) -> None:

@@ -26,7 +26,7 @@ _ON_WALL = 1e-9
 
 
 def largest_forces(laws: Sequence[ContactLaw], x_min: Array, x_max: Array) -> Array:
-    """Largest magnitudes [N] of contact forces between two displacements.
+    """Largest magnitudes [N] of contact forces, of a wall, between two displacements.
 
     The maximum is at an end, or at an extremum of the force between the ends.
 
@@ -51,7 +51,8 @@ def largest_forces(laws: Sequence[ContactLaw], x_min: Array, x_max: Array) -> Ar
             continue
         turns = _searched_turns(law, 2.0**power) if law.turns is None else law.turns
         x = np.array([low, high, *(np.clip(turn, low, high) for turn in turns)])
-        found[here] = np.fmax.reduce(np.abs(_values(law, law.force, x)))
+        forces = [_values(each, each.force, x) for each in law.of_walls]
+        found[here] = np.fmax.reduce(np.abs(np.concatenate(forces)))
     return found
 
 
@@ -93,6 +94,8 @@ def contact_shares(
 ) -> Array:
     """Shares [-] of their time that motions spend beyond the walls of each contact.
 
+    A motion is always beyond one of two walls that overlap.
+
     Parameters
     ----------
     ensemble : Ensemble
@@ -115,7 +118,8 @@ def contact_shares(
         shares = np.minimum(call.contact_time.T / call.t_end, 1.0)
         # A motion that stays on a wall does not press on it.
         stays = [(end == walls[0]) | (end == walls[1]) for end in ends]
-        return np.where(stays[0] & stays[1] & (call.n_contacts == 0), 0.0, shares)
+        shares = np.where(stays[0] & stays[1] & (call.n_contacts == 0), 0.0, shares)
+        return np.where(walls[0] > walls[1], 1.0, shares)
     events = call.events
     found = []
     for k in range(walls.shape[1]):
@@ -130,7 +134,7 @@ def contact_shares(
         found.append(
             _shares(passings, (*turns.T, n_turns), call.t_end, gap_ends, walls[:, k], closed)
         )
-    return np.array(found).reshape(walls.shape[1:])
+    return np.where(walls[0] > walls[1], 1.0, np.reshape(found, walls.shape[1:]))
 
 
 def _of_one(values: Array, owners: Counts, counts: Counts, which: int) -> tuple[Array, Counts]:
