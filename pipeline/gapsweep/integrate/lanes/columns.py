@@ -60,7 +60,7 @@ def with_columns(table: SceneTable, shifts: Shifts) -> tuple[SceneTable, NDArray
     found[~np.isfinite(found)] = 0.0
     rates, changes, fixed = np.split(found, [1, 1 + len(places.powers)], axis=2)
     models = rows[:n]
-    # the clock of an unforced model has a rate of its own choice
+    # the clock of an unforced model may run at any rate
     by_omega = np.asarray(rates.any(axis=(0, 2))) & (not at.is_free)
     if by_omega.any():
         sources = models[:, places.every[1 : 1 + len(places.powers)]]
