@@ -472,6 +472,18 @@ def test_a_wall_on_one_side_has_one_slider():
         of_study(gs.Study.from_dict(mixed))
 
 
+def test_a_prestressed_wall_has_a_slider_of_both_signs(monkeypatch):
+    monkeypatch.setattr(shown, "N_OMEGA", 3)
+    pressed = gs.Piecewise(1.4e4, gs.Gap(-1e-4, 4e-4))
+    question = of_model(LINEAR, pressed, approximations=[])
+    (dial,) = (dial for dial in dials(question) if dial.name == "j_1")
+    assert dial.low < dial.value < 0.0 < dial.high
+    omega = shown.frequencies(question)
+    settings = {"rtol": shown.RTOL, "atol": shown._atol(question.model)}
+    found = gs.respond(LINEAR, pressed, omega, steady=shown.settled(question.model), **settings)
+    np.testing.assert_array_equal(from_rest(question, EXACT).x_max, found.x_max)
+
+
 def test_a_study_with_damping_has_its_range():
     study = changed(TWO_MASSES, sweep__0__damping=[0.5, 2.0])
     question, ranges = of_study(gs.Study.from_dict(study))

@@ -15,7 +15,7 @@ from gapsweep.integrate.problem import Model, Models
 from gapsweep.integrate.simulate import AnyLaw
 from gapsweep.model.contact import ContactLaw, checked_law
 from gapsweep.model.oscillator import Oscillator, checked
-from gapsweep.model.parameters import GAP, numbers_of, with_numbers
+from gapsweep.model.parameters import GAP, made_model, numbers_of, with_numbers
 from gapsweep.model.structure import general_form
 from gapsweep.model.system import System
 from gapsweep.model.user_law import UserLaw
@@ -204,10 +204,7 @@ class Family:
         model = self.model
         if callable(model):
             known = {name: value for name, value in values.items() if name in self._arguments}
-            made = model(**known)
-            if not isinstance(made, Oscillator | System):
-                raise ModelError(f"oscillator: {made!r}: must return a gapsweep.System")
-            return made
+            return made_model(model, known)
         if not isinstance(model, Oscillator | System):
             raise ModelError(
                 f"oscillator = {model!r}: must be a gapsweep.Oscillator(...), a gapsweep.System(), "

@@ -4,7 +4,7 @@ import inspect
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -16,6 +16,7 @@ from gapsweep.integrate.simulate import AnyLaw
 from gapsweep.model.contact import FIT_RANGE, OF_WALLS, ContactLaw, Piecewise
 from gapsweep.model.labels import EXACT, Representation, canonical_label, contact_law
 from gapsweep.model.oscillator import Gap, Oscillator, checked, is_number
+from gapsweep.model.parameters import made_model
 from gapsweep.model.system import System
 from gapsweep.model.systems import paper_oscillator
 from gapsweep.study.study import Study
@@ -450,7 +451,8 @@ def _machine(
     factor = 10.0 ** (3 * round(math.log10(widest) / 3)) if widest else 1.0
     if isinstance(model, System):
         return SliderModel(lambda _: model, {}, walls, *several, factor)
-    return SliderModel(lambda values: model(**values), _defaults(model), walls, *several, factor)
+    made = partial(made_model, model)
+    return SliderModel(made, _defaults(model), walls, *several, factor)
 
 
 def _defaults(function: Any) -> dict[str, float]:
@@ -487,9 +489,9 @@ def of_model(
     if not (isinstance(typed, Sequence) and all(isinstance(each, str) for each in typed)):
         raise ModelError(f"approximations = {typed!r:.80}: must be labels, as ['tanh-1e4']")
     model = paper_oscillator() if oscillator is None else oscillator
-    example = model if isinstance(model, Oscillator | System) else model(**_defaults(model))
+    example = model
     if not isinstance(example, Oscillator | System):
-        raise ModelError(f"oscillator = {model!r:.80}: must return a gapsweep.System")
+        example = made_model(example, _defaults(example))
     if not (example.is_forced and example.contacts):
         raise ModelError(f"oscillator = {model!r:.80}: {_NOT_SHOWN}")
     law = Piecewise(K_c=1.4e4, gap=Gap(0.4e-3, 0.4e-3)) if law is None else law
@@ -497,7 +499,6 @@ def of_model(
     for one in several.values():
         if not isinstance(one, ContactLaw):
             raise ModelError(f"law = {one!r:.80}: must be a contact law, as gapsweep.Piecewise")
-        _refuse_prestress([one.gap.j_1, one.gap.j_2])
     if set(several) != set(example.contacts):
         raise ModelError(f"law: of {list(several)}: must name {list(example.contacts)}")
     is_one = len(set(map(id, several.values()))) == 1
@@ -566,7 +567,6 @@ def of_study(study: Study) -> tuple[Question, dict[str, tuple[float, float]]]:
     if not (example.is_forced and example.contacts):
         raise ModelError(f"{study.source}: {_NOT_SHOWN}")
     gaps = grid.gaps if {"gap", "j_1"} & grid.axes.keys() else ()
-    _refuse_prestress([wall for gap in gaps for wall in (gap.j_1, gap.j_2)])
     machine = _machine_of(study, gaps)
     ranges = {
         name: (min(axis), max(axis)) for name, axis in grid.axes.items() if name in machine.names
@@ -598,14 +598,6 @@ def of_study(study: Study) -> tuple[Question, dict[str, tuple[float, float]]]:
     return question, ranges
 
 
-def _refuse_prestress(distances: Sequence[float]) -> None:
-    if (nearest := min(distances, default=0.0)) < 0.0:
-        raise ModelError(
-            f"gap = {nearest:g}: explore has walls without prestress, as gs.Gap(4e-4, 4e-4); use "
-            "gapsweep.respond"
-        )
-
-
 def _machine_of(study: Study, gaps: Sequence[Gap]) -> SliderModel:
     """The model of a study; numbers of a contact in [contact] have no slider."""
     walls: dict[str, dict[str, str | float]] = {}
@@ -629,7 +621,6 @@ def _machine_of(study: Study, gaps: Sequence[Gap]) -> SliderModel:
                     f"{study.source}: contact {contact}: {law}: user laws are not computed here"
                 )
         if "gap" in own:
-            _refuse_prestress(own["gap"])
             own["j_1"], own["j_2"] = own.pop("gap")
             widths.append(Gap(own["j_1"], own["j_2"]).size)
         # A contact with a separate law has the damping that the study gives it, if any.

@@ -46,7 +46,7 @@ def prepared(models: Models, solver: Solver, shifts: Shifts | None = None) -> In
     is_taylor = _by_taylor(models, solver)
     scenes = _scenes(models, solver, is_taylor)
     method: Method = Taylor()
-    is_located = is_taylor and (scenes.at.is_tanh or _is_located(models))
+    is_located = is_taylor and (scenes.at.is_tanh or _is_exact(models))
     mass = models.of_systems(attrgetter("mass")) if _is_oscillator(models) else None
     if shifts is not None:
         scenes = _with_columns(scenes, models, solver, shifts)
@@ -96,7 +96,7 @@ def _forces(found: Array | None, mass: Array | None, which: NDArray[np.intp]) ->
 
 def _with_columns(scenes: SceneTable, models: Models, solver: Solver, shifts: Shifts) -> SceneTable:
     """Return a table with a column for every parameter; refuse what has none."""
-    if not _is_located(models) or scenes.at.is_tanh or scenes.at.has_chi:
+    if not _is_exact(models) or scenes.at.is_tanh or scenes.at.has_chi:
         raise ModelError(
             f"law = {models.laws[0][0]}: gradients need located contacts, as gs.Piecewise(1.4e4, "
             "gs.Gap(4e-4, 4e-4))"
@@ -134,7 +134,11 @@ def _by_taylor(models: Models, solver: Solver) -> bool:
     models.check_losses(solver)
     if solver.controller != "native" or (n_located and solver.runge_kutta_setting):
         return not laws
-    if _is_located(models) or _crosses_layers(models, solver):
+    if _is_exact(models):
+        return True
+    if models.is_lossy:  # their velocities are in the formulas of Runge-Kutta steps only
+        return False
+    if _crosses_layers(models, solver):
         return True
     # Measured (decision 50): series of tanh, and of fits at several contacts, cost more than
     # Runge-Kutta steps.
@@ -142,9 +146,9 @@ def _by_taylor(models: Models, solver: Solver) -> bool:
     return all(isinstance(law, by_series) for law in laws)
 
 
-def _is_located(models: Models) -> bool:
-    """Whether all contacts are located."""
-    return models.n_located == len(models.laws[0])
+def _is_exact(models: Models) -> bool:
+    """Whether all contacts are located ones of this package."""
+    return all(law.is_located and not isinstance(law, UserLaw) for law in models.laws[0])
 
 
 def _crosses_layers(models: Models, solver: Solver) -> bool:
@@ -196,7 +200,7 @@ def _scenes(models: Models, solver: Solver, is_taylor: bool) -> SceneTable:
         found = system_scenes(*of_all, **tolerances)
     if not models.is_lossy:
         return found
-    damping, never_pulls, chi = np.moveaxis(models.of_laws(attrgetter("losses")), -1, 0)
+    damping, never_pulls, chi, _ = np.moveaxis(models.of_laws(attrgetter("losses")), -1, 0)
     mass = models.of_systems(attrgetter("mass"))[:, None] if _is_oscillator(models) else 1.0
     return with_losses(found, damping / mass, never_pulls > 0.0, chi)
 
@@ -246,7 +250,13 @@ def _kernel_law(models: Models, contact: int) -> Any:
         case UserLaw():
             named = [[*each.values()] for each in column("parameters")]
             try:
-                return representations.user(law.function, gaps["j_1"], gaps["j_2"], named)
+                return representations.user(
+                    law.function,
+                    gaps["j_1"],
+                    gaps["j_2"],
+                    named,
+                    is_of_speed=law.is_of_speed,
+                )
             except NumbaError as error:
                 raise ModelError(
                     f"{law}: numba cannot compile it ({_reason(error)}); use arithmetic and "

@@ -129,7 +129,7 @@ class Models:
     @property
     def n_located(self) -> int:
         """Number of contacts that are located, of the first row as of all."""
-        return sum(isinstance(law, Piecewise) and law.located for law in self.laws[0])
+        return sum(law.is_located for law in self.laws[0])
 
     @property
     def is_lossy(self) -> bool:
@@ -203,16 +203,21 @@ class Models:
 
         Steps that pass a wall before they are cut there would see the jump of the force.
         """
-        losses = [law.losses for laws in self.laws for law in laws if law.losses]
+        lossy = [law for laws in self.laws for law in laws if law.losses and law.has_modes]
+        losses = [law.losses for law in lossy]
         if not losses:
             return
+        own = [law for law in lossy if law.losses.by_function]
+        if own and len(own) < len(lossy):
+            others = next(each for each in losses if not each.by_function)
+            raise ModelError(f"{own[0]}: f(x, v) not with {others} in one system; use f for both")
         setting = solver.runge_kutta_setting
         if setting and (solver.engine == "compiled" or solver.contact_force == "as_written"):
             raise ModelError(f"{losses[0]}: not with {setting}; leave that setting out")
         for system, law in {*zip(self.system.tolist(), self.law.tolist(), strict=True)}:
             modulated, laws = self.systems[system].is_modulated, self.laws[law]
             for each in [law.losses for law, m in zip(laws, modulated, strict=True) if m]:
-                if each.never_pulls or each.chi:
+                if each.never_pulls or each.chi or each.by_function:
                     raise ModelError(
                         f"{each}: a contact with periodic stiffness must be a damper that pulls; "
                         "write gs.Piecewise(K_c, gap, damping=60.0, pulls=True)"
@@ -274,8 +279,8 @@ def law_kind(law: ContactLaw) -> Hashable:
         return law.function
     if checked_law(law).is_numbers:
         is_thin = isinstance(law, Tanh) and law.has_thin_layers
-        is_located, overlaps = isinstance(law, Piecewise) and law.located, law.gap.width < 0.0
-        return type(law), is_thin, is_located, law.losses.kind, overlaps
+        kind = law.is_located, law.losses.kind, law.gap.width < 0.0
+        return type(law), is_thin, *kind
     return law
 
 
@@ -500,8 +505,8 @@ class Solver:
             )
         if 0 < n_located < n_contacts:
             raise ModelError(
-                f"{Piecewise.family}: contacts are located for all contacts or none; use "
-                "located=False (piecewise-noevents)"
+                f"{Piecewise.family}: contacts are located for all contacts or none, as those of "
+                "own functions f(x, v) are; use located=False (piecewise-noevents)"
             )
 
     def with_rtol(self, rtol: float) -> "Solver":

@@ -11,7 +11,7 @@ compiled engine uses.
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
@@ -50,6 +50,9 @@ class Formulas(NamedTuple):
     slope: Callable[..., Any]
     # Positive where the law is valid.
     denominator: Callable[..., Any] | None = None
+    # Share of the walls' damping that acts [-], and its slope [1/m], of laws that take damping.
+    switch: Callable[..., Any] | None = None
+    switch_slope: Callable[..., Any] | None = None
 
 
 @dataclass(frozen=True)
@@ -127,9 +130,14 @@ class ContactLaw:
         """
         return {}
 
+    @classmethod
+    def takes(cls, name: str) -> bool:
+        """Whether the law has a parameter, as ``"damping"``."""
+        return any(each.name == name and each.init for each in fields(cls))
+
     @property
     def exact(self) -> "Piecewise":
-        """The exact law with the same walls and stiffnesses."""
+        """The exact law with the same walls and stiffnesses; of a smooth law with its damping."""
         return Piecewise(self.K_c, self.gap, K_ratio=self.K_ratio)
 
     @property
@@ -138,10 +146,20 @@ class ContactLaw:
         return NO_LOSSES
 
     @property
+    def has_modes(self) -> bool:
+        """Whether the force has a kink or a jump at the walls, between the modes of a contact."""
+        return False
+
+    @property
+    def is_located(self) -> bool:
+        """Whether the times at which walls are passed are located."""
+        return False
+
+    @property
     def stiffnesses(self) -> tuple[float, float]:
         """Stiffnesses of the lower and the upper wall [N/m]; 0 without a wall."""
-        has_lower, has_upper = (j < math.inf for j in (self.gap.j_1, self.gap.j_2))
-        return self.K_ratio * self.K_c * has_lower, self.K_c * has_upper
+        gap, K_c = self.gap, self.K_c
+        return self.K_ratio * K_c * (gap.j_1 < math.inf), K_c * (gap.j_2 < math.inf)
 
     @property
     def scale(self) -> tuple[float, float]:
@@ -201,9 +219,13 @@ class ContactLaw:
         """
         raise NotImplementedError
 
-    def derivative(self, x: ArrayLike) -> Array:
-        """Return the slope dF_c/dx [N/m] at displacements `x` [m], of their shape."""
+    def derivative(self, x: ArrayLike, v: ArrayLike = 0.0) -> Array:
+        """Return the slope dF_c/dx [N/m] at displacements `x` [m] and velocities `v` [m/s]."""
         raise NotImplementedError
+
+    def derivative_by_speed(self, x: ArrayLike, v: ArrayLike = 0.0) -> Array:
+        """Return dF_c/dv [N s/m] at displacements `x` [m] and velocities `v` [m/s]."""
+        return np.zeros(np.broadcast_shapes(np.shape(x), np.shape(v)))
 
 
 def _piecewise_force(x: Any, stiffness: Any, low: Any, high: Any, ratio: Any) -> Any:
@@ -269,6 +291,14 @@ class Piecewise(ContactLaw):
     def losses(self) -> Losses:
         return Losses(self.damping, not self.pulls) if self.damping else NO_LOSSES
 
+    @property
+    def has_modes(self) -> bool:
+        return True
+
+    @property
+    def is_located(self) -> bool:
+        return self.located
+
     @classmethod
     def canonical(cls, label: str, parameter: str) -> str:
         if label not in (cls.family, f"{cls.family}-{_NOEVENTS}"):
@@ -296,10 +326,24 @@ class Piecewise(ContactLaw):
         damper = np.where(depth > 0.0, self.damping * speed, 0.0)
         return spring + damper if self.pulls else np.maximum(spring + damper, 0.0)
 
-    def derivative(self, x: ArrayLike) -> Array:
-        x = numbers("x", x)
-        below = np.where(x < -self.gap.j_1, self.K_ratio * self.K_c, 0.0)
-        return np.where(x > self.gap.j_2, self.K_c, 0.0) + below
+    def derivative(self, x: ArrayLike, v: ArrayLike = 0.0) -> Array:
+        return self._both(x, v, 0)
+
+    def derivative_by_speed(self, x: ArrayLike, v: ArrayLike = 0.0) -> Array:
+        return self._both(x, v, 1)
+
+    def _both(self, x: ArrayLike, v: ArrayLike, which: int) -> Array:
+        """One of the `_slopes`, summed over both walls."""
+        x, v = numbers("x", x), numbers("v", v)
+        above = self._slopes(x - self.gap.j_2, v, 1.0)[which]
+        return np.asarray(above + self._slopes(-self.gap.j_1 - x, -v, self.K_ratio)[which])
+
+    def _slopes(self, depth: Array, speed: Array, ratio: float) -> tuple[Array, Array]:
+        """Derivatives of `_pressure` by depth [N/m] and by speed [N s/m]."""
+        acts = depth + 0.0 * speed > 0.0
+        if self.losses.never_pulls:
+            acts = acts & (self._pressure(depth, speed, ratio) > 0.0)
+        return np.where(acts, ratio * self.K_c, 0.0), np.where(acts, self.damping, 0.0)
 
 
 @called_as("gs.HuntCrossley(1.4e4, gs.Gap(4e-4, 4e-4), chi=0.3), in N/m, m and s/m")
@@ -358,6 +402,13 @@ class HuntCrossley(Piecewise):
 
     def _pressure(self, depth: Array, speed: Array, ratio: float) -> Array:
         return super()._pressure(depth, speed, ratio) * (1.0 + self.chi * speed)
+
+    def _slopes(self, depth: Array, speed: Array, ratio: float) -> tuple[Array, Array]:
+        spring, stiffness = (
+            super()._pressure(depth, speed, ratio),
+            super()._slopes(depth, speed, ratio),
+        )
+        return stiffness[0] * (1.0 + self.chi * speed), self.chi * spring
 
 
 def checked_gap(gap: Gap | Sequence[float]) -> Gap:

@@ -48,11 +48,14 @@ class Losses(NamedTuple):
         Whether the force is never less than zero, so that the contact has the mode `SLACK`.
     chi : float
         Relative increase of the spring's force over the speed of penetration [s/m].
+    by_function : bool
+        Whether the force is a user's function of displacement and velocity.
     """
 
     damping: float = 0.0
     never_pulls: bool = False
     chi: float = 0.0
+    by_function: bool = False
 
     @property
     def kind(self) -> tuple[bool, bool, bool]:
@@ -61,10 +64,12 @@ class Losses(NamedTuple):
 
     def __bool__(self) -> bool:
         """Whether energy is lost."""
-        return self.damping > 0.0 or self.chi > 0.0
+        return self.damping > 0.0 or self.chi > 0.0 or self.by_function
 
     def __str__(self) -> str:
         """The number that loses energy, as ``damping = 60``."""
+        if self.by_function:
+            return "a force f(x, v)"
         return f"chi = {self.chi:g}" if self.chi else f"damping = {self.damping:g}"
 
 

@@ -8,7 +8,7 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
-from itertools import accumulate, pairwise
+from itertools import accumulate, pairwise, repeat
 from typing import Any, ClassVar, TypeAlias, TypeVar, cast
 
 import numpy as np
@@ -78,14 +78,13 @@ def extremes(rows: Array) -> Iterator[Array]:
 
 def copies(example: T, columns: Mapping[str, Sequence[Any]]) -> list[T]:
     """Return copies of a frozen dataclass with other values of some fields, not checked."""
-    names = {field.name: getattr(example, field.name) for field in fields(cast(Any, example))}
-    fixed = [(name, value) for name, value in names.items() if name not in columns]
-    kind, new, put, found = type(example), object.__new__, object.__setattr__, []
-    for row in zip(*columns.values(), strict=True):
-        made = new(kind)
-        for name, value in (*fixed, *zip(columns, row, strict=True)):
-            put(made, name, value)
-        found.append(made)
+    (size,) = {len(column) for column in columns.values()}
+    found = [object.__new__(type(example)) for _ in range(size)]
+    put = object.__setattr__
+    for field in fields(cast(Any, example)):
+        values = columns.get(field.name, repeat(getattr(example, field.name)))
+        for one, value in zip(found, values, strict=False):  # a repeated value has no end
+            put(one, field.name, value)
     return found
 
 

@@ -166,7 +166,7 @@ class ForceTable(ContactLaw):
         d, c_3, c_2, c_1, c_0 = self._piece(x)
         return np.asarray(((c_3 * d + c_2) * d + c_1) * d + c_0)
 
-    def derivative(self, x: ArrayLike) -> Array:
+    def derivative(self, x: ArrayLike, v: ArrayLike = 0.0) -> Array:
         d, c_3, c_2, c_1, _ = self._piece(x)
         return np.asarray((3.0 * c_3 * d + 2.0 * c_2) * d + c_1)
 

@@ -377,5 +377,5 @@ def _begun(problems: Problems, found: Motions) -> NDArray[np.bool_]:
 
 def _places(law: ContactLaw) -> tuple[tuple[float, float], ...]:
     """Valid range of a law, its walls, and the walls at which the stiffness changes, else NaN."""
-    is_felt = law.gap.width != 0.0 or law.K_ratio != 1.0
-    return law.valid_range, law.walls, law.walls if is_felt else (math.nan, math.nan)
+    is_felt, walls = law.gap.width != 0.0 or law.K_ratio != 1.0, law.walls
+    return law.valid_range, walls, walls if is_felt else (math.nan, math.nan)

@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from gapsweep.integrate.problem import Models
 from gapsweep.integrate.reference_scenes import scene_of
-from gapsweep.model.contact import Piecewise
 from gapsweep.model.structure import with_walls_apart
 from gapsweep.model.system import first_order
 from gapsweep.response.ensemble import Ensemble
@@ -78,7 +77,7 @@ def _sides(ensemble: Ensemble, scene: int, y: Array) -> Iterator[Any]:
         low, high = law.walls
         modes = {int(gap > high) - int(gap < low)}
         for wall, mode in ((high, 1), (low, -1)):
-            if isinstance(law, Piecewise) and abs(gap - wall) <= near:
+            if law.has_modes and abs(gap - wall) <= near:
                 modes |= {0, mode}
         # With zero gap there is no free mode between the walls.
         choices.append(sorted(modes - {0} if low == high and len(modes) > 1 else modes))
@@ -86,7 +85,7 @@ def _sides(ensemble: Ensemble, scene: int, y: Array) -> Iterator[Any]:
         # The modes have the damping of contacts, too.
         is_lossy = any(law.losses for law in laws)
         yield tuple(mode for (mode,) in choices) if is_lossy else None
-    elif all(isinstance(law, Piecewise) for law in laws):
+    elif all(law.has_modes for law in laws):
         yield from product(*choices)
     else:
         yield from (None, None)  # with other laws: only this side, and no exponent

@@ -51,6 +51,7 @@ class Kind:
     solver: Solver
     steady: Steady
     fit_range: float = FIT_RANGE  # half-width [m] of the range of fitted laws
+    pulls: bool = False  # whether exact walls with damping pull
     # ``"fixed"``, or ``"sweep_up"`` or ``"sweep_down"``: a point starts in the end state of the one
     # before, the first one in the state of the table.
     start: str = FIXED
@@ -110,7 +111,7 @@ class Kind:
         K_c, j_1, j_2, *others = walls
         gap, of_walls = Gap(j_1, j_2), dict(zip(OF_WALLS, others, strict=True))
         if not one.is_own:
-            return contact_law(one, K_c, gap, self.fit_range, **of_walls)
+            return contact_law(one, K_c, gap, self.fit_range, **of_walls, pulls=self.pulls)
         if self.own is None:
             raise ModelError(f"{one}: the code of this user law is not stored")
         return self.own.law(K_c, gap, of_walls["K_ratio"])

@@ -71,6 +71,7 @@ class StudyTable(TomlTable):
     title: Text = ""
     creator: Text = ""
     license: Text = ""
+    pulls: bool = False  # whether exact walls with damping pull
 
 
 class SweepTable(TomlTable):

@@ -349,7 +349,8 @@ class Study:
             return own.law(K_c, gap, K_ratio)
         law = Representation(label).law
         of_walls = {"K_ratio": K_ratio, "damping": damping}
-        return contact_law(law, K_c, gap, self.spec.approximation.range, **of_walls)
+        pulls = self.spec.study.pulls
+        return contact_law(law, K_c, gap, self.spec.approximation.range, **of_walls, pulls=pulls)
 
     @property
     def own_laws(self) -> tuple[Representation, ...]:
@@ -582,6 +583,7 @@ class Study:
             solver=self.solver(one),
             steady=self.steady,
             fit_range=self.spec.approximation.range,
+            pulls=self.spec.study.pulls,
             start=start,
             start_jitter=self.start_jitter(one),
             law_code=None if own is None else own.key,

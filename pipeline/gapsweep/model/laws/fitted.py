@@ -173,7 +173,7 @@ class Fitted(ContactLaw):
         top, bottom = self.coefficients
         return np.asarray(chebyshev.chebval(u, top) / chebyshev.chebval(u, bottom))
 
-    def derivative(self, x: ArrayLike) -> Array:
+    def derivative(self, x: ArrayLike, v: ArrayLike = 0.0) -> Array:
         u = numbers("x", x) / self.fit_range
         top, bottom = self.coefficients
         d_top, d_bottom = chebyshev.chebder(top), chebyshev.chebder(bottom)
