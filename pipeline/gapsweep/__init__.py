@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from gapsweep.integrate.simulate import simulate
     from gapsweep.integrate.trajectory import SystemTrajectory, Trajectory
     from gapsweep.model import systems
-    from gapsweep.model.contact import ContactLaw, HuntCrossley, Piecewise
+    from gapsweep.model.contact import ContactLaw, HuntCrossley, Piecewise, Rigid
     from gapsweep.model.labels import canonical_label, contact_law, law
     from gapsweep.model.laws.arctan import Arctan
     from gapsweep.model.laws.fitted import Polynomial, RationalPolynomial
@@ -70,7 +70,7 @@ _ON_DEMAND = {
     **dict.fromkeys(("canonical_label", "contact_law", "law"), "model.labels"),
     **dict.fromkeys(("Arctan", "LogArctan", "Piecewise", "Polynomial"), "model.laws"),
     **dict.fromkeys(("RationalPolynomial", "Tanh"), "model.laws"),
-    **dict.fromkeys(("ContactLaw", "HuntCrossley"), "model.contact"),
+    **dict.fromkeys(("ContactLaw", "HuntCrossley", "Rigid"), "model.contact"),
     **dict.fromkeys(("BaseMotion", "Cubic", "Harmonic", "Lags"), "model.system"),
     **dict.fromkeys(("Modulation", "System", "Unbalance"), "model.system"),
     **dict.fromkeys(("SystemTrajectory", "Trajectory"), "integrate.trajectory"),
@@ -158,6 +158,7 @@ __all__ = [
     "Record",
     "Response",
     "ResponseClass",
+    "Rigid",
     "Status",
     "Steady",
     "StoreError",

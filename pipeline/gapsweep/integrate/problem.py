@@ -16,7 +16,7 @@ from gapsweep.errors import ModelError
 from gapsweep.integrate.motions import Motions
 from gapsweep.model.contact import ContactLaw, Piecewise, checked_law
 from gapsweep.model.laws.tanh import Tanh
-from gapsweep.model.oscillator import Oscillator, checked
+from gapsweep.model.oscillator import LARGEST, Oscillator, checked
 from gapsweep.model.structure import general_form
 from gapsweep.model.system import System
 from gapsweep.model.table import ForceTable
@@ -37,6 +37,7 @@ CONTACT_FORCES = ("by_mode", "as_written")
 # Tighter than this all methods only add rounding.
 SMALLEST_RTOL = 1e-13
 LARGEST_RTOL = 0.1
+_STIFF = 1e6  # stiffness of a rigid wall, times that of the springs, in a static displacement
 _NO_LENGTH = 1e-3  # [m] of a problem without loads, initial state and gap
 
 
@@ -160,8 +161,9 @@ class Models:
                 system, laws = self.systems[number], self.laws[kind]
                 rows = np.flatnonzero((self.system == number) & (self.law == kind))
                 walls = np.zeros((system.n, system.n))
+                stiffest = _STIFF * (np.abs(system.stiffness).max() or 1.0)
                 for b, law in zip(system.contacts.values(), laws, strict=True):
-                    walls += _stiffness(law) * np.outer(b, b)
+                    walls += (stiffest if law.losses.is_rigid else _stiffness(law)) * np.outer(b, b)
                 length[rows] = np.minimum(length[rows], system.held(walls) + farther[rows])
         for number, laws in enumerate(self.laws):
             rows = np.flatnonzero((self.law == number) & np.isfinite(spring) & (length > 0.0))
@@ -192,7 +194,7 @@ class Models:
         for system, law in {*zip(self.system.tolist(), self.law.tolist(), strict=True)}:
             modulated, laws = self.systems[system].is_modulated, self.laws[law]
             for each in [law.losses for law, m in zip(laws, modulated, strict=True) if m]:
-                if each.never_pulls or each.chi:
+                if each.never_pulls or each.chi or each.is_rigid:
                     raise ModelError(
                         f"{each}: a contact with periodic stiffness must be a damper that pulls; "
                         "write gs.Piecewise(K_c, gap, damping=60.0, pulls=True)"
@@ -212,6 +214,8 @@ def _spring(system: Model) -> float:
 
 def _stiffness(law: ContactLaw) -> float:
     """Stiffness [N/m] of the softer wall; zero for user laws and tables."""
+    if law.losses.is_rigid:
+        return LARGEST if law.K_ratio else 0.0
     return 0.0 if isinstance(law, UserLaw | ForceTable) else law.K_c * min(1.0, law.K_ratio)
 
 

@@ -362,6 +362,7 @@ def _read_off(
     force_max = np.array(forces).reshape(len(low), len(points)).T
     of_losses = windows.contact_force[:, points].T
     force_max = np.where(np.isnan(of_losses), force_max, of_losses)
+    force_max[np.isinf(force_max)] = np.nan  # of impacts
     force_max[ensemble.is_modulated[:, points].T] = np.nan
     n_shown = np.minimum(counts[:, :n_q], steady.max_extrema)
     shown = spans(first[:, :n_q].ravel(), n_shown.ravel())
