@@ -89,6 +89,21 @@ def test_the_response_follows_a_slider_that_is_dragged(debugger):
     np.testing.assert_allclose(x_max, 1e3 * from_rest(here, EXACT).x_max, rtol=1e-12)
 
 
+def test_the_response_has_the_damping_of_its_slider(debugger):
+    damped = gs.Piecewise(1.4e4, gs.Gap(4e-4, 4e-4), damping=20.0)
+
+    async def move(opened):
+        await opened.ask(f"window.before = {source(EXACT_CURVE)}.x_max")
+        await opened.ask(f"{{ {model('damping')}.value = 80.0 }}")
+        await opened.until(f"{source(EXACT_CURVE)}.x_max !== window.before")
+        return await opened.ask(numbers_of(EXACT_CURVE, "x_max"))
+
+    x_max = browse(debugger, gs.explore(law=damped, approximations=()), move)
+    question = of_model(law=damped, approximations=()).at("damping", 80.0)
+    assert question.laws(EXACT)[0].damping == 80.0
+    np.testing.assert_allclose(x_max, 1e3 * from_rest(question, EXACT).x_max, rtol=1e-12)
+
+
 def test_a_click_on_a_response_shows_its_motion(debugger):
     place = """(() => {{
       const source = {curve}, view = [...Bokeh.index.all_views()].find(

@@ -11,6 +11,7 @@ from tests.oracles.lossy_contacts import Lossy, Wall
 
 import gapsweep as gs
 from gapsweep.errors import StudyError
+from gapsweep.report.losses import energy_lost
 
 TURN = 2.0 * math.pi
 TIGHT = {"rtol": 1e-12, "atol": 1e-15}
@@ -71,6 +72,24 @@ def test_an_impact_of_hunt_crossley_has_its_restitution(scaled, restitution, eng
         )
         assert -run.v_end * chi / scaled == pytest.approx(restitution, rel=1e-9)
         assert run.n_contacts == 1
+
+
+@pytest.mark.parametrize(
+    ("law", "scaled", "restitution"),
+    [
+        (gs.Piecewise(1e4, gs.Gap(1.0, 0.0), damping=2.0), 0.5, 0.7440793977217797),
+        (gs.Piecewise(1e4, gs.Gap(1.0, 0.0), damping=2.0, pulls=True), 0.5, 0.7292476142876709),
+        (gs.HuntCrossley(1e4, gs.Gap(100.0, 0.0), chi=1.0), 1.0, 0.593624260040040),
+        (gs.Piecewise(1e4, gs.Gap(100.0, 0.0)), 0.5, 1.0),
+    ],
+)
+def test_an_impact_loses_the_energy_of_its_restitution(law, scaled, restitution):
+    mass = 0.01
+    free = oscillator(0.0, mass, 0.0, 0.0)
+    run = gs.simulate(free, law, 1.0, 0.0, scaled, t_end=0.02, dense_output=True, **TIGHT)
+    kinetic = 0.5 * mass * scaled**2
+    lost = kinetic * (1.0 - restitution**2)
+    assert energy_lost(run, 0) == pytest.approx(lost, rel=1e-9, abs=1e-12 * kinetic)
 
 
 ORBITS = {  # x_max, determinant and first multiplier

@@ -13,8 +13,10 @@ from tests.readers.figures import overlaps
 import gapsweep as gs
 import gapsweep.report.accessor  # plain xarray.load_dataset does not bring it along
 from gapsweep.analysis.datasets.histories import histories
+from gapsweep.report.inputs import Inputs
 from gapsweep.report.maps import picture
 from gapsweep.report.marks import marks_of
+from gapsweep.report.sections import contact_losses
 from gapsweep.report.style import NOT_PERIODIC
 
 mpl.use("Agg")
@@ -127,6 +129,69 @@ def test_impact_speeds_are_slopes_of_the_displacement_where_it_passes_a_wall(
     assert not np.any(drawn[:, 0] == 14.0)
     assert set(points(ax, NOT_PERIODIC)[:, 0]) == {6.0}
     assert ax.get_ylabel() == "impact speed [mm/s]"
+
+
+DAMPINGS = [0.0, 60.0]
+
+
+@pytest.fixture(scope="module")
+def lossy(tmp_path_factory):
+    study = tables(["piecewise"], [9.0])
+    study["sweep"][0] |= {"K_c": [1.4e5], "damping": DAMPINGS}
+
+    def response(place):
+        law = gs.Piecewise(1.4e5, gs.Gap(4e-4, 4e-4), damping=DAMPINGS[place["damping"]])
+        return gs.respond(OSCILLATOR, law, 9.0)
+
+    folder = tmp_path_factory.mktemp("lossy")
+    return datasets_by_place(folder, gs.Study.from_dict(study), response)[0]
+
+
+def test_the_forcing_supplies_what_damping_and_contacts_lose(lossy):
+    for damping in DAMPINGS:
+        one = lossy.sel(damping=damping).squeeze()
+        law = gs.Piecewise(1.4e5, gs.Gap(4e-4, 4e-4), damping=damping)
+        state, n = [float(one[f"section_{name}"][0]) for name in "xv"], int(one["period_multiple"])
+        run = gs.simulate(OSCILLATOR, law, 9.0, *state, n_periods=n, dense_output=True)
+        t = run.t_end * (np.arange(200_000) + 0.5) / 200_000  # midpoints
+        _, v = run.sample(t)
+        c = 2.0 * OSCILLATOR.zeta * OSCILLATOR.mass * 2.0 * np.pi * OSCILLATOR.omega_n
+        power = OSCILLATOR.forcing * np.cos(2.0 * np.pi * 9.0 * t) * v - c * v**2
+        lost = lossy.gapsweep.with_losses()["energy_lost"].sel(damping=damping).item()
+        worked = np.mean(OSCILLATOR.forcing**2) / c
+        assert lost == pytest.approx(power.mean() / 9.0, rel=1e-6, abs=1e-9 * worked)
+        assert (lost > 1e-4) == (damping > 0.0)
+
+
+def test_the_area_of_a_loop_is_the_energy_in_its_legend(lossy, ax):
+    lossy.gapsweep.force_loop(damping=60.0, ax=ax)
+    (marks,) = marks_of(ax)
+    x, force = 1e-3 * np.asarray(marks.x), np.asarray(marks.y)
+    area = np.sum(0.5 * (force[1:] + force[:-1]) * np.diff(x))
+    (words,) = (text.get_text() for text in ax.get_legend().get_texts())
+    n = int(lossy["period_multiple"].sel(damping=60.0).item())
+    assert float(words.split()[1]) == pytest.approx(area / n, rel=1e-2)
+    assert force.max() == pytest.approx(lossy["force_max"].sel(damping=60.0).item(), rel=1e-3)
+    assert (ax.get_xlabel(), ax.get_ylabel()) == ("displacement [mm]", "contact force [N]")
+    assert "damping = 60 N s/m" in ax.get_title(loc="left")
+    with pytest.raises(gs.DatasetError, match=r"damping: .* choose: damping=0"):
+        lossy.gapsweep.force_loop(ax=ax)
+
+
+def test_the_report_lists_the_energy_of_contacts_that_lose_any(lossy):
+    (part,) = contact_losses.sections(Inputs(lossy, lossy))
+    (row,) = next(iter(part.tables)).rows
+    lost = lossy.gapsweep.with_losses()["energy_lost"].sel(damping=60.0).item()
+    assert row[0] == "piecewise, damping = 60 N s/m"
+    assert float(row[2]) == pytest.approx(lost, rel=5e-3)
+    n = lossy["contacts_per_period"].sel(damping=60.0).item()
+    assert float(row[3]) == pytest.approx(lost / n, rel=5e-3)
+    (figured,) = part.figures
+    assert len(marks_of(figured.figure.axes[0])) == 1
+    elastic = lossy.isel(damping=[0])
+    assert [*contact_losses.sections(Inputs(elastic, elastic))] == []
+    own = lossy.assign_coords(representation=["module:spring"])  # never imported
+    assert [*contact_losses.sections(Inputs(own, own))] == []
 
 
 def test_a_section_has_as_many_points_as_asked_for_or_one_for_each_period(responses, ax):

@@ -422,11 +422,52 @@ def test_a_function_of_systems_has_a_slider_for_each_keyword_and_wall():
     assert one == "K_c"  # one law for all contacts
 
 
+def test_damping_of_contacts_has_a_slider_and_pulls_is_kept():
+    laws = {
+        "stop": gs.Piecewise(100.0, gs.Gap(0.05, 0.06), damping=3.0, pulls=True),
+        "between": gs.HuntCrossley(50.0, gs.Gap(0.1, 0.12), chi=0.4),
+    }
+    question = of_model(pair, laws, approximations=["poly-5", "huntcrossley-2"])
+    found = {dial.name: dial for dial in dials(question)}
+    assert (found["damping of stop"].value, found["chi of between"].value) == (3.0, 0.4)
+    assert not {"damping of between", "chi of stop"} & {*found}
+    moved = numbers(question) | {"damping of stop": 4.0, "chi of between": 0.5}
+    stop, between = asked(question, moved).laws(EXACT)
+    assert stop == replace(laws["stop"], damping=4.0)
+    assert between == replace(laws["between"], chi=0.5)
+    assert [dial.value for dial in dials(of_model(LINEAR, FREE)) if dial.name == "damping"] == [0.0]
+
+
+def test_a_law_that_cannot_be_built_is_a_message_and_the_others_are_shown(monkeypatch):
+    monkeypatch.setattr(shown, "N_OMEGA", 3)
+    damped = gs.Piecewise(1.4e4, gs.Gap(4e-4, 4e-4), damping=50.0)
+    question = of_model(LINEAR, damped, approximations=["poly-5", "piecewise-noevents"])
+    found = list(answers(question))
+    problems = [one.problem for one in found if isinstance(one, Motion) and one.problem]
+    assert len(problems) == 2
+    assert "damping = 50" in problems[0]
+    (rest,) = (one for one in found if getattr(one, "protocol", "") == REST)
+    omega = shown.frequencies(question)
+    steady = shown.settled(question.model)
+    settings = {"rtol": shown.RTOL, "atol": shown._atol(question.model), "steady": steady}
+    np.testing.assert_array_equal(rest.x_max, gs.respond(LINEAR, damped, omega, **settings).x_max)
+    assert {one.protocol for one in found if hasattr(one, "protocol")} == {REST, UP, DOWN}
+
+
+def test_a_study_with_damping_has_its_range():
+    study = changed(TWO_MASSES, sweep__0__damping=[0.5, 2.0])
+    question, ranges = of_study(gs.Study.from_dict(study))
+    (dial,) = (one for one in dials(question, ranges) if one.name == "damping")
+    assert (dial.low, dial.high) == (0.5, 2.0)
+    stop, _ = asked(question, numbers(question) | {"damping": 1.5}).laws(EXACT)
+    assert stop.damping == 1.5
+
+
 def test_a_study_of_systems_gives_ranges_and_keeps_its_own_contacts():
     study = gs.Study.from_dict(TWO_MASSES)
     question, ranges = of_study(study)
     found = {dial.name: dial for dial in dials(question, ranges)}
-    assert {*found} == {"K_c", "j_1", "j_2", "K_ratio", "omega"}
+    assert {*found} == {"K_c", "j_1", "j_2", "K_ratio", "damping", "omega"}
     assert (found["K_c"].low, found["K_c"].high) == (10.0, 100.0)
     assert (found["omega"].low, found["omega"].high) == (0.3, 0.5)
     stop, between = asked(question, numbers(question) | {"K_c": 20.0}).laws(EXACT)

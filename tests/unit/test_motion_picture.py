@@ -39,6 +39,25 @@ def test_panels_show_the_motion_in_millimetres():
     assert overlaps(figure) == []
 
 
+def test_a_contact_that_loses_energy_has_panels_of_its_force():
+    gap, mesh = gs.Gap(1.0, 1.0), gs.systems.gear_pair()
+    stop = gs.Piecewise(1.0, gap, damping=0.4, pulls=True)
+    run = gs.simulate(mesh, stop, 0.1, n_periods=60, dense_output=True)
+    figure = gs.plot(run, "mesh")
+    *_, over_x, _, _, over_t = figure.axes
+    t, force = data(over_t)
+    x, v = (each[:, 0] for each in run.sample(t)[:2])
+    assert_allclose(data(over_x), [x, force])
+    depths, phase = (-0.2, -0.1, -0.05), 2.0 * np.pi * 0.1 * t
+    stiffness = 1.0 + sum(d * np.cos(k * phase) for k, d in enumerate(depths, 1))
+    assert_allclose(force, np.where(x > 1.0, stiffness * (x - 1.0) + 0.4 * v, 0.0), atol=1e-12)
+    assert (x > 1.0).all()  # so that the energy is that of the damper alone
+    lost = 0.4 * np.trapezoid(v**2, t) * 10.0 / (t[-1] - t[0])
+    assert float(over_x.get_title().split()[0]) == pytest.approx(lost, rel=5e-3)
+    assert len(gs.plot(run, "x").axes) == 6
+    assert len(gs.plot(simulated()).axes) == 4
+
+
 @pytest.mark.parametrize("t_end", [20.0, 20.05, 20.111, 4000.0])
 def test_the_line_of_a_linear_motion_has_its_frequency_and_its_amplitude(t_end):
     """However long the run is, and wherever in a period it ends."""

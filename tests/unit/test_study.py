@@ -1,6 +1,7 @@
 """Study files: expansion, canonical coordinates, keys, and all problems at once."""
 
 import json
+import math
 import os
 import re
 import shutil
@@ -547,6 +548,8 @@ def with_(**changes):
         ),
         (with_(gap=["0.4/0.4"]), ".gap[0] = '0.4/0.4': must be the distances of both walls [m]"),
         (with_(gap=[[4e-4]]), ".gap[0] = [0.0004]: must be the distances of both walls [m]"),
+        (with_(gap=[[math.inf, math.inf]]), ".gap[0] = [inf, inf]: no wall on either side"),
+        (with_(gap=[[math.nan, 4e-4]]), ".gap[0][0] = nan: must be"),
         (
             with_(initial_condition=[0.0]),
             "_condition[0] = [0.0]: must be x [m] and v [m/s], as [0.0,",
@@ -580,6 +583,19 @@ def test_problems_say_what_would_do(tables, edit, said):
     edit(tables)
     (problem,) = problems(tables)
     assert said in problem
+
+
+def test_a_missing_wall_is_infinity_in_a_study_file(tables):
+    tables["sweep"][0]["gap"] = [[math.inf, 4e-4], [4e-4, math.inf]]
+    study = gs.Study.from_dict(tables)
+    gaps = gs.Gap(None, 4e-4), gs.Gap(4e-4, None)
+    assert study.grid.gaps == gaps
+    assert study.grid.coordinates()["gap"].tolist() == ["inf/0.4", "0.4/inf"]
+    assert study.grid.coordinates()["j_1"].tolist() == [math.inf, 4e-4]
+    ((_, table),) = study.points(np.arange(2))
+    (_, models), refused = table.models()
+    assert not refused
+    assert {law.gap for (law,) in models.laws} <= {*gaps}
 
 
 @pytest.mark.parametrize(

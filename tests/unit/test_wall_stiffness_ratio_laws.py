@@ -46,6 +46,21 @@ def test_derivative_is_the_slope_of_the_force(label, gap, x, K_ratio):
 
 
 @given(
+    own.smooth_labels | st.sampled_from(["piecewise", "poly-13", "huntcrossley-0.3"]),
+    own.gaps,
+    own.displacements,
+    st.sampled_from([0.25, 1.0, 4.0]),
+)
+def test_a_missing_wall_has_no_force(label, gap, x, K_ratio):
+    without = gs.contact_law(label, SOFT, gap, K_ratio=0.0)
+    above = gs.contact_law(label, SOFT, gs.Gap(None, gap.j_2), K_ratio=K_ratio)
+    if not label.startswith("poly"):  # a fit has other points between the walls
+        assert (above.force(x), above.derivative(x)) == (without.force(x), without.derivative(x))
+    below = gs.contact_law(label, SOFT / K_ratio, gs.Gap(gap.j_2, None), K_ratio=K_ratio)
+    assert_allclose(below.force(-x), -above.force(x), atol=1e-9 * SOFT * RANGE)
+
+
+@given(
     own.smooth_labels | st.sampled_from(["piecewise", "poly-13"]),
     own.gaps,
     own.displacements,

@@ -14,7 +14,7 @@ from gapsweep.errors import ModelError
 from gapsweep.integrate.problem import Model, Models
 from gapsweep.integrate.simulate import AnyLaw
 from gapsweep.model.contact import ContactLaw, checked_law
-from gapsweep.model.oscillator import OSCILLATOR, Gap, Oscillator, checked, is_number
+from gapsweep.model.oscillator import OSCILLATOR, Oscillator, checked, is_number
 from gapsweep.model.structure import general_form
 from gapsweep.model.system import System
 from gapsweep.model.user_law import UserLaw
@@ -258,13 +258,13 @@ class Family:
             return self.omega
         given = {**self.values, **values}
         model, laws = self.model_at(given), self.laws_at(given)
-        if name == "gap" and any(law.gap.j_1 != law.gap.j_2 for law in laws):
+        if name == "gap" and any(len({*law.gap.distances}) > 1 for law in laws):
             raise ModelError("second = 'gap': the walls differ; use 'j_1' or 'j_2'")
         known: dict[str, Any] = {}
         for law in laws[::-1]:
             own = law.parameters if isinstance(law, UserLaw) else vars(law)
             known |= {each: own[each] for each in _names(law)}
-            known |= {"gap": law.gap.j_1, "j_1": law.gap.j_1, "j_2": law.gap.j_2}
+            known |= {"gap": law.gap.distances[0], "j_1": law.gap.j_1, "j_2": law.gap.j_2}
         known |= {each: getattr(model, each) for each in _names(model)}
         arguments = self._arguments.values()
         known |= {each.name: each.default for each in arguments if each.default is not each.empty}
@@ -321,7 +321,7 @@ def _law_at(law: ContactLaw, values: Mapping[str, float]) -> ContactLaw:
         return replace(law, parameters={**law.parameters, **known}) if known else law
     gap: dict[str, Any] = {name: values[name] for name in ("j_1", "j_2") if name in values}
     if "gap" in values:
-        known["gap"] = Gap(values["gap"], values["gap"])
+        known["gap"] = law.gap.at(values["gap"])
     elif gap:
         known["gap"] = replace(law.gap, **gap)
     return replace(law, **known) if known else law

@@ -307,6 +307,7 @@ def _states(equations: OrbitEquations, starts: ArrayLike | None) -> Array:
         return states.reshape(-1, n)
     laws = equations.family.laws_at(equations.family.values)
     walls = [wall for law in laws for wall in (-law.gap.j_1, law.gap.j_2) if wall]
+    walls = [wall for wall in walls if math.isfinite(wall)]
     displaced = [0.0, *(limit.BEYOND_WALLS * wall for wall in walls)]
     if equations.has_period:
         displaced += [max(map(abs, walls), default=1.0) * part for part in limit.DISPLACED]

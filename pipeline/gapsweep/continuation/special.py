@@ -187,9 +187,10 @@ def walls(equations: OrbitEquations, orbit: Orbit, contact: int) -> dict[int, fl
     values = dict(family.values) | dict(zip(names, orbit.parameters, strict=False))
     law = family.laws_at(values)[contact]
     low, high = law.walls
-    if law.K_c == 0.0 or (low == high and law.K_ratio == 1.0):
-        return {1: None, -1: None}
-    return {1: high, -1: None if law.K_ratio == 0.0 or low == high else low}
+    lower, upper = law.stiffnesses
+    if low == high:
+        return {1: high if lower != upper else None, -1: None}
+    return {1: high if upper else None, -1: low if lower else None}
 
 
 def _beyond(orbit: Orbit, contact: int, side: int, wall: float) -> tuple[Array, Array]:

@@ -594,5 +594,6 @@ def _states(machine: Machine, window: Window, starts: ArrayLike | None) -> Array
         return given.reshape(-1, n)
     displaced = [0.0]
     for law in machine.family.laws_at({window.name: window.value(0.5)}):
-        displaced += [-BEYOND * law.gap.j_1, BEYOND * law.gap.j_2]
+        walls = -law.gap.j_1, law.gap.j_2
+        displaced += [BEYOND * wall for wall in walls if math.isfinite(wall)]
     return np.unique(np.outer(displaced, np.eye(n)[0]) + 0.0, axis=0)

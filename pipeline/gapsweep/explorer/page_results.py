@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from gapsweep.analysis.datasets.basins import arguments
 from gapsweep.analysis.spectra import repetition, spectrum
+from gapsweep.errors import ModelError
 from gapsweep.explorer.question import Question
 from gapsweep.integrate.problem import Laws, Model, Models, Solver
 from gapsweep.integrate.simulate import simulate
@@ -142,17 +143,27 @@ def answers(question: Question) -> Iterator[Curve | Motion | Plane]:
 
     The exact law from rest and its motion, the same for every approximation, then sweeps of the
     exact law in growing parts, and the planes of the exact law and the first approximation. The
-    caller may stop iterating at any time.
+    caller may stop iterating at any time. An approximation that cannot be built, as a fit outside
+    its range, is a motion with a `problem` only.
 
     Raises
     ------
     ModelError
-        If a law cannot be built, as a fit outside its range.
+        If the exact law cannot be built.
     """
     walls = np.abs([each for each in question.clearance if math.isfinite(each)])
     least = _LEAST if question.machine.is_oscillator else 1e-3 * question.model.deflection
     highest = max(*walls.tolist(), _LEAST) if walls.any() else least
+    shown = []
     for label in (EXACT, *question.approximations):
+        try:
+            question.laws(label)
+        except ModelError as error:
+            if label == EXACT:
+                raise
+            yield _no_motion(label, question.omega, f"{label}: {error}")
+            continue
+        shown.append(label)
         curve = from_rest(question, label)
         yield curve
         yield motion(question, label)
@@ -160,10 +171,10 @@ def answers(question: Question) -> Iterator[Curve | Motion | Plane]:
     for curve in sweeps(question):
         yield curve
         highest = max(highest, _height(curve, question.omega))
-    shown = (EXACT, *question.approximations[:1])
-    for label in shown:
+    of_planes = [label for label in (EXACT, *question.approximations[:1]) if label in shown]
+    for label in of_planes:
         yield from basins(question, label, _BEYOND * highest)
-    for label in shown:
+    for label in of_planes:
         yield from response_map(question, label)
 
 
@@ -373,9 +384,7 @@ def motion(question: Question, label: str) -> Motion:
     t = np.arange(N_PERIODS * SAMPLES_PER_PERIOD) / (SAMPLES_PER_PERIOD * omega)
     begin = (n - N_PERIODS) / omega
     if run.status != Status.OK:
-        none = np.zeros(0)
-        problem = f"{label}: the motion fails ({run.status.label})"
-        return Motion(label, omega, none, none, none, np.zeros((0, 2)), none, none, problem=problem)
+        return _no_motion(label, omega, f"{label}: the motion fails ({run.status.label})")
     along, n_q = question.direction, question.model.n
     x, v = (part.reshape(t.size, -1) @ along for part in run.sample(begin + t)[:2])
     states = run.section[first:]
@@ -393,6 +402,11 @@ def motion(question: Question, label: str) -> Motion:
         spectrum(x),
         n_periods,
     )
+
+
+def _no_motion(label: str, omega: float, problem: str) -> Motion:
+    none = np.zeros(0)
+    return Motion(label, omega, none, none, none, np.zeros((0, 2)), none, none, problem=problem)
 
 
 def nearest(

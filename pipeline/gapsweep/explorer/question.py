@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from gapsweep.errors import ModelError
 from gapsweep.integrate.problem import Laws, Model
 from gapsweep.integrate.simulate import AnyLaw
-from gapsweep.model.contact import FIT_RANGE, ContactLaw, Piecewise
+from gapsweep.model.contact import FIT_RANGE, OF_WALLS, ContactLaw, Piecewise
 from gapsweep.model.labels import EXACT, Representation, canonical_label, contact_law
 from gapsweep.model.oscillator import Gap, Oscillator, checked, is_number
 from gapsweep.model.system import System
@@ -58,6 +58,8 @@ class Machine:
         For every contact its `_WALLS`: each the name of a slider, or a number.
     laws : mapping of str to str
         Labels of the laws of contacts that do not follow the page's.
+    exact : mapping of str to Piecewise
+        Exact laws of contacts, of which the numbers of `walls` are replaced.
     factor : float
         Displacement that is shown as 1, of those that are no lengths.
     """
@@ -66,6 +68,7 @@ class Machine:
     parameters: Mapping[str, float]
     walls: Mapping[str, Mapping[str, str | float]]
     laws: Mapping[str, str] = field(default_factory=dict)
+    exact: Mapping[str, Piecewise] = field(default_factory=dict)
     factor: float = 1.0
 
     @cached_property
@@ -76,7 +79,7 @@ class Machine:
     @cached_property
     def names(self) -> tuple[str, ...]:
         """Names of the sliders: walls, frequency, parameters."""
-        several = [walls[number] for number in _WALLS for walls in self.walls.values()]
+        several = [walls.get(name) for name in _WALLS for walls in self.walls.values()]
         of_walls = dict.fromkeys(one for one in several if isinstance(one, str))
         return (*of_walls, "omega", *self.parameters)
 
@@ -218,11 +221,16 @@ class Question:
 
     def laws(self, label: str) -> Laws:
         """The laws of all contacts, of a label unless the machine has another for a contact."""
-        found = []
+        found: list[ContactLaw] = []
         for contact in self.machine.walls:
-            walls, law = self._walls(contact), self.machine.laws.get(contact, label)
-            gap, ratio = self.gap(contact), walls["K_ratio"]
-            found.append(contact_law(law, walls["K_c"], gap, self.fit_range, K_ratio=ratio))
+            law, exact = self.machine.laws.get(contact, label), self.machine.exact.get(contact)
+            of_walls: dict[str, Any] = self._walls(contact) | {"gap": self.gap(contact)}
+            of_walls = {name: of_walls[name] for name in of_walls.keys() - {"j_1", "j_2"}}
+            if law == EXACT and exact is not None:
+                found.append(replace(exact, **of_walls))
+                continue
+            of_walls.pop(_CHI, None)
+            found.append(contact_law(law, fit_range=self.fit_range, **of_walls))
         return tuple(found)
 
     @property
@@ -326,7 +334,8 @@ class Dial:
         return tuple(map(self.at, places.tolist()))
 
 
-_WALLS = ("K_c", "j_1", "j_2", "K_ratio")
+_CHI = "chi"
+_WALLS = ("K_c", "j_1", "j_2", *OF_WALLS, _CHI)
 _OVER_DECADES = ("K_c", "zeta", "mass")
 # Scale and range: lower and upper end as multiples of the initial value, and the smallest upper end
 # in SI units, of an oscillator.
@@ -335,6 +344,8 @@ _DIALS: dict[str, tuple[Scale, float, float, float]] = {
     "j_1": (Scale("Lower wall −j₁", "mm", 1e-3), 0.0, 3.0, 2e-3),
     "j_2": (Scale("Upper wall j₂", "mm", 1e-3), 0.0, 3.0, 2e-3),
     "K_ratio": (Scale("Stiffness of lower over upper wall"), 0.0, 2.0, 2.0),
+    "damping": (Scale("Contact damping c_c", "N s/m"), 0.0, 5.0, 100.0),
+    _CHI: (Scale("χ of Hunt–Crossley contact", "s/m"), 0.0, 5.0, 1.0),
     "omega": (Scale("Frequency of the motion ω", "Hz"), 0.0, 0.0, 0.0),
     "forcing": (Scale("Forcing p", "N"), 0.0, 5.0, 1.0),
     "zeta": (Scale("Damping ratio ζ"), 0.05, 10.0, 0.1),
@@ -423,18 +434,20 @@ def _machine(
     walls: Mapping[str, Mapping[str, str | float]],
     widest: float,
     laws: Mapping[str, str] | None = None,
+    exact: Mapping[str, Piecewise] | None = None,
 ) -> Machine:
     """The machine of a model, or of a function that returns it for keywords with defaults.
 
     `widest` is the distance of a wall; those of a system decide the power of ten that is shown.
     """
+    several = laws or {}, exact or {}
     if isinstance(model, Oscillator):
         numbers_of = {name: getattr(model, name) for name in _OSCILLATOR}
-        return Machine(lambda values: replace(model, **values), numbers_of, walls)
+        return Machine(lambda values: replace(model, **values), numbers_of, walls, *several)
     factor = 10.0 ** (3 * round(math.log10(widest) / 3)) if widest else 1.0
     if isinstance(model, System):
-        return Machine(lambda _: model, {}, walls, laws or {}, factor)
-    return Machine(lambda values: model(**values), _defaults(model), walls, laws or {}, factor)
+        return Machine(lambda _: model, {}, walls, *several, factor)
+    return Machine(lambda values: model(**values), _defaults(model), walls, *several, factor)
 
 
 def _defaults(function: Any) -> dict[str, float]:
@@ -481,19 +494,21 @@ def of_model(
     for one in several.values():
         if not isinstance(one, ContactLaw):
             raise ModelError(f"law = {one!r:.80}: must be a contact law, as gapsweep.Piecewise")
-        _refuse_damping(one.losses.damping or one.losses.chi)
+        _refuse_one_wall([one.gap.j_1, one.gap.j_2])
     if set(several) != set(example.contacts):
         raise ModelError(f"law: of {list(several)}: must name {list(example.contacts)}")
     is_one = len(set(map(id, several.values()))) == 1
+    of_laws = {contact: _numbers_of(several[contact]) for contact in example.contacts}
     walls = {
-        contact: {name: name if is_one else f"{name} of {contact}" for name in _WALLS}
-        for contact in example.contacts
+        contact: {name: name if is_one else f"{name} of {contact}" for name in of_law}
+        for contact, of_law in of_laws.items()
     }
     values: dict[str, float] = {"omega": _LOOKED_AT * example.slowest}
-    for contact, one in several.items():
-        of = {"K_c": one.K_c, "j_1": one.gap.j_1, "j_2": one.gap.j_2, "K_ratio": one.K_ratio}
-        values |= {str(walls[contact][name]): value for name, value in of.items()}
-    machine = _machine(model, walls, max(one.gap.width for one in several.values()))
+    for contact, of_law in of_laws.items():
+        values |= {walls[contact][name]: value for name, value in of_law.items()}
+    exact = {k: one for k, one in several.items() if isinstance(one, Piecewise) and one.located}
+    widest = max(one.gap.width for one in several.values())
+    machine = _machine(model, walls, widest, exact=exact)
     values |= machine.parameters
     low, fastest = example.slowest, min(example.fastest, _MODES * example.slowest)
     return Question(
@@ -502,6 +517,14 @@ def of_model(
         approximations=labels(" ".join(typed)),
         band=(0.4 * low, max(3.0 * low, 1.5 * fastest)),
     )
+
+
+def _numbers_of(law: ContactLaw) -> dict[str, float]:
+    """The numbers of a contact law that have sliders, by name, in SI units."""
+    exact = law if isinstance(law, Piecewise) else law.exact
+    own = {each.name for each in fields(exact) if each.init}
+    places = {"j_1": law.gap.j_1, "j_2": law.gap.j_2}
+    return places | {name: getattr(exact, name) for name in _WALLS if name in own}
 
 
 _NOT_SHOWN = (
@@ -538,8 +561,8 @@ def of_study(study: Study) -> tuple[Question, dict[str, tuple[float, float]]]:
     grid, spec, example = study.grid, study.spec, study.model.default
     if not (example.is_forced and example.contacts):
         raise ModelError(f"{study.source}: {_NOT_SHOWN}")
-    _refuse_damping(max(grid.axes.get("damping", (0.0,))))
     gaps = grid.gaps if {"gap", "j_1"} & grid.axes.keys() else ()
+    _refuse_one_wall([wall for gap in gaps for wall in (gap.j_1, gap.j_2)])
     machine = _machine_of(study, gaps)
     ranges = {
         name: (min(axis), max(axis)) for name, axis in grid.axes.items() if name in machine.names
@@ -554,7 +577,7 @@ def of_study(study: Study) -> tuple[Question, dict[str, tuple[float, float]]]:
     # The first requested cell: in a union of blocks, other cells may be no points.
     first = np.argwhere(grid.requested)[0]
     point = {name: axis[k] for (name, axis), k in zip(grid.axes.items(), first, strict=True)}
-    values: dict[str, Any] = {"K_ratio": 1.0, "j_1": 0.0, "j_2": 0.0, **spec.model, **point}
+    values: dict[str, Any] = {**OF_WALLS, "j_1": 0.0, "j_2": 0.0, **spec.model, **point}
     if "gap" in point:
         values |= {"j_1": point["gap"].j_1, "j_2": point["gap"].j_2}
     if not is_one:
@@ -571,9 +594,12 @@ def of_study(study: Study) -> tuple[Question, dict[str, tuple[float, float]]]:
     return question, ranges
 
 
-def _refuse_damping(damping: float) -> None:
-    if damping:
-        raise ModelError(f"damping = {damping:g}: explore has elastic walls; use gapsweep.respond")
+def _refuse_one_wall(distances: Sequence[float]) -> None:
+    if math.inf in distances:
+        raise ModelError(
+            "gap = inf: explore has walls on both sides, as gs.Gap(4e-4, 4e-4); use "
+            "gapsweep.respond"
+        )
 
 
 def _machine_of(study: Study, gaps: Sequence[Gap]) -> Machine:
@@ -589,11 +615,14 @@ def _machine_of(study: Study, gaps: Sequence[Gap]) -> Machine:
                 raise ModelError(
                     f"{study.source}: contact {contact}: {law}: user laws are not computed here"
                 )
-        _refuse_damping(own.pop("damping", 0.0))
         if "gap" in own:
+            _refuse_one_wall(own["gap"])
             own["j_1"], own["j_2"] = own.pop("gap")
             widths.append(own["j_1"] + own["j_2"])
-        walls[contact] = {name: own.get(name, name) for name in _WALLS}
+        # A contact with a separate law has the damping that the study gives it, if any.
+        names = [name for name in _WALLS if name != _CHI]
+        names = [name for name in names if name in own or contact not in laws or name != "damping"]
+        walls[contact] = {name: own.get(name, name) for name in names}
     model = study.model.along(tuple(study.spec.model), {}) or study.model.default
     return _machine(model, walls, max(widths, default=0.0), laws)
 

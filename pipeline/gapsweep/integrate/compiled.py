@@ -137,7 +137,7 @@ def _with_columns(scenes: SceneTable, models: Models, solver: Solver, shifts: Sh
 
 def _stiff_walls(models: Models) -> NDArray[np.bool_]:
     """Whether each wall has a stiffness, and so a place; shape (n, n_contacts, 2)."""
-    return models.of_laws(lambda law: (law.K_c * law.K_ratio > 0.0, law.K_c > 0.0))
+    return models.of_laws(lambda law: law.stiffnesses) > 0.0
 
 
 def _by_taylor(models: Models, solver: Solver) -> bool:
@@ -182,7 +182,7 @@ def _oscillators(models: Models) -> dict[str, Any]:
 def _walls(models: Models) -> dict[str, Any]:
     """Stiffnesses and walls of all contacts, shape (n, n_contacts)."""
     shape = len(models), len(models.laws[0]), 4
-    columns = models.of_laws(lambda law: (law.K_c, law.K_ratio, *law.walls)).reshape(shape)
+    columns = models.of_laws(lambda law: (*law.scale, *law.walls)).reshape(shape)
     stiffness, ratio, low, high = columns.transpose(2, 0, 1)
     return {"K_c": stiffness, "K_ratio": ratio, "j_1": -low, "j_2": high}
 

@@ -16,7 +16,7 @@ from gapsweep.errors import ModelError
 from gapsweep.integrate.motions import Motions
 from gapsweep.model.contact import ContactLaw, Piecewise, checked_law
 from gapsweep.model.laws.tanh import Tanh
-from gapsweep.model.oscillator import LARGEST, Oscillator, checked
+from gapsweep.model.oscillator import Oscillator, checked
 from gapsweep.model.structure import general_form
 from gapsweep.model.system import System
 from gapsweep.model.table import ForceTable
@@ -213,15 +213,14 @@ def _spring(system: Model) -> float:
 
 
 def _stiffness(law: ContactLaw) -> float:
-    """Stiffness [N/m] of the softer wall; zero for user laws and tables."""
-    if law.losses.is_rigid:
-        return LARGEST if law.K_ratio else 0.0
-    return 0.0 if isinstance(law, UserLaw | ForceTable) else law.K_c * min(1.0, law.K_ratio)
+    """Stiffness [N/m] of the softer wall, 0 for one wall, user laws and tables."""
+    return 0.0 if isinstance(law, UserLaw | ForceTable) else min(law.stiffnesses)
 
 
 def _farther(law: ContactLaw) -> float:
     """Distance [m] of the farther wall that has stiffness."""
-    return max(law.gap.j_1 if law.K_ratio else 0.0, law.gap.j_2)
+    lower = law.gap.j_1 if law.K_ratio else 0.0
+    return max(j if j < math.inf else 0.0 for j in (lower, law.gap.j_2))
 
 
 def _integrated(system: Model) -> Model:

@@ -454,7 +454,7 @@ def _contact_event(
     starts_there = at_start == at
     if passed is not None and passed.contact == contact and not starts_there:
         is_same = watched.force is not None and passed.force is not None
-        near = _NEAR * (scene.laws[contact].gap.width + abs(at_start))
+        near = _NEAR * (scene.laws[contact].gap.size + abs(at_start))
         starts_there = is_same or (watched.force is None and abs(at_start - at) <= near)
     sign = 1.0 if watched.falls else -1.0
 
@@ -479,7 +479,7 @@ def _cut_at_missed_contact(
             continue
         law = scene.laws[each.contact]
         # A touch within rounding of the wall is not a contact.
-        slack = 8.0 * np.finfo(float).eps * max(law.gap.j_1, law.gap.j_2)
+        slack = 8.0 * np.finfo(float).eps * max(law.gap.distances)
         slack *= law.K_c if each.force else 1.0
         allowed = 1.0 if each.falls else -1.0
         wrong = np.flatnonzero(allowed * each.side * (value(turns)[:, 0] - each.at) < -slack)

@@ -95,7 +95,7 @@ class ReferenceScene:
     def pressure(self, contact: int, mode: int) -> "Pressure":
         """Force of the exact law at the wall of a mode, as if the contact pulled."""
         law = self.laws[contact]
-        stiffness = law.K_c if mode > 0 else law.K_ratio * law.K_c
+        stiffness = law.stiffnesses[mode > 0]
         chi = math.copysign(law.losses.chi, mode)
         return Pressure(stiffness, self.wall(contact, mode), law.losses.damping, chi)
 
@@ -152,7 +152,7 @@ class ReferenceScene:
         if modes is None or self.contact_force == "as_written":
             return lambda x, v: float(law.derivative(x))
         mode = modes[contact]
-        stiffness = law.K_c if mode > 0 else law.K_ratio * law.K_c
+        stiffness = law.stiffnesses[mode > 0]
         stiffness = stiffness if MODES[abs(mode)].acts else 0.0
         if not (chi := math.copysign(law.losses.chi, mode)):
             return lambda x, v: stiffness

@@ -22,7 +22,7 @@ from gapsweep.model.arithmetic import select
 from gapsweep.model.arrays import numbers
 from gapsweep.model.contact_modes import Losses
 from gapsweep.model.fit import unit_force
-from gapsweep.model.oscillator import Gap, called_as, checked, share
+from gapsweep.model.oscillator import LARGEST, Gap, called_as, checked, share
 from gapsweep.status import DIVERGED_AT
 
 Array = NDArray[np.float64]
@@ -30,6 +30,9 @@ FIT_RANGE = 4e-3
 # Parameters of a contact that have default values, and apply to both walls.
 OF_WALLS: Mapping[str, float] = {"K_ratio": 1.0, "damping": 0.0}
 _NOEVENTS = "noevents"
+# Stiffness of a missing upper wall over that of the lower one, where formulas divide by it: its
+# force is below rounding.
+_NO_WALL = 2.0**-100
 
 
 class Formulas(NamedTuple):
@@ -139,10 +142,23 @@ class ContactLaw:
         return Losses()
 
     @property
+    def stiffnesses(self) -> tuple[float, float]:
+        """Stiffnesses of the lower and the upper wall [N/m]; 0 without a wall."""
+        has_lower, has_upper = (j < math.inf for j in (self.gap.j_1, self.gap.j_2))
+        return self.K_ratio * self.K_c * has_lower, self.K_c * has_upper
+
+    @property
+    def scale(self) -> tuple[float, float]:
+        """Stiffness of the upper wall [N/m], and that of the lower wall over it, in `formulas`."""
+        if self.gap.j_2 == math.inf:
+            return self.K_c * _NO_WALL, self.K_ratio / _NO_WALL
+        return self.K_c, self.K_ratio if self.gap.j_1 < math.inf else 0.0
+
+    @property
     def walls(self) -> tuple[float, float]:
         """Positions of the lower and upper wall [m]; ±`DIVERGED_AT` without stiffness."""
-        low = -self.gap.j_1 if self.K_ratio * self.K_c else -DIVERGED_AT
-        return low, self.gap.j_2 if self.K_c else DIVERGED_AT
+        lower, upper = self.stiffnesses
+        return -self.gap.j_1 if lower else -DIVERGED_AT, self.gap.j_2 if upper else DIVERGED_AT
 
     @property
     def is_symmetric(self) -> bool:
@@ -263,8 +279,7 @@ class Piecewise(ContactLaw):
         force = np.asarray(self.K_c * unit_force(x, self.gap, self.K_ratio))
         if not self.damping:
             return force
-        low, high = self.walls
-        side = np.where(x > high, 1.0, np.where(x < low, -1.0, 0.0))
+        side = np.where(x > self.gap.j_2, 1.0, np.where(x < -self.gap.j_1, -1.0, 0.0))
         pressure = side * force + np.abs(side) * self.damping * side * numbers("v", v)
         return np.asarray(side * (pressure if self.pulls else np.maximum(pressure, 0.0)))
 
@@ -389,8 +404,11 @@ class Rigid(Piecewise):
         return Losses(is_rigid=True, restitution=self.restitution)
 
     @property
-    def walls(self) -> tuple[float, float]:
-        return -self.gap.j_1 if self.K_ratio else -DIVERGED_AT, self.gap.j_2
+    def stiffnesses(self) -> tuple[float, float]:
+        return (
+            LARGEST * (self.K_ratio > 0.0 and self.gap.j_1 < math.inf),
+            LARGEST * (self.gap.j_2 < math.inf),
+        )
 
     @classmethod
     def canonical(cls, label: str, parameter: str) -> str:
@@ -427,7 +445,7 @@ def checked_gap(gap: Gap | Sequence[float]) -> Gap:
     if not isinstance(gap, Sequence) or isinstance(gap, str | bytes) or len(gap) != 2:
         raise ModelError(
             f"gap = {gap!r}: must be the distances of both walls in metres, as "
-            "gs.Gap(4e-4, 4e-4) or (4e-4, 4e-4)"
+            "gs.Gap(4e-4, 4e-4) or (4e-4, 4e-4); None: no wall on that side"
         )
     return Gap(*gap)
 
@@ -441,7 +459,7 @@ def checked_law(law: ContactLaw) -> ContactLaw:
     return law
 
 
-def penetrations(x: ArrayLike, gap: Gap) -> tuple[Array, Array]:
+def penetrations(x: ArrayLike, law: ContactLaw) -> tuple[Array, Array]:
     """Return the signed distances from the lower and the upper wall [m]."""
-    x = numbers("x", x)
-    return x + gap.j_1, x - gap.j_2
+    x, (low, high) = numbers("x", x), law.walls
+    return x - low, x - high

@@ -159,7 +159,7 @@ def _of_layers(laws: Sequence[ContactLaw], models: Sequence[Oscillator | System]
                 f"gap, {half:.2g} m: there is no clearance; write {name} = {10.0 / half:.0e} or "
                 "more"
             )
-        elif half:
+        elif 0.0 < half < math.inf:
             loud[said] = min(loud.get(said, math.inf), _in_gap_force(law))
     yield from wide.values()
     for said, force in loud.items():

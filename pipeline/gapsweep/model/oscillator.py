@@ -107,6 +107,13 @@ def checked(name: str, value: float, *, low: float = -math.inf, strict: bool = F
     return number
 
 
+def checked_distance(name: str, value: float | None) -> float:
+    """Return the distance of a wall [m] as a float ``>= 0``; infinity for None, no wall."""
+    value = without_units(name, value)
+    is_none = value is None or (is_number(value) and value == math.inf)
+    return math.inf if is_none else checked(name, value, low=0.0)
+
+
 def share(name: str, value: float) -> float:
     """Return `value` as a float in 0..1; raise a `ModelError` that names it otherwise."""
     number = checked(name, value)
@@ -340,8 +347,14 @@ class Gap:
 
     Parameters
     ----------
-    j_1, j_2 : float
-        Distances of the lower and the upper wall from the origin [m], ``>= 0``.
+    j_1, j_2 : float or None
+        Distances of the lower and the upper wall from the origin [m], ``>= 0``. None, kept as
+        ``inf``: no wall on that side.
+
+    Raises
+    ------
+    ModelError
+        If a distance is out of range, or there is no wall on either side.
 
     Examples
     --------
@@ -349,6 +362,8 @@ class Gap:
     >>> gap = gs.Gap(0.0, 0.8e-3)
     >>> gap.label, gap.is_symmetric
     ('0/0.8', False)
+    >>> gs.Gap(None, 0.4e-3)  # a stop on the upper side only
+    Gap(j_1=inf, j_2=0.0004)
     """
 
     j_1: float
@@ -356,12 +371,30 @@ class Gap:
 
     def __post_init__(self) -> None:
         for name in ("j_1", "j_2"):
-            object.__setattr__(self, name, checked(name, getattr(self, name), low=0.0))
+            object.__setattr__(self, name, checked_distance(name, getattr(self, name)))
+        if not self.distances:
+            raise ModelError(
+                "gap: no wall on either side; give one distance, as gs.Gap(None, 4e-4)"
+            )
+
+    @property
+    def distances(self) -> tuple[float, ...]:
+        """Distances of the walls that exist [m], of the lower one first."""
+        return tuple(j for j in (self.j_1, self.j_2) if j < math.inf)
+
+    def at(self, distance: float) -> "Gap":
+        """Return the gap with every wall that exists at this distance from the origin [m]."""
+        return Gap(*(distance if j < math.inf else j for j in (self.j_1, self.j_2)))
 
     @property
     def width(self) -> float:
-        """Distance between the walls [m]."""
+        """Distance between the walls [m]; infinite for a wall on one side."""
         return self.j_1 + self.j_2
+
+    @property
+    def size(self) -> float:
+        """Sum of the distances of the walls that exist [m], to which rounding errors relate."""
+        return sum(self.distances)
 
     @property
     def is_symmetric(self) -> bool:

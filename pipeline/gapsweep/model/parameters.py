@@ -1,8 +1,10 @@
 """Parameters of models and of contact laws by name, with shifted values."""
 
+import math
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
+from itertools import chain
 from typing import Any
 
 from gapsweep.errors import ModelError
@@ -62,16 +64,19 @@ class Parameter:
         if self._is_of_model(model):
             return [1.0 if isinstance(model, System) else float(getattr(model, self.name))]
         name, contact = self._of_law
-        found = []
+        found: list[float] = []
         for place, law in zip(model.contacts, laws, strict=True):
             if contact in (None, place):
-                found += [getattr(law.gap, wall) for wall in _WALLS.get(name, ())]
+                found += _distances(law, name).values()
                 found += [getattr(law, name)] if name in _numbers(law) else []
         if found:
             return found
         known = [*self.arguments] + (["omega"] if model.is_forced else [])
         known += ["forcing"] if isinstance(model, System) and model.forcing else _numbers(model)
-        own = list(dict.fromkeys(each for law in laws for each in [*_numbers(law), *_WALLS]))
+        several = (
+            [*_numbers(law), *(name for name in _WALLS if _distances(law, name))] for law in laws
+        )
+        own = list(dict.fromkeys(chain.from_iterable(several)))
         known += own + [f"{own[0]}[{place}]" for place in model.contacts if len(laws) > 1]
         raise ModelError(f"parameter {self.name!r}: must be one of {', '.join(known)}")
 
@@ -103,6 +108,12 @@ def _numbers(of: Any) -> list[str]:
     return [each.name for each in fields(of) if type(getattr(of, each.name)) is float]
 
 
+def _distances(law: ContactLaw, name: str) -> dict[str, float]:
+    """Distances [m] of the walls of a law that a name means, without missing walls."""
+    several = {wall: getattr(law.gap, wall) for wall in _WALLS.get(name, ())}
+    return {wall: j for wall, j in several.items() if j < math.inf}
+
+
 def _scaled(load: Any, factor: float) -> Any:
     if isinstance(load, ForceByPieces):
         return replace(load, peak=load.peak * factor)
@@ -111,6 +122,6 @@ def _scaled(load: Any, factor: float) -> Any:
 
 def _shifted(law: ContactLaw, name: str, by: float) -> ContactLaw:
     if name in _WALLS:
-        walls = {wall: getattr(law.gap, wall) + by for wall in _WALLS[name]}
+        walls = {wall: j + by for wall, j in _distances(law, name).items()}
         return replace(law, gap=replace(law.gap, **walls))
     return replace(law, **{name: getattr(law, name) + by})

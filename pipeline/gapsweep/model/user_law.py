@@ -91,7 +91,8 @@ class UserLaw(ContactLaw):
 
     def _refuse_jumps(self) -> None:
         """Raise a `ModelError` if the force jumps; bisection locates jumps."""
-        low, high = -self.gap.j_1, self.gap.j_2
+        low, high = (min(j, self.gap.size) for j in (self.gap.j_1, self.gap.j_2))
+        low = -low  # without a wall as far as the other one
         beyond, tiny = _BEYOND * (high - low), math.ulp(0.0)
         grid = np.linspace(low - beyond, high + beyond, _PROBES).tolist()
         x = sorted({*grid, low, high, -tiny, 0.0, tiny})

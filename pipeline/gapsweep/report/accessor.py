@@ -19,6 +19,7 @@ from gapsweep.report.continued import with_absolute
 from gapsweep.report.drawing import labels_of
 from gapsweep.report.dynamics import CURVES, WORDS
 from gapsweep.report.labelled import axes_of, axis_of, finished, loglog, scene_along, titled
+from gapsweep.report.losses import force_loop, with_losses
 from gapsweep.report.rows import to_csv
 from gapsweep.report.scales import axis_label
 from gapsweep.report.selection import missing_variable, scene
@@ -73,6 +74,14 @@ class GapsweepAccessor:
         from its section.
         """
         return with_absolute(self._dataset)
+
+    def with_losses(self) -> xr.Dataset:
+        """The responses with `energy_lost` [J], which every contact loses per forcing period.
+
+        Every response is simulated once more from its section. Every plot of a number draws it, as
+        ``ds.gapsweep.with_losses().gapsweep.frequency_response("energy_lost")``.
+        """
+        return with_losses(self._dataset)
 
     def to_dataframe(self) -> Any:
         """The sweep points as a `pandas.DataFrame`, a row each, without extrema and sections.
@@ -139,6 +148,7 @@ class GapsweepAccessor:
     waterfall = _figure(dynamics.waterfall)
     impacts = _figure(contacts.impacts)
     contact_map = _figure(contacts.contact_map)
+    force_loop = _figure(force_loop)
     risk = _figure(risk_figures.risk)
     quantiles = _figure(risk_figures.quantiles)
     tornado = _figure(risk_figures.tornado)

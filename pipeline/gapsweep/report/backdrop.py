@@ -53,6 +53,7 @@ def _walls(scene: xr.Dataset, along: str, of_peaks: bool) -> Iterator[NDArray[np
         for name, sign in _WALLS.items():
             # Without stiffness there is no wall.
             is_none = name == "j_1" and _one("K_ratio", scene, own) == 0.0
+            is_none |= _one(name, scene, own) == np.inf
             if is_none or (of_peaks and sign * factor < 0.0):
                 continue
             if name in own:

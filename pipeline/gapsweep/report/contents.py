@@ -13,6 +13,7 @@ from gapsweep.report.sections import (
     answer,
     benchmarks,
     claim_list,
+    contact_losses,
     findings,
     force_errors,
     model,
@@ -70,6 +71,7 @@ SECTIONS = (
     Section(benchmarks.stability, RESULTS),
     Section(results, RESULTS),
     Section(force_errors.sections),
+    Section(contact_losses.sections),
     Section(claim_list.sections, template="_claims.html", script="claims"),
     Section(provenance.sections, template="_provenance.html"),
 )

@@ -145,7 +145,9 @@ def _study(dataset: xr.Dataset) -> Study:
             "study_json: no attribute of this dataset, so its motions cannot be simulated; "
             "gs.open, gs.run and gs.query return datasets that have it"
         )
-    study = Study.from_dict(json.loads(dataset.attrs["study_json"]))
+    tables = json.loads(dataset.attrs["study_json"])
+    # No motion needs the modules of [claims] and [report], and a dataset may have come without.
+    study = Study.from_dict({k: v for k, v in tables.items() if k not in ("claims", "report")})
     if "omega" not in study.grid.axes:
         raise DatasetError(
             "omega: nothing forces this system, so its section is not stroboscopic; draw a motion "

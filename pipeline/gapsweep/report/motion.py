@@ -19,7 +19,7 @@ from gapsweep.integrate.simulate import simulate
 from gapsweep.integrate.trajectory import SystemTrajectory, Trajectory
 from gapsweep.model.contact import ContactLaw
 from gapsweep.quantities import written
-from gapsweep.report import fit_figure, marks
+from gapsweep.report import fit_figure, losses, marks
 from gapsweep.report.style import MATPLOTLIB, NOT_PERIODIC, WALL
 from gapsweep.response.result import Response
 from gapsweep.variables import CONTACT, COORDINATE, objects
@@ -62,7 +62,8 @@ def plot(
     Of a fit: the measured points over the stable and unstable branches of the fitted model, hollow
     where they are not on its branch, and the residuals.
 
-    Dashed: the walls; for systems, only those of contacts on that coordinate.
+    Dashed: the walls; for systems, only those of contacts on that coordinate. If a contact there
+    loses energy, two more panels have its force over displacement and time, and the energy lost.
 
     Parameters
     ----------
@@ -120,8 +121,10 @@ def plot(
     is_forced = run.inputs["omega"] is not None
     labels = f"{name}{unit}", f"velocity{unit.replace(']', '/s]')}"
     with rc_context(MATPLOTLIB):
-        figure = Picture(figsize=(9.0, 6.0))
-        (history, phase), (section, lines) = figure.subplots(2, 2)
+        lossy = _lossy(run, along)
+        figure = Picture(figsize=(9.0 if lossy is None else 13.0, 6.0))
+        panels = figure.subplots(2, 2 if lossy is None else 3)
+        (history, phase), (section, lines) = panels[:, :2]
         marks.put(history, [marks.line(x=t[at_end], y=x[at_end], size=0.8)])
         ended = "" if t[at_end][0] <= run.t_0 else " (end)"
         history.set(xlabel="time [s]", ylabel=labels[0], title=f"Time history{ended}")
@@ -147,7 +150,33 @@ def plot(
             marks.put(history, [marks.level(y=scale * wall, **look)])
             for axes in (phase, section):
                 marks.put(axes, [marks.level(x=scale * wall, **look)])
+        if lossy is not None:
+            _draw_force(panels[:, 2], run, lossy, float(t[at_end][0]), period, labels[0], scale)
     return figure
+
+
+def _lossy(run: Trajectory, along: Array) -> int | None:
+    """Number of the first contact of the drawn displacement that loses energy."""
+    directions = np.reshape(objects(run.inputs["oscillator"]).item().directions, (-1, along.size))
+    several = enumerate(zip(directions, run.laws, strict=True))
+    return next((k for k, (b, law) in several if law.losses and np.array_equal(b, along)), None)
+
+
+def _draw_force(
+    panels: Any, run: Trajectory, contact: int, start: float, period: float, label: str,
+    scale: float,
+) -> None:  # fmt: skip
+    """Draw the force of a contact from `start` on, over displacement and over time."""
+    t, x, force = losses.loop(run, contact, start)
+    lost = losses.energy_lost(run, contact, start) * period / (run.t_end - start)
+    in_joules = {"[mm]": ("N", " J"), "[rad]": ("N m", " J")}
+    unit, energy = in_joules.get(label.rpartition(" ")[2], ("", ""))
+    words = f"contact force [{unit}]" if unit else "contact force"
+    over_x, over_t = panels
+    marks.put(over_x, [marks.line(x=scale * x, y=force, size=0.8)])
+    over_x.set(xlabel=label, ylabel=words, title=f"{lost:.3g}{energy} lost per period")
+    marks.put(over_t, [marks.line(x=t, y=force, size=0.8)])
+    over_t.set(xlabel="time [s]", ylabel=words, title="Contact force")
 
 
 def _steady_motion(found: Response) -> Trajectory:
@@ -212,7 +241,7 @@ def walls(model: Model, laws: Sequence[ContactLaw], along: Array) -> list[float]
 
 def _both(factor: float, law: ContactLaw) -> list[float]:
     """Positions of both walls of a contact on `factor` times the coordinate."""
-    places = (-law.gap.j_1, law.K_c * law.K_ratio), (law.gap.j_2, law.K_c)
+    places = zip((-law.gap.j_1, law.gap.j_2), law.stiffnesses, strict=True)
     return [place / factor for place, stiffness in places if stiffness]  # no wall without stiffness
 
 

@@ -7,6 +7,7 @@ import xarray as xr
 
 from gapsweep.analysis.dimensions import selected
 from gapsweep.errors import DatasetError
+from gapsweep.model.contact import OF_WALLS
 from gapsweep.model.oscillator import OSCILLATOR, Gap
 from gapsweep.report.scales import shortened
 from gapsweep.study.axis_selection import listed
@@ -14,7 +15,7 @@ from gapsweep.study.grid import START
 from gapsweep.study.schema import PARAMETER
 
 _SHOWN_NAMES = 6
-_PLACE = ("K_c", "gap", "j_1", "j_2", "omega", *OSCILLATOR, "K_ratio")
+_PLACE = ("K_c", "gap", "j_1", "j_2", "omega", *OSCILLATOR, *OF_WALLS)
 _NAMELESS = "response"  # label if a selection has dropped the representation's label
 
 

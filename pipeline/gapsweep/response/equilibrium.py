@@ -73,7 +73,7 @@ def _sides(ensemble: Ensemble, scene: int, y: Array) -> Iterator[Any]:
     system, laws, swing = ensemble.system(scene), ensemble.laws(scene), ensemble.swing[scene]
     choices = []
     for gap, law in zip(system.directions @ y[: system.n], laws, strict=True):
-        near = _ON_WALL * (law.gap.width + abs(gap)) + REST * swing
+        near = _ON_WALL * (law.gap.size + abs(gap)) + REST * swing
         low, high = law.walls
         modes = {int(gap > high) - int(gap < low)}
         for wall, mode in ((high, 1), (low, -1)):

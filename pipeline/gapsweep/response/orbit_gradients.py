@@ -496,4 +496,4 @@ class _Walls:
 
 def _numbers_of(models: Models) -> Array:
     """Stiffnesses of lower and upper walls, and their places; shape (n, n_contacts, 4)."""
-    return models.of_laws(lambda law: (law.K_c * law.K_ratio, law.K_c, *law.walls))
+    return models.of_laws(lambda law: (*law.stiffnesses, *law.walls))

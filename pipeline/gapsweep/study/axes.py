@@ -1,5 +1,6 @@
 """Types of the axes of a sweep in a study file: one value, a list, or a grid."""
 
+import math
 from collections.abc import Sequence
 from typing import Annotated, Any, Generic, Literal, TypeVar
 
@@ -33,18 +34,30 @@ def _bounded(value: float) -> float:
     return value
 
 
+def _distance(value: float) -> float:
+    """Return the distance of a wall; infinity: no wall."""
+    return value if value == math.inf else _bounded(value)
+
+
 def _not_tiny(value: float) -> float:
     if value < SMALLEST:
         raise ValueError(f"must be >= {SMALLEST:g}")
     return value
 
 
+def _has_wall(pair: list[float]) -> list[float]:
+    if min(pair) == math.inf:
+        raise ValueError("no wall on either side; give one distance, as [inf, 4e-4]")
+    return pair
+
+
 Number = Annotated[float, AfterValidator(_bounded)]
 Positive = Annotated[float, Field(gt=0), AfterValidator(_bounded), AfterValidator(_not_tiny)]
 NonNegative = Annotated[float, Field(ge=0), AfterValidator(_bounded)]
+Wall = Annotated[float, Field(ge=0, allow_inf_nan=True), AfterValidator(_distance)]
 Count = Annotated[int, Field(ge=1, le=MAX_VALUES)]
 Range = Annotated[list[Number], Field(min_length=2, max_length=2)]
-Pair = Annotated[list[NonNegative], Field(min_length=2, max_length=2)]
+Pair = Annotated[list[Wall], Field(min_length=2, max_length=2), AfterValidator(_has_wall)]
 
 Value = TypeVar("Value", bound=float)
 
@@ -138,7 +151,7 @@ def _axis(value: Any) -> Any:
     ]
 
 
-AnyAxis, PositiveAxis, NonNegativeAxis = map(_axis, (Number, Positive, NonNegative))
+AnyAxis, PositiveAxis, NonNegativeAxis, WallAxis = map(_axis, (Number, Positive, NonNegative, Wall))
 
 
 def count(axis: Any) -> int:

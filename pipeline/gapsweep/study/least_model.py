@@ -245,6 +245,7 @@ def least(
         bound = steady + transient
         bound = (bound + linear.moved(bound))[:, :n_contacts]
         is_certain = (bound < walls.min(axis=2)).all(axis=1)
+        walls = np.where(np.isfinite(walls), walls, 0.0)
         half = 0.5 * walls.sum(axis=2).min(axis=1, initial=math.inf) if n_contacts else 0.0
         scale = np.maximum(swing - moved, np.reshape(half, (-1, 1)))
         is_linear = is_certain & (moved <= error * scale)[:, : n_contacts + system.n].all(axis=1)

@@ -40,9 +40,11 @@ from gapsweep.study.axes import (
     Range,
     Starts,
     TomlTable,
+    WallAxis,
     count,
     n_starts,
     several,
+    values,
 )
 from gapsweep.study.bench_tables import BenchTable
 from gapsweep.study.grid import START, Axes
@@ -76,8 +78,8 @@ class SweepTable(TomlTable):
     representation: Annotated[list[Label], Field(min_length=1), BeforeValidator(several)]
     K_c: NonNegativeAxis | None = None
     gap: Pairs | None = None
-    j_1: NonNegativeAxis | None = None
-    j_2: NonNegativeAxis | None = None
+    j_1: WallAxis | None = None
+    j_2: WallAxis | None = None
     omega: PositiveAxis | None = None
     K_ratio: NonNegativeAxis | None = None
     damping: NonNegativeAxis | None = None
@@ -89,6 +91,8 @@ class SweepTable(TomlTable):
         given = [name for name in ("gap", "j_1", "j_2") if getattr(self, name) is not None]
         if given not in ([], ["gap"], ["j_1", "j_2"]):
             raise ValueError("give gap, or j_1 and j_2")
+        if all(axis is not None and math.inf in values(axis) for axis in (self.j_1, self.j_2)):
+            raise ValueError("j_1, j_2: inf in both: no wall on either side; write gap instead")
         return self
 
     @property
@@ -255,7 +259,8 @@ class BranchesTable(TomlTable):
             yield f"branches.second = {name!r}: must have one value in [[sweep]]; range varies it"
         value = axes[name][0] if name in axes else {**OF_WALLS, **known}.get(name)
         if name in WALLS and "gap" in axes:
-            value = axes["gap"][0].j_2 if name == "j_2" else axes["gap"][0].j_1
+            gap = axes["gap"][0]
+            value = gap.distances[0] if name == "gap" else getattr(gap, name)
         if not low < high:
             yield f"branches.range = {self.range}: must be ascending, of two different values"
         elif value is not None and not low <= value <= high:

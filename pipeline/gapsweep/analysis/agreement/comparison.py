@@ -125,7 +125,7 @@ def length_scale(gap: float, exact: LawTable) -> float:
     """
     amplitude, noise = exact.amplitude[exact.exists], exact.noise[exact.exists]
     moving = amplitude[(amplitude > 0.0) & ~(amplitude <= DEVIATIONS * noise)]
-    if gap > 0.0:
+    if 0.0 < gap < np.inf:
         return float(min(gap, 2.0 * moving.max(initial=0.0) or gap))
     places = np.abs(exact.found.section[..., 0])
     scale = np.median(moving) if moving.size else np.nanmax(places, initial=0.0)

@@ -189,7 +189,7 @@ def expected_range(
         return np.asarray(0.5 * (springs + walls) - oscillator.mean_load * x)
 
     # Without walls a held mass moves farther, a free one between walls as soft as the softer.
-    stiffness = k or exact.K_c * min(exact.K_ratio, 1.0)
+    stiffness = k or min(exact.stiffnesses)
     if not stiffness:
         return -fit_range, fit_range
     far = (

@@ -1,5 +1,6 @@
 """Contact laws that are fits of the exact force over a range: polynomial and rational."""
 
+import math
 import re
 from dataclasses import dataclass
 from functools import cached_property
@@ -113,7 +114,8 @@ class Fitted(ContactLaw):
         super().__post_init__()
         value = checked("fit range", self.fit_range, low=0.0, strict=True)
         object.__setattr__(self, "fit_range", value)
-        farther = max(self.gap.j_1 if self.K_ratio else 0.0, self.gap.j_2)
+        lower = self.gap.j_1 if self.K_ratio else math.inf
+        farther = max(j for j in (lower, self.gap.j_2) if j < math.inf)
         if value <= farther:
             raise ModelError(
                 f"fit range = {value:g}: must be > {farther:g}, where the farther wall stands, "

@@ -83,17 +83,18 @@ class LogArctan(Sharpened):
         return {"sharpness": sharpness, "offset": -at_zero, "layer": ARCTAN_LAYER / sharpness}
 
     def _integral(self, x: Array) -> Array:
-        below, above = penetrations(x, self.gap)
+        (_, ratio), (below, above) = self.scale, penetrations(x, self)
         a, b = self.gamma * below, self.gamma * above
-        logs = (self.K_ratio * np.log1p(a * a) - np.log1p(b * b)) / (2.0 * self.gamma)
-        return np.asarray(above * np.arctan(b) - self.K_ratio * below * np.arctan(a) + logs)
+        logs = (ratio * np.log1p(a * a) - np.log1p(b * b)) / (2.0 * self.gamma)
+        return np.asarray(above * np.arctan(b) - ratio * below * np.arctan(a) + logs)
 
     def force(self, x: ArrayLike, v: ArrayLike = 0.0) -> Array:
         x = numbers("x", x)
+        stiffness, ratio = self.scale
         anchored = self._integral(x) - self._integral(np.zeros(()))
-        return np.asarray(self.K_c * (0.5 * (1.0 + self.K_ratio) * x + anchored / math.pi))
+        return np.asarray(stiffness * (0.5 * (1.0 + ratio) * x + anchored / math.pi))
 
     def derivative(self, x: ArrayLike) -> Array:
-        below, above = penetrations(x, self.gap)
-        angles = np.arctan(self.gamma * above) - self.K_ratio * np.arctan(self.gamma * below)
-        return np.asarray(self.K_c * (0.5 * (1.0 + self.K_ratio) + angles / math.pi))
+        (stiffness, ratio), (below, above) = self.scale, penetrations(x, self)
+        angles = np.arctan(self.gamma * above) - ratio * np.arctan(self.gamma * below)
+        return np.asarray(stiffness * (0.5 * (1.0 + ratio) + angles / math.pi))

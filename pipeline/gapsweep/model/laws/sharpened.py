@@ -36,7 +36,7 @@ class Sharpened(ContactLaw):
         if self.K_c and (farthest := max(map(abs, self.walls))) > DIVERGED_AT:
             raise ModelError(
                 f"wall at {farthest:g}: a smooth law needs walls within {DIVERGED_AT:g}, "
-                "where motions count as diverged; a stop on one side has K_ratio = 0"
+                "where motions count as diverged; a stop on one side has gs.Gap(None, 4e-4)"
             )
 
     @property
@@ -84,16 +84,16 @@ class Switched(Sharpened):
         raise NotImplementedError
 
     def force(self, x: ArrayLike, v: ArrayLike = 0.0) -> Array:
-        below, above = penetrations(x, self.gap)
+        (stiffness, ratio), (below, above) = self.scale, penetrations(x, self)
         s_below, _ = self._switch(self.epsilon * below)
         s_above, _ = self._switch(self.epsilon * above)
-        blend = self.K_ratio * (1.0 - s_below) * below + (1.0 + s_above) * above
-        return np.asarray(0.5 * self.K_c * blend)
+        blend = ratio * (1.0 - s_below) * below + (1.0 + s_above) * above
+        return np.asarray(0.5 * stiffness * blend)
 
     def derivative(self, x: ArrayLike) -> Array:
-        below, above = penetrations(x, self.gap)
+        (stiffness, ratio), (below, above) = self.scale, penetrations(x, self)
         a, b = self.epsilon * below, self.epsilon * above
         s_below, d_below = self._switch(a)
         s_above, d_above = self._switch(b)
-        slope = self.K_ratio * ((1.0 - s_below) - d_below * a) + (1.0 + s_above) + d_above * b
-        return np.asarray(0.5 * self.K_c * slope)
+        slope = ratio * ((1.0 - s_below) - d_below * a) + (1.0 + s_above) + d_above * b
+        return np.asarray(0.5 * stiffness * slope)

@@ -18,6 +18,7 @@ Array = NDArray[np.float64]
 # |epsilon (x - j)| from which tanh is +-1 in double precision, so the force exactly piecewise.
 SATURATION = 19.0625
 _HALVINGS = 60  # to the last digits of a double
+_ONLY_LOWER = 2.0**50  # stiffness of the lower wall over that of a missing upper one
 _THIN = 30.0  # gap over the width of a layer
 
 
@@ -89,8 +90,8 @@ class Tanh(Switched):
 
     @classmethod
     def rows(cls, low: Array, high: Array, ratio: Array, sharpness: Array) -> dict[str, Array]:
-        # A lower wall without stiffness is far away: the gap's centre would lose digits with it.
-        low = np.where(ratio == 0.0, high, low)
+        # A missing wall is far away: the gap's centre would lose digits with it.
+        low, high = np.where(ratio == 0.0, high, low), np.where(ratio > _ONLY_LOWER, low, high)
         half_gap = 0.5 * (high - low)
         layer = SATURATION / sharpness
         return {
@@ -111,13 +112,13 @@ class Tanh(Switched):
     def turns(self) -> tuple[float, ...] | None:
         """Both extrema of the force [m] between walls of equal stiffness; None for unequal ones.
 
-        If the force has no extrema, both values are the middle of the gap.
+        If the force has no extrema, both values are the middle of the gap. None, too, for one wall.
 
         With walls ``w`` apart in ``u = ε (x - middle)`` the slope is ``h'(u - w/2) + h'(-u - w/2)``
         with ``h' = d/dz z (1 + tanh z)``. If the slope is negative in the middle, it changes sign
         once before each wall; if it is positive in the middle, it is positive everywhere.
         """
-        if self.K_ratio != 1.0:
+        if self.K_ratio != 1.0 or self.gap.width == math.inf:
             return None
         turn = _turn(0.5 * self.epsilon * self.gap.width) / self.epsilon
         centre = 0.5 * (self.gap.j_2 - self.gap.j_1)

@@ -10,14 +10,13 @@ import numpy as np
 
 from gapsweep.analysis.datasets.contact_errors import ADEQUATE, TOO_COARSE
 from gapsweep.analysis.dimensions import Array, scene_dims, scenes
-from gapsweep.model.labels import EXACT, NOT_LOCATED
+from gapsweep.model.labels import NOT_LOCATED
 from gapsweep.report.drawing import labels_of
 from gapsweep.report.inputs import Inputs
 from gapsweep.report.parts import Part, Table
 from gapsweep.report.sections.parameter_sets import title_of
 from gapsweep.report.tables import number
 
-_EXACT = EXACT, NOT_LOCATED  # laws without a force error
 _MOST_CASES = 8  # columns of cases; more cases are counted
 _WORDS = {"✓": "accurate", "◐": "between", "✗": "too coarse"}
 
@@ -27,7 +26,7 @@ def sections(inputs: Inputs) -> Iterator[Part]:
     if (static := inputs.static) is None:
         return
     name = "force_error_ratio"
-    laws = [label for label in labels_of(static) if label not in _EXACT]
+    laws = [label for label in labels_of(static) if not (label.is_located or label == NOT_LOCATED)]
     ratio = static[[name]].sel(representation=laws).load()
     every = (ratio.isel(at) for at in scenes(ratio, scene_dims(ratio[name].dims)))
     cases = [case for case in every if np.isfinite(case[name]).any()]
