@@ -1,6 +1,7 @@
 """Motions of the reference engine as piecewise polynomials; their extrema, roots and sections."""
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -50,6 +51,17 @@ def polynomial(solution: OdeSolution) -> PPoly:
     scale[is_straight, -2] = h[is_straight]
     powers /= scale.T[:, :, None]
     return PPoly.construct_fast(powers, breaks)
+
+
+def sampled(motion: PPoly, value: Callable[[float, Array], float]) -> PPoly:
+    """Return a function of time and state along a motion, and its rate, as polynomials."""
+    h = np.diff(motion.x)
+    times = motion.x[:-1, None] + h[:, None] * _NODES
+    values = np.array([[value(t, motion(t)) for t in row] for row in times.tolist()])
+    powers = (_TO_POWERS @ values.T) / h ** np.arange(_DEGREE, -1, -1)[:, None]
+    rates = np.zeros_like(powers)
+    rates[1:] = PPoly.construct_fast(powers, motion.x).derivative().c
+    return PPoly.construct_fast(np.stack([powers, rates], axis=-1), motion.x)
 
 
 def joined(pieces: list[PPoly]) -> PPoly:

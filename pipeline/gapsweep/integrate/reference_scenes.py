@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import reduce
 from typing import Any
 
@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gapsweep.model.contact import ContactLaw, Piecewise
-from gapsweep.model.contact_modes import MODES, SLACK
+from gapsweep.model.contact_modes import MODES, ON, SLACK
 from gapsweep.model.oscillator import Oscillator
 from gapsweep.model.system import first_order
 from gapsweep.model.waves import Wave
@@ -88,7 +88,7 @@ class ReferenceScene:
         law = self.laws[contact]
         if modes is None or self.contact_force == "as_written":
             return lambda x, v: float(law.force(x, v))
-        if not MODES[abs(modes[contact])].acts:
+        if abs(modes[contact]) != ON:
             return lambda x, v: 0.0
         return self.pressure(contact, modes[contact])
 
@@ -101,8 +101,8 @@ class ReferenceScene:
 
     def damping(self, contact: int, modes: Modes) -> "Pressure":
         """Return the force of a contact that loses energy in its mode; without, no force."""
-        acts = modes is not None and MODES[abs(modes[contact])].acts
-        if modes is None or not (acts and self.laws[contact].losses):
+        is_on = modes is not None and abs(modes[contact]) == ON
+        if modes is None or not (is_on and self.laws[contact].losses):
             return Pressure(0.0, 0.0, 0.0, 0.0)
         return self.pressure(contact, modes[contact])
 
@@ -118,8 +118,10 @@ class ReferenceScene:
             found.append(Watched(contact, side, MODES[abs(mode)].acts, 0.0, force))
         return found
 
-    def value(self, watched: "Watched", y: Sequence[float] | Array) -> float:
+    def value(self, watched: "Watched", t: float, y: Sequence[float] | Array) -> float:
         """Value of a watched quantity in a state."""
+        if watched.hold:
+            return watched.hold(t, np.asarray(y))
         gap = self.gap(watched.contact, y)
         if watched.force is None:
             return gap
@@ -153,7 +155,7 @@ class ReferenceScene:
             return lambda x, v: float(law.derivative(x))
         mode = modes[contact]
         stiffness = law.stiffnesses[mode > 0]
-        stiffness = stiffness if MODES[abs(mode)].acts else 0.0
+        stiffness = stiffness if abs(mode) == ON else 0.0
         if not (chi := math.copysign(law.losses.chi, mode)):
             return lambda x, v: stiffness
         return lambda x, v: stiffness * (1.0 + chi * v)
@@ -162,7 +164,9 @@ class ReferenceScene:
         """Initial contact modes; on a wall the velocity decides, then the acceleration."""
         modes = tuple(self._beyond(k, y) for k in range(len(self.laws)))
         for contact in range(len(self.laws)):
-            if self.gap(contact, y) in (self.wall(contact, -1), self.wall(contact, 1)):
+            if self.laws[contact].losses.is_rigid:  # see `reference_impacts`
+                modes = (*modes[:contact], 0, *modes[contact + 1 :])
+            elif self.gap(contact, y) in (self.wall(contact, -1), self.wall(contact, 1)):
                 here = Watched(contact, 1, False, self.gap(contact, y))
                 modes = self.passed(t, y, modes, here)
         return modes
@@ -232,6 +236,8 @@ class Watched:
         That value: of the wall [m], or zero force.
     force : Pressure, optional
         The force [N] that is watched; None: the gap.
+    hold : callable, optional
+        The force [N] that holds the contact on a rigid wall, of time and state; it is watched.
     """
 
     contact: int
@@ -239,6 +245,7 @@ class Watched:
     falls: bool
     at: float
     force: Pressure | None = None
+    hold: Callable[[float, Array], float] | None = field(default=None, compare=False)
 
 
 def scene_of(system: Any) -> type[ReferenceScene]:
