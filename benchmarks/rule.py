@@ -122,7 +122,7 @@ def drawn(n: int, coupled: bool) -> tuple[dict[str, Any], dict[str, float], floa
     study = model | {
         "study": {"name": "rule"},
         "steady": steady,
-        "fit": {"range": 1.2 * g * max(peak, max(STARTS))},
+        "approximation": {"range": 1.2 * g * max(peak, max(STARTS))},
         "protocol": {"shifted": {"start_jitter": 1e-4 * g}},
         "sweep": [sweep],
     }

@@ -7,7 +7,7 @@ import click
 from gapsweep.analysis.agreement import branch_agreement
 from gapsweep.analysis.agreement.metrics import variables
 from gapsweep.analysis.datasets import branches_file as branches
-from gapsweep.analysis.datasets import histories, risk, static
+from gapsweep.analysis.datasets import fit_file, histories, risk, static
 from gapsweep.analysis.datasets.timing import COSTS
 from gapsweep.cli.main import commands
 from gapsweep.continuation import dataset as continued
@@ -39,6 +39,7 @@ def pages() -> dict[str, str]:
         "histories": _table(("variable", "over", *_FACTS), _histories()),
         "branches": _table(("variable", "over", *_FACTS), _branches()),
         "risk": _table(("variable", "over", *_FACTS), _risk()),
+        "fit": _table(("variable", "over", *_FACTS), _fit()),
         "flags": _table(("variable", "value", "meaning"), _flags()),
         "laws": _table(("label, as", "in Python", "force F_c(x)"), _laws()),
         "commands": "\n".join(_commands(commands, "gapsweep")),
@@ -140,6 +141,11 @@ def _branches() -> Iterator[tuple[str, ...]]:
 
 def _risk() -> Iterator[tuple[str, ...]]:
     for name, variable in (risk.RISK | risk.INDICES).items():
+        yield _row(name, variable.dims, variable)
+
+
+def _fit() -> Iterator[tuple[str, ...]]:
+    for name, variable in fit_file.VARIABLES.items():
         yield _row(name, variable.dims, variable)
 
 

@@ -26,8 +26,8 @@ RUNS, DEFAULT_CACHE = Path("data/runs"), Path("data/cache")
 
 RESPONSES, ATTRACTORS = "responses.nc", "attractors.nc"
 STATIC, AGREEMENT, TIMING = "static.nc", "agreement.nc", "timing.nc"
-HISTORIES, ADVICE = "histories.nc", "advice.nc"
-BRANCHES, CURVES, RISK = "branches.nc", "curves.nc", "risk.nc"
+HISTORIES, ADVICE, GRADIENTS = "histories.nc", "advice.nc", "gradients.nc"
+BRANCHES, CURVES, RISK, FIT = "branches.nc", "curves.nc", "risk.nc", "fit.nc"
 WORK_PRECISION, STABILITY = "work_precision.nc", "stability.nc"
 CLAIMS, SECTIONS = "claims.json", "sections.json"
 REPORT = "report/index.html"

@@ -28,6 +28,8 @@ from gapsweep.run_folder import (
     CLAIMS,
     CURVES,
     DAMAGED,
+    FIT,
+    GRADIENTS,
     HISTORIES,
     REPORT,
     RESPONSES,
@@ -403,6 +405,19 @@ def _risk(run: RunContext) -> "xr.Dataset":
         return risk_of(found["responses"], run.study.spec.uncertain)
 
 
+def _fit(run: RunContext) -> "xr.Dataset":
+    from gapsweep.analysis.datasets.fit_file import fit_of
+
+    return fit_of(run.study)
+
+
+def _gradients(run: RunContext) -> "xr.Dataset":
+    from gapsweep.analysis.datasets.gradients_file import gradients_of
+
+    with run.datasets() as found:
+        return gradients_of(run.study, found["attractors"])
+
+
 def _claims(run: RunContext) -> dict[str, Any]:
     with run.datasets() as found:
         return decide_claims(run.study, found)
@@ -447,12 +462,15 @@ def _bench_scenes(study: Study) -> list[bool]:
     return [scene.expected is not None for scene in scenes]
 
 
-_DATASETS = (RESPONSES, ATTRACTORS, STATIC, AGREEMENT, TIMING, HISTORIES, BRANCHES, CURVES, RISK)
+_DATASETS = (
+    *(RESPONSES, ATTRACTORS, STATIC, AGREEMENT, TIMING, HISTORIES, BRANCHES, CURVES, RISK),
+    *(FIT, GRADIENTS),
+)
 PAGE = Stage(
     REPORT,
     (
         *(RESPONSES, ATTRACTORS, STATIC, AGREEMENT, TIMING, ADVICE, BRANCHES, CURVES),
-        *(RISK, CLAIMS, SECTIONS, WORK_PRECISION, STABILITY),
+        *(RISK, FIT, GRADIENTS, CLAIMS, SECTIONS, WORK_PRECISION, STABILITY),
     ),
     (),
     _report,
@@ -490,6 +508,14 @@ STAGES = (
         failures=("attractor_status", Status.DIVERGED),
     ),
     Stage(RISK, (RESPONSES,), (SETTINGS,), _risk, lambda study: study.spec.uncertain is not None),
+    Stage(
+        GRADIENTS,
+        (ATTRACTORS,),
+        (SETTINGS,),
+        _gradients,
+        lambda study: study.spec.gradients is not None,
+    ),
+    Stage(FIT, (), (SETTINGS,), _fit, lambda study: study.spec.fit is not None),
     Stage(
         CLAIMS,
         _DATASETS,

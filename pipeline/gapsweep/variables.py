@@ -251,7 +251,7 @@ def dataset(
     }
     coordinates = [name for name in found if name not in arrays]
     made = xr.Dataset(found, attrs=attributes).set_coords(coordinates)
-    return made.transpose("omega", START, ..., missing_dims="ignore")
+    return made.transpose("omega", START, ...) if dims == (START, "omega") else made
 
 
 def to_dataframe(dataset: "xr.Dataset", *more: str) -> Any:

@@ -260,7 +260,9 @@ def test_branches_along_another_parameter(along, omega, client, tmp_path):
 def test_laws_that_are_fitted_at_every_value_are_refused_in_their_scene(client, tmp_path):
     block = tables()["sweep"][0] | {"representation": ["poly-13", "piecewise"], "omega": 0.2}
     block["K_c"] = [2.0, 3.0]
-    study = gs.Study.from_dict(tables(sweep=[block], branches={"along": "K_c"}, fit={"range": 0.5}))
+    study = gs.Study.from_dict(
+        tables(sweep=[block], branches={"along": "K_c"}, approximation={"range": 0.5})
+    )
     found = run(study, client, tmp_path)
     is_fit = found["attractor_representation"].values == "poly-13"
     assert is_fit.any()

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import xarray as xr
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from tests.builders.cache import stored
@@ -181,3 +182,38 @@ def test_of_sweeps_through_every_status(answering, tmp_path_factory, first, late
                 np.testing.assert_array_equal(made, ends(known[start], order))
                 assert [one.status for one in points] == [status for status, _ in known[start]]
             assert plan(study, cache).n_missing == 0
+
+
+@pytest.mark.extended
+def test_a_fit_outlives_an_interrupted_run_and_follows_its_file(client, tmp_path, monkeypatch):
+    omega, law = [7.0, 7.5, 8.0, 8.5], gs.Piecewise(1.4e4, gs.Gap(0.4e-3, 0.4e-3))
+
+    def study_of(law):
+        amplitude = gs.respond(gs.Oscillator(**PAPER), law, omega=omega).amplitude
+        rows = [f"{w}, {float(x)!r}" for w, x in zip(omega, amplitude, strict=True)]
+        (tmp_path / "sweep.csv").write_text("\n".join(["frequency [Hz], amplitude [m]", *rows]))
+        block = {"representation": "piecewise", "K_c": 1.4e4, "gap": [3e-4, 3e-4], "omega": 8.0}
+        fit = {"data": "sweep.csv", "free": {"gap": [2e-4, 8e-4]}, "noise": 1e-6}
+        tables = {"study": {"name": "fit"}, "oscillator": PAPER, "sweep": [block], "fit": fit}
+        return gs.Study.from_dict(tables, str(tmp_path / "study.toml"))
+
+    def fitted():
+        with xr.open_dataset(tmp_path / "out" / "fit.nc") as found:
+            return found["value"].item()
+
+    where = {"out": tmp_path / "out", "cache": tmp_path / "c-cache"}
+    with monkeypatch.context() as patch:
+        patch.setattr("gapsweep.stages.write_page", interrupted)
+        with pytest.raises(KeyboardInterrupt):
+            pipeline.carry_out(study_of(law), client, **where)
+    made = (tmp_path / "out" / "fit.nc").stat().st_mtime_ns
+    run_twice(study_of(law), client, tmp_path)
+    assert (tmp_path / "out" / "fit.nc").stat().st_mtime_ns == made
+    assert fitted() == pytest.approx(4e-4, abs=1e-6)
+    assert "gap = 0.4" in (tmp_path / "out" / "report" / "index.html").read_text()
+    run_twice(study_of(gs.Piecewise(1.4e4, gs.Gap(0.5e-3, 0.5e-3))), client, tmp_path)
+    assert fitted() == pytest.approx(5e-4, abs=1e-6)
+
+
+def interrupted(*_):
+    raise KeyboardInterrupt

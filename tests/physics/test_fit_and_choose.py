@@ -1,6 +1,8 @@
 """Parameters fitted to simulated measurements, and intervals in which demands hold."""
 
+import json
 import math
+import re
 
 import numpy as np
 import pandas as pd
@@ -8,9 +10,12 @@ import pytest
 from scipy.io import savemat
 
 import gapsweep as gs
+from gapsweep.analysis.datasets.fit_file import fit_of
 from gapsweep.design.measured import sweeps
 from gapsweep.integrate.problem import Models, Solver
+from gapsweep.report.inputs import Inputs
 from gapsweep.report.marks import marks_of
+from gapsweep.report.sections import fitted
 from gapsweep.response.respond import respond_models
 
 # The public oscillator: m 1, c .05, k 1, walls at .1745, K_c 2, F .03.
@@ -317,13 +322,13 @@ def test_sweeps_from_rpm_columns_of_both_directions_and_other_tables(tmp_path):
     [
         ("frequency, amplitude [mm]", ROWS, ["frequency", "unit", "[Hz]"]),
         ("frequency [Hz], amplitude", ROWS, ["amplitude", "unit", "[mm]"]),
-        ("frequency [Hz], amplitude [s]", ROWS, ["amplitude", "'s'"]),
+        ("frequency [Hz], amplitude [s]", ROWS, ["amplitude [s]", "'1 s'"]),
         ("frequency [Hz], amplitude [parrots]", ROWS, ["parrots"]),
         ("frequency [1/s], amplitude [mm]", ROWS, ["1/s", "rad/s"]),
         ("frequency [Hz], loudness [mm]", ROWS, ["loudness"]),
-        ("frequency [Hz], amplitude [mm]", [*ROWS, (11.0, "nan")], ["row 5", "nan"]),
-        ("frequency [Hz], amplitude [mm]", [*ROWS, (11.0, "")], ["row 5"]),
-        ("frequency [Hz], amplitude [mm]", [*ROWS, (11.0,)], ["row 6", "1 columns"]),
+        ("frequency [Hz], amplitude [mm]", [*ROWS, (11.0, "nan")], ["line 6", "nan", "column 2"]),
+        ("frequency [Hz], amplitude [mm]", [*ROWS, (11.0, "")], ["line 6"]),
+        ("frequency [Hz], amplitude [mm]", [*ROWS, (11.0,)], ["line 6", "column 2"]),
         ("frequency [Hz], amplitude [mm]", [*ROWS, (1, 1), (3, 1), (2, 1)], ["sorted"]),
         ("frequency [Hz], amplitude [mm], sweep", [(9, 1, "left")] * 4, ["left", "up or down"]),
         ("frequency [Hz], amplitude [mm]", ROWS[:2], ["2 points"]),
@@ -383,3 +388,109 @@ def test_bad_arguments_of_choose_are_refused_in_one_line(arguments, word):
 def test_a_demand_of_an_unknown_quantity_is_refused():
     with pytest.raises(gs.ModelError, match="loudness"):
         gs.at_most("loudness", 1.0)
+
+
+# --- a fit in a study -----------------------------------------------------------------------------
+
+STUDY = {
+    "study": {"name": "identify"},
+    "oscillator": {"mass": 1.0, "omega_n": 1 / (2 * math.pi), "zeta": 0.025, "forcing": 0.03},
+    "sweep": [{"representation": "piecewise", "K_c": 1.0, "gap": [0.1, 0.1], "omega": 0.2}],
+}
+FREE = {"gap": [0.1, 0.3], "K_c": [0.5, 8.0]}
+
+
+@pytest.fixture(scope="module")
+def measurement(tmp_path_factory):
+    """A CSV file of the public oscillator in mm, its folder, and the noise [m]."""
+    folder = tmp_path_factory.mktemp("measured")
+    table, sigma = measured_sweeps(PUBLIC, PUBLIC_LAW, np.linspace(0.14, 0.24, 16), 0.01, 5)
+    rows = zip(*table.values(), strict=True)
+    lines = [f"{float(omega)!r}, {1e3 * float(x)!r}, {direction}" for omega, x, direction in rows]
+    text = "\n".join(["frequency [Hz], amplitude [mm], sweep", *lines])
+    (folder / "sweep.csv").write_text(text)
+    return folder, sigma
+
+
+def study_of(folder, **fit):
+    table = {"data": "sweep.csv", "free": FREE} | fit
+    return gs.Study.from_dict(STUDY | {"fit": table}, str(folder / "study.toml"))
+
+
+def test_a_study_has_the_fit_of_a_call(measurement):
+    folder, sigma = measurement
+    study = study_of(
+        folder, noise=f"{1e3 * float(sigma)!r} mm", free=FREE | {"gap": ["100 mm", 0.3]}
+    )
+    found = fit_of(study)
+    law = gs.Piecewise(1.0, gs.Gap(0.1, 0.1))
+    expected = gs.fit(folder / "sweep.csv", PUBLIC, law, free=FREE, noise=sigma)
+    for name in FREE:
+        at = found.sel(parameter=name)
+        assert at["value"].item() == pytest.approx(expected.values[name], rel=1e-9)
+        assert at["standard_error"].item() == pytest.approx(expected.errors[name], rel=1e-6)
+    np.testing.assert_allclose(found["residual"], expected.residual, atol=1e-9)
+    np.testing.assert_array_equal(found["is_on_branch"], expected.is_on_branch)
+    assert {0, 1} <= {*found["stable"].values.ravel().tolist()}
+    assert abs(found["value"].values[0] - 0.1745) < 3.0 * found["standard_error"].values[0]
+    again = gs.Study.from_dict(json.loads(found.attrs["study_json"]))
+    assert again.json == study.json
+
+
+def test_the_report_shows_the_fit_and_what_is_not_determined():
+    table, sigma = measured_sweeps(
+        PUBLIC, gs.Piecewise(2.0, gs.Gap(9.0, 9.0)), [0.1, 0.12, 0.14, 0.2], 0.001, 1
+    )
+    free = {"K_c": [0.5, 8.0], "forcing": [0.02, 0.04]}
+    sweep = [STUDY["sweep"][0] | {"gap": [9.0, 9.0]}]
+    tables = STUDY | {"sweep": sweep, "fit": {"data": table, "free": free, "noise": sigma}}
+    found = fit_of(gs.Study.from_dict(tables))
+    (part,) = fitted.sections(Inputs(None, None, fit=found))
+    values, *others = part.sentences
+    assert re.match(r"forcing = 0\.0\d+ ± \S+ N \(standard errors\)", values)
+    assert "K_c" not in values
+    assert any("K_c cannot be identified" in sentence for sentence in others)
+    (rows,) = [one.rows for one in part.tables]
+    assert [row[0] for row in rows] == ["K_c", "forcing"]
+    assert rows[0][2] == "unknown"
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"data": "none.csv"}, r"none\.csv: cannot be read"),
+        ({"data": 3}, "measured = 3: must be a file"),
+        ({"free": {"gap": [0.3, 0.1]}}, "must be ascending"),
+        ({"free": {"gapp": [0.1, 0.3]}}, r"fit\.free\.gapp: must be one of K_c, gap, .*mass"),
+        ({"free": {"mass": [-1.0, 1.0]}}, r"fit\.free: .*mass"),
+        ({"free": {"gap": [-0.1, 0.3]}}, r"fit\.free: j_1"),
+        ({"free": None}, "fit: free = None: must be ranges by name"),
+        ({"noise": "5 N"}, "noise = '5 N': must be a number in m"),
+        ({"noise": -1.0}, r"fit\.noise = -1\.0: must be > 0"),
+        ({"nois": 1.0}, r"fit\.nois = 1\.0: unknown key; did you mean noise"),
+    ],
+)
+def test_a_bad_fit_of_a_study_is_refused_in_one_line(change, words, measurement):
+    with pytest.raises(gs.StudyError, match=words) as raised:
+        study_of(measurement[0], **change)
+    assert len(raised.value.problems) == 1
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"omega_n": [0.1, 0.2]}, "omega_n: swept by the study; sweep one value"),
+        ({"representation": "piecewise@paper"}, "begin with 'piecewise'"),
+        ({"gap": [[0.1, 0.1], [0.2, 0.2]], "K_c": [1.0, 2.0]}, None),
+    ],
+)
+def test_numbers_that_are_not_free_have_one_value(change, words, measurement):
+    tables = STUDY | {"sweep": [STUDY["sweep"][0] | change], "protocol": {"paper": {"rtol": 1e-6}}}
+    tables |= {"fit": {"data": "sweep.csv", "free": FREE}}
+    source = str(measurement[0] / "study.toml")
+    if words is None:
+        assert gs.Study.from_dict(tables, source).spec.fit.noise is None
+        return
+    with pytest.raises(gs.StudyError, match=words) as raised:
+        gs.Study.from_dict(tables, source)
+    assert len(raised.value.problems) == 1

@@ -454,6 +454,22 @@ def test_a_law_that_cannot_be_built_is_a_message_and_the_others_are_shown(monkey
     assert {one.protocol for one in found if hasattr(one, "protocol")} == {REST, UP, DOWN}
 
 
+def test_a_wall_on_one_side_has_one_slider():
+    stop = gs.Piecewise(1.4e4, gs.Gap(None, 4e-4), damping=5.0)
+    question = of_model(LINEAR, stop, approximations=[])
+    assert "j_1" not in question.machine.names
+    assert question.at("j_2", 5e-4).laws(EXACT) == (replace(stop, gap=gs.Gap(None, 5e-4)),)
+    assert question.clearance == (-np.inf, 4e-4)
+    block = {"representation": ["piecewise"], "K_c": 1.4e4, "omega": [5.0, 9.0]}
+    study = {"study": {"name": "one"}, "oscillator": PAPER}
+    one = study | {"sweep": [{**block, "gap": [np.inf, 4e-4]}]}
+    question, _ = of_study(gs.Study.from_dict(one))
+    assert question.laws(EXACT)[0].gap == gs.Gap(None, 4e-4)
+    mixed = study | {"sweep": [{**block, "gap": [[np.inf, 4e-4], [4e-4, 4e-4]]}]}
+    with pytest.raises(ModelError, match="j_1 = inf next to other values"):
+        of_study(gs.Study.from_dict(mixed))
+
+
 def test_a_study_with_damping_has_its_range():
     study = changed(TWO_MASSES, sweep__0__damping=[0.5, 2.0])
     question, ranges = of_study(gs.Study.from_dict(study))

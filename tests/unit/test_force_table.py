@@ -393,9 +393,10 @@ def test_titles_of_a_file_and_arguments_with_different_units_are_refused(tmp_pat
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("x,F\n1,2\n3,a\n", "line 3: 3,a: must be two numbers"),
-        ("0,1\n\n2\n", "line 3: 2: must be two numbers"),
-        ("x,F\n", "no line of two numbers"),
+        ("x,F\n1,2\n3,a\n", "line 3: 3,a: must have a finite number in column 2"),
+        ("0,1\n\n2\n", "line 3: 2: must have a finite number in column 2"),
+        ("x,F\n", "no line with a number"),
+        ("x,F\n0,0\n1,nan\n", "line 3: 1,nan: must have a finite number in column 2"),
         ("1,1\n2,2\n", "must hold 0"),
         ("x;F\n-1,5;-8,0\n0,0;0,0\n1,5;8,0\n", "line 2: -1,5;-8,0: must .* decimal points"),
         ("-1,5\t-8,0\n1,5\t8,0\n", "line 1: .*: must .* decimal points"),

@@ -272,9 +272,37 @@ def test_measured_values_from_a_file(tmp_path):
     )
     assert gaps.min() <= values.min()
     assert values.max() <= gaps.max()
+    (tmp_path / "gaps.csv").write_text(
+        "part; gap [mm]\n" + "".join(f"a b; {1e3 * gap}\n" for gap in gaps)
+    )
+    in_mm = gs.Study.from_dict(tables, str(tmp_path / "study.toml")).grid.axes["sample"]
+    np.testing.assert_allclose(in_mm.numbers["gap"], values, rtol=1e-12)
     uncertain["gap"]["column"] = "width"
     with pytest.raises(gs.StudyError, match=r"'width': gaps.csv has part, gap"):
         gs.Study.from_dict(tables, str(tmp_path / "study.toml"))
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("gap [s]\n4e-4\n", r"column 'gap \[s\]': gap = '1 s': must be a number in m"),
+        (
+            "gap [mm]\n0.4\nabout 0.5\n",
+            r"line 3: about 0\.5: must have a finite number in column 1",
+        ),
+        ("part, gap\na, 4e-4\nb, nan\n", r"line 3: b, nan: must have a finite number in column 2"),
+        ("part; gap\na 1; 0,4\n", "line 2: .*decimal points"),
+        ("gap\n", "no line with a number"),
+        ("4e-4\n5e-4\n", "column 'gap': gaps.csv has no titles"),
+    ],
+)
+def test_bad_files_of_measured_values_have_one_line(text, words, tmp_path):
+    (tmp_path / "gaps.csv").write_text(text)
+    uncertain = UNCERTAIN | {"gap": {"data": "gaps.csv", "column": "gap"}}
+    tables = small_study() | {"uncertain": uncertain}
+    with pytest.raises(gs.StudyError, match=words) as caught:
+        gs.Study.from_dict(tables, str(tmp_path / "study.toml"))
+    assert len(caught.value.problems) == 1
 
 
 def test_correlated_numbers():
@@ -348,7 +376,7 @@ MISTAKES = {
     "descending": ({"gap": {"uniform": [5e-4, 4e-4]}}, r"uniform: .*must be ascending"),
     "matrix": ({"correlation": [[1.0, 0.2], [0.2, 1.0]]}, r"must be 1 rows of 1 numbers"),
     "swept": ({"omega_n": {"normal": 5.0, "sd": 0.1}}, r"omega_n: swept and uncertain"),
-    "no file": ({"gap": {"data": "no.csv", "column": "gap"}}, r"no\.csv cannot be read"),
+    "no file": ({"gap": {"data": "no.csv", "column": "gap"}}, r"no\.csv: cannot be read"),
 }  # fmt: skip
 
 

@@ -132,7 +132,7 @@ def test_static_error_is_an_integral_however_thin_the_layer(label, gap):
 
 
 def test_fit_range_of_the_study_is_used():
-    wide = static(study(["poly-13"], [SOFT], [SYMMETRIC], fit={"range": 8e-3}))
+    wide = static(study(["poly-13"], [SOFT], [SYMMETRIC], approximation={"range": 8e-3}))
     assert float(wide["x"].max()) == 8e-3
     law = gs.contact_law("poly-13", SOFT, SYMMETRIC, 8e-3)
     assert_allclose(wide["fit_rmse"].item(), law.rmse)

@@ -219,7 +219,10 @@ def test_every_setting_that_moves_a_number_changes_every_key(tables, table, chan
 
 
 def test_fit_range_changes_only_the_keys_of_fits(tables):
-    before, after = all_keys(study_of(tables)), all_keys(study_of(tables, fit={"range": 5e-3}))
+    before, after = (
+        all_keys(study_of(tables)),
+        all_keys(study_of(tables, approximation={"range": 5e-3})),
+    )
     changed = {index[0] for index in before if before[index] != after[index]}
     assert changed == {2}, "only poly-13 is fitted"
 

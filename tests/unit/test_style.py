@@ -51,6 +51,7 @@ LEAST = {"normal": 25.0, "deuteranopia": 16.0, "protanopia": 16.0}  # distances 
 TOGETHER = [
     ["piecewise", "piecewise-noevents", "tanh-10", "tanh-1e2", "tanh-1e3", "arctan-1e5", "poly-21"],
     ["piecewise", "tanh-1e4", "tanh-1e6", "poly-21", "my_module:spring"],
+    ["piecewise", "tanh-1e4", "arctan-1e4", "poly-13", "huntcrossley-1", "huntcrossley-20"],
     ["piecewise", "piecewise@restart", "piecewise@scipy", "piecewise-noevents", "tanh-1e4"],
 ]
 
@@ -101,6 +102,7 @@ def test_known_colours_have_their_published_contrast_and_lightness():
 def test_marks_have_a_contrast_of_3_on_white():
     laws = [f"{name}-1e{n}" for name in ("tanh", "arctan", "logarctan") for n in range(13)]
     laws += [f"poly-{n}" for n in range(1, 60, 2)] + [f"ratpoly-{n}/{n}" for n in range(1, 20)]
+    laws += [f"huntcrossley-{n}" for n in range(30)]
     laws += [f"mine:spring{n}" for n in range(40)] + ["piecewise", "piecewise-noevents", "auto"]
     shades = {*map(colour, laws), *NUMBERED, GREY, NOT_PERIODIC}
     assert {shade for shade in shades if contrast(shade) < 3.0} == set()

@@ -159,7 +159,7 @@ def test_records_of_text_files(name, tmp_path):
         ("time [mm], force [N]\n0, 1\n1, 2\n", "'time [mm]'"),
         ("time [s], force [kg]\n0, 1\n1, 2\n", "'force [kg]'"),
         ("time [s], force [push]\n0, 1\n1, 2\n", "'force [push]'"),
-        ("", "no line of two numbers"),
+        ("", "no line with a number"),
     ],
 )
 def test_files_with_wrong_units_are_refused_in_one_line(text, words, tmp_path):

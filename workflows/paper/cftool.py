@@ -37,7 +37,7 @@ def cftool(study: Study) -> xr.Dataset:
         contact stiffness [m], NaN if there is none.
     """
     gaps = [gap for gap in study.grid.gaps if gap.label in GAPS]
-    x_max = study.spec.fit.range
+    x_max = study.spec.approximation.range
     found = np.array([[[_fits(g, r, u, x_max) for u in UNITS] for r in RATIOS] for g in gaps])
     names = {
         "pole_share": ("1", "share of random fits with a pole in the fit range"),

@@ -73,7 +73,7 @@ def ladders(study: Study) -> xr.Dataset:
     Dataset
         As in the table of this module; errors per unit contact stiffness.
     """
-    gaps, K_c, x_max = study.grid.gaps, np.array(study.grid.K_c), study.spec.fit.range
+    gaps, K_c, x_max = study.grid.gaps, np.array(study.grid.K_c), study.spec.approximation.range
     values = _stacked([_errors(gap, x_max) for gap in gaps])
     scaled = [x_max * scale * np.linspace(-1.0, 1.0, N_FIT_POINTS) for scale in UNITS.values()]
     values["poly_condition"] = np.array(

@@ -7,13 +7,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gapsweep.continuation.arclength import Continuation, Half, reversed_orbit
+from gapsweep.continuation.border import both_sides
 from gapsweep.continuation.locate import Step, roots
 from gapsweep.continuation.orbits import Orbit, OrbitEquations, Reference
 from gapsweep.continuation.recognise import Branch, holders, is_known, own_part
 from gapsweep.continuation.seed import Attractor, seeds
-from gapsweep.continuation.special import RESONANCES, SignChange, Special, sign_changes
+from gapsweep.continuation.special import (
+    GRAZES,
+    RESONANCES,
+    SignChange,
+    Special,
+    fold,
+    nearest_graze,
+    sign_changes,
+)
 from gapsweep.continuation.switch import switched, with_direction
-from gapsweep.continuation.thresholds import AT_ONCE, BESIDE_GRAZE, SHORTEST
+from gapsweep.continuation.thresholds import AT_ONCE, AT_VALUE, BESIDE_GRAZE, SHORTEST
 
 Array = NDArray[np.float64]
 
@@ -173,17 +182,28 @@ class Branches:
             share = float((cross.unknowns - step.before.unknowns) @ step.chord) / step.size**2
             points = [*points, (share, cross.special, cross)]
         grazes = [orbit for _, kind, orbit in points if kind == Special.GRAZING]
+        borders = [both_sides(equations, graze, step.reference) for graze in grazes]
+        corners = [graze for graze, sides in zip(grazes, borders, strict=True) if sides]
         found: list[Orbit] = []
         for _, kind, orbit in sorted(points, key=lambda point: point[0]):
             if kind == Special.FOLD and cross is not None and _is_near(orbit, cross):
                 continue
+            is_jump = kind == Special.FOLD and abs(fold(orbit)) > AT_VALUE
+            if is_jump and any(_is_near(orbit, corner) for corner in corners):
+                continue
             # Multipliers jump at a graze.
             if kind == Special.UNRESOLVED and any(_is_near(orbit, graze) for graze in grazes):
                 continue
-            # Symmetric orbits touch both walls together.
-            same = kind == Special.GRAZING and found and found[-1].special == kind
-            if same and np.abs(found[-1].unknowns - orbit.unknowns).max() <= AT_ONCE:
-                continue
+            if kind == Special.GRAZING:
+                # Symmetric orbits touch both walls together.
+                if any(x.special in GRAZES and _apart(x, orbit) <= AT_ONCE for x in found[-2:]):
+                    continue
+                sides = borders[next(i for i, graze in enumerate(grazes) if graze is orbit)]
+                if sides:
+                    graze = nearest_graze(equations, orbit)
+                    is_entry = (graze(step.before) < graze(step.after)) == graze.is_outer
+                    found += sides if is_entry else sides[::-1]
+                    continue
             point = replace(orbit, special=int(kind))
             if kind == Special.PERIOD_DOUBLING:
                 point = with_direction(equations, point, step.reference)
@@ -209,7 +229,11 @@ class Branches:
 
 
 def _is_near(one: Orbit, other: Orbit) -> bool:
-    return bool(np.abs(one.unknowns - other.unknowns).max() <= BESIDE_GRAZE)
+    return _apart(one, other) <= BESIDE_GRAZE
+
+
+def _apart(one: Orbit, other: Orbit) -> float:
+    return float(np.abs(one.unknowns - other.unknowns).max())
 
 
 def _tested(half: Half, i: int) -> Step:

@@ -25,6 +25,7 @@ from gapsweep.continuation.orbits import Evaluation, Orbit, OrbitEquations, Refe
 from gapsweep.continuation.recognise import Branch, holders
 from gapsweep.continuation.seed import Attractor, started
 from gapsweep.continuation.special import (
+    GRAZES,
     RESONANCES,
     Special,
     characteristic,
@@ -49,7 +50,7 @@ Array = NDArray[np.float64]
 
 _POINT = "point (a number of branches.gapsweep.special_points())"
 # Kinds of special points that have curves.
-KINDS = Special.FOLD, Special.PERIOD_DOUBLING, Special.TORUS, Special.GRAZING
+KINDS = Special.FOLD, Special.PERIOD_DOUBLING, Special.TORUS, *GRAZES
 
 
 class CurveEquations(OrbitEquations):
@@ -221,6 +222,7 @@ def curves(
         try:
             start, reference = _start(equations, row, np.array([[row[first.name].item(), fixed]]))
             kind = Special(int(row["special"]))
+            kind = Special.GRAZING if kind in GRAZES else kind  # the kind may change on the curve
             section = start.identity.section * reference.size[0]
             here = [(equations.place(start), section, start.period_multiple)]
             alike = [each for each in several if each.found[0].kind == kind]

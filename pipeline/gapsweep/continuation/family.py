@@ -3,7 +3,7 @@
 import inspect
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -14,7 +14,8 @@ from gapsweep.errors import ModelError
 from gapsweep.integrate.problem import Model, Models
 from gapsweep.integrate.simulate import AnyLaw
 from gapsweep.model.contact import ContactLaw, checked_law
-from gapsweep.model.oscillator import OSCILLATOR, Oscillator, checked, is_number
+from gapsweep.model.oscillator import Oscillator, checked
+from gapsweep.model.parameters import GAP, numbers_of, with_numbers
 from gapsweep.model.structure import general_form
 from gapsweep.model.system import System
 from gapsweep.model.user_law import UserLaw
@@ -24,7 +25,6 @@ from gapsweep.quantities import without_units
 Array = NDArray[np.float64]
 
 AMPLITUDE = "amplitude"
-_GAP = ("gap", "j_1", "j_2")
 _LOGARITHMIC = 10.0  # windows whose ends have a larger ratio are divided by ratios
 
 
@@ -142,20 +142,20 @@ class Family:
             return
         if name in self._arguments:
             return
-        if isinstance(self.model, Oscillator) and name in _names(self.model):
+        if isinstance(self.model, Oscillator) and name in numbers_of(self.model):
             return
-        if any(name in _GAP or name in _names(law) for law in laws):
-            is_own = [isinstance(law, UserLaw) and name in _names(law) for law in laws]
+        if any(name in GAP or name in numbers_of(law) for law in laws):
+            is_own = [isinstance(law, UserLaw) and name in law.parameters for law in laws]
             if not all(own or law.is_numbers for own, law in zip(is_own, laws, strict=True)):
                 raise ModelError(
                     f"along = {name!r}: parameters of fitted laws and user laws cannot be "
                     "continued; use 'omega' or a parameter of the model"
                 )
             return
-        known = [each for law in laws for each in _names(law) if each != "gap"]
-        known += _names(self.model) if isinstance(self.model, Oscillator) else []
+        known = [each for law in laws for each in numbers_of(law)]
+        known += numbers_of(self.model) if isinstance(self.model, Oscillator) else []
         known += self._arguments
-        allowed = ", ".join(dict.fromkeys(["omega", AMPLITUDE, *known, *_GAP]))
+        allowed = ", ".join(dict.fromkeys(["omega", AMPLITUDE, *known, *GAP]))
         raise ModelError(
             f"parameter {name!r}: must be one of {allowed}; for a parameter of a System, pass "
             "a function with this argument that returns the System"
@@ -215,11 +215,10 @@ class Family:
             )
         if not isinstance(model, Oscillator):
             return model
-        here = {name: value for name, value in values.items() if name in _names(model)}
-        model = replace(model, **here) if here else model
-        if AMPLITUDE in self.names and not model.is_loaded:
-            return replace(general_form(model), forcing=())
-        return model
+        found: Oscillator = with_numbers(model, values)
+        if AMPLITUDE in self.names and not found.is_loaded:
+            return replace(general_form(found), forcing=())
+        return found
 
     def laws_at(self, values: Mapping[str, float]) -> tuple[ContactLaw, ...]:
         """The laws of all contacts, in the model's order, at parameter values.
@@ -229,7 +228,7 @@ class Family:
         own = {name: value for name, value in values.items() if name not in self._arguments}
         if self._names_of_laws.isdisjoint(own):
             return self._laws_of_contacts
-        return tuple(_law_at(law, own) for law in self._laws_of_contacts)
+        return tuple(with_numbers(law, own) for law in self._laws_of_contacts)
 
     @cached_property
     def _laws_of_contacts(self) -> tuple[ContactLaw, ...]:
@@ -242,7 +241,7 @@ class Family:
     @cached_property
     def _names_of_laws(self) -> frozenset[str]:
         """Names of parameters that a law may have."""
-        return frozenset(_GAP).union(*map(_names, self._laws))
+        return frozenset(GAP).union(*map(numbers_of, self._laws))
 
     def value_of(self, name: str, values: Mapping[str, float]) -> float:
         """A parameter's value where others have some.
@@ -262,10 +261,8 @@ class Family:
             raise ModelError("second = 'gap': the walls differ; use 'j_1' or 'j_2'")
         known: dict[str, Any] = {}
         for law in laws[::-1]:
-            own = law.parameters if isinstance(law, UserLaw) else vars(law)
-            known |= {each: own[each] for each in _names(law)}
-            known |= {"gap": law.gap.distances[0], "j_1": law.gap.j_1, "j_2": law.gap.j_2}
-        known |= {each: getattr(model, each) for each in _names(model)}
+            known |= {"gap": law.gap.distances[0]} | numbers_of(law)
+        known |= numbers_of(model)
         arguments = self._arguments.values()
         known |= {each.name: each.default for each in arguments if each.default is not each.empty}
         if name not in known:
@@ -295,33 +292,7 @@ class Family:
             dict(self.values) | dict(zip(columns, row, strict=True))
             for row in zip(*(column.tolist() for column in columns.values()), strict=True)
         ]
-        of_model = callable(self.model) or bool(set(columns) & set(_names(self.model)))
+        of_model = callable(self.model) or bool(set(columns) & set(numbers_of(self.model)))
         systems = [self.model_at(row) for row in rows] if of_model else [self.example]
         laws = [self.laws_at(row) for row in rows]
         return Models.of(systems, laws, omega)
-
-
-def _names(of: Any) -> list[str]:
-    """Numbers of an oscillator or a law, its gap, parameters of a user law; none of a system."""
-    if isinstance(of, System):
-        return []
-    if isinstance(of, UserLaw):
-        return [*of.parameters]
-    if isinstance(of, Oscillator):
-        return [*OSCILLATOR]
-    names = [field.name for field in fields(of) if field.init]
-    return [name for name in names if is_number(getattr(of, name)) or name == "gap"]
-
-
-def _law_at(law: ContactLaw, values: Mapping[str, float]) -> ContactLaw:
-    known: dict[str, Any] = {
-        name: value for name, value in values.items() if name in _names(law) and name != "gap"
-    }
-    if isinstance(law, UserLaw):
-        return replace(law, parameters={**law.parameters, **known}) if known else law
-    gap: dict[str, Any] = {name: values[name] for name in ("j_1", "j_2") if name in values}
-    if "gap" in values:
-        known["gap"] = law.gap.at(values["gap"])
-    elif gap:
-        known["gap"] = replace(law.gap, **gap)
-    return replace(law, **known) if known else law

@@ -7,7 +7,7 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from gapsweep.errors import ModelError
 from gapsweep.integrate.problem import DEFAULT_ENGINE, TIME_LIMIT, Models, Solver, within
@@ -24,10 +24,12 @@ from gapsweep.variables import Variable, dataset, objects
 if TYPE_CHECKING:
     import xarray as xr
 
+Array = NDArray[np.float64]
+
 QUANTITY, PARAMETER = "quantity", "parameter"
 _RTOL = 1e-12  # of the orbits that are differentiated, unless that of the call is smaller
 _STEADY = Steady()
-_VARIABLES = {
+VARIABLES = {
     "gradient": Variable(
         "f8", "", "derivative of a quantity with respect to a parameter", dims=(QUANTITY, PARAMETER)
     ),
@@ -115,14 +117,14 @@ def gradient(
     warn_of(doubts(objects(model).ravel().tolist(), models.laws, models.omega, start))
     with within(time_limit):
         found = respond_models(models, solver, start, steady)
-        arrays, labels = _gradients(every, models, found, solver)
+        arrays, labels = _gradients(every, found, solver)
     inputs = inputs_of(model, law, models, start, shape) | {
         "engine": solver.engine, "rtol": solver.rtol, "atol": solver.atol
     }  # fmt: skip
     return dataset(
         inputs,
         shape,
-        _VARIABLES,
+        VARIABLES,
         arrays,
         {QUANTITY: labels, PARAMETER: [each.name for each in known]},
     )
@@ -159,7 +161,7 @@ def parameters_of(
 
 
 def _gradients(
-    every: Cases, models: Models, found: Responses, solver: Solver
+    every: Cases, found: Responses, solver: Solver
 ) -> tuple[dict[str, Any], tuple[str, ...]]:
     """Arrays of the dataset for all rows, and names of the quantities."""
     columns = found.columns
@@ -171,22 +173,54 @@ def _gradients(
             f"oscillator, law, omega: the response is {said.response_class.name.lower()}, "
             f"gradients need a periodic one{why}"
         )
-    tight = solver.with_rtol(min(_RTOL, solver.rtol))
     period = columns.get("period", np.full(len(every), np.nan))  # a column of unforced systems
-    arrays: dict[str, Any] = {}
-    labels: tuple[str, ...] = ()
-    for rows, _ in models.take(periodic).by_kind():
-        here = periodic[rows]
-        part = Orbits(
-            every.take(here),
-            found.ends[here],
-            columns["period_multiple"][here].astype(np.int64),
-            tight,
-            period[here],
-        ).gradients()
-        labels = part.names
-        for name in _VARIABLES:
+    here = every.take(periodic)
+    multiples = columns["period_multiple"][periodic].astype(np.int64)
+    part, labels = derivatives(here, found.ends[periodic], multiples, period[periodic], solver)
+    arrays = {}
+    for name, values in part.items():
+        arrays[name] = np.full((len(every), *values.shape[1:]), np.nan)
+        arrays[name][periodic] = values
+    return arrays, labels
+
+
+def derivatives(
+    every: Cases, states: Array, multiples: NDArray[np.int64], period: Array, solver: Solver
+) -> tuple[dict[str, Array], tuple[str, ...]]:
+    """Return values and derivatives of periodic orbits, and names of the quantities.
+
+    Parameters
+    ----------
+    every : Cases
+    states : ndarray, shape (n, n_states)
+        States near the orbits, as for `Orbits`.
+    multiples : ndarray of int, shape (n,)
+        Forcing periods of each orbit.
+    period : ndarray, shape (n,)
+        Periods [s] of unforced orbits.
+    solver : Solver
+
+    Returns
+    -------
+    arrays : dict of str to ndarray
+        ``value``, shape (n, n_quantities), and ``gradient``, shape (n, n_quantities,
+        n_parameters); NaN of orbits that Newton's method does not find.
+    names : tuple of str
+
+    Raises
+    ------
+    ModelError
+        If a parameter or a law has no derivatives.
+    """
+    tight = solver.with_rtol(min(_RTOL, solver.rtol))
+    arrays: dict[str, Array] = {}
+    names: tuple[str, ...] = ()
+    for rows, _ in Models.of(every.models, every.laws, every.omega).by_kind():
+        about = every.take(rows), states[rows], multiples[rows], tight, period[rows]
+        part = Orbits(*about).gradients()
+        names = part.names
+        for name in VARIABLES:
             values = getattr(part, name)
             whole = arrays.setdefault(name, np.full((len(every), *values.shape[1:]), np.nan))
-            whole[here] = values
-    return arrays, labels
+            whole[rows] = values
+    return arrays, names

@@ -209,18 +209,14 @@ class OrbitEquations:
         assert motions.monodromy is not None
         monodromy = motions.monodromy[rows]
         size = reference.size
-        scaled = monodromy * (size[:, None, :] / size[:, :, None])
-        if self.has_period:  # on a section across the motion, which its multiplier 1 leaves
-            along = found.rate[rows] / size
-            normal = along / (along**2).sum(axis=1)[:, None]
-            across = np.einsum("mi,mij->mj", normal, scaled)
-            scaled = scaled - along[:, :, None] * across[:, None, :]
-        determinant = np.zeros(len(rows))
-        if not self.has_period:
-            models, period = self.family.models(self.windows, self.places(unknowns)), motions.t
-            rate = n * models.of_systems(lambda system: system.decay_rate)
-            determinant = np.exp(-rate * period[rows] - motions.contact_loss[rows])
-        multipliers = floquet_multipliers(scaled, determinant)[:, : n - self.has_period]
+        multipliers = self.multipliers(
+            monodromy,
+            unknowns,
+            reference,
+            found.rate[rows],
+            motions.t[rows],
+            motions.contact_loss[rows],
+        )
         equations = np.concatenate([found.jacobian[rows], tangents[:, None, :]], axis=1)
         branching = np.zeros(len(rows))
         if equations.shape[1] == equations.shape[2]:  # neither surplus, as of free motions, nor few
@@ -258,6 +254,30 @@ class OrbitEquations:
                 )
             )
         return orbits
+
+    def multipliers(
+        self,
+        monodromy: Array,
+        unknowns: Array,
+        reference: Reference,
+        rate: Array,
+        period: Array,
+        contact_loss: Array,
+    ) -> NDArray[np.complex128]:
+        """Floquet multipliers of orbits; without the one along an unforced orbit."""
+        size = reference.size
+        scaled = monodromy * (size[:, None, :] / size[:, :, None])
+        determinant = np.zeros(len(size))
+        if self.has_period:  # on a section across the motion, which its multiplier 1 leaves
+            along = rate / size
+            normal = along / (along**2).sum(axis=1)[:, None]
+            across = np.einsum("mi,mij->mj", normal, scaled)
+            scaled = scaled - along[:, :, None] * across[:, None, :]
+        else:
+            models = self.family.models(self.windows, self.places(unknowns))
+            decay = self.n_states * models.of_systems(lambda system: system.decay_rate)
+            determinant = np.exp(-decay * period - contact_loss)
+        return floquet_multipliers(scaled, determinant)[:, : self.n_states - self.has_period]
 
     def _section(self, state: Array, section: Array, phase: Array) -> Array:
         """Section points of an orbit, each once; at least its initial state.

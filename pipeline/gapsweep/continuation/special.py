@@ -8,7 +8,9 @@ g of a contact's gap, a branch has
 - a torus bifurcation (NS) where that of all ``1 - μ_i μ_j``, i < j, is, and two are not real,
 - a crossing of branches (BP) where J has one rank less (`gapsweep.continuation.crossing`); of
   symmetric orbits it breaks their symmetry (SB),
-- a graze (GR) where one more, or one fewer, of the g lies beyond a wall.
+- a graze (GR) where one more, or one fewer, of the g lies beyond a wall. Where the multipliers jump
+  there (`gapsweep.continuation.border`), it is a border fold (BLP) if the number of real
+  ``μ > 1`` changes by an odd number, a border flip (BPD) if the number of real ``μ < -1`` does.
 
 A curve of special points has a cusp (CP) of folds where its tangent has no part along the
 parameters, and a resonance 1:1 (R1) or 1:2 (R2) where two μ are 1 or -1.
@@ -47,8 +49,7 @@ class SignChange:
             pairs = orbit.multipliers[np.abs(orbit.multipliers.imag) > REAL]
             return bool(np.abs(np.abs(pairs) - 1.0).min(initial=np.inf) <= AT_VALUE)
         if isinstance(self.value, Graze):
-            size = max(np.abs(x).max(initial=0.0) for x in orbit.turning[self.value.contact])
-            return abs(self.value(orbit)) <= ON_WALL * float(size)
+            return abs(self.value(orbit)) <= on_wall(orbit, self.value.contact)
         return True
 
 
@@ -67,13 +68,18 @@ class Special(IntEnum):
     CUSP = 9
     RESONANCE_1_1 = 10
     RESONANCE_1_2 = 11
+    BORDER_FOLD = 12
+    BORDER_FLIP = 13
 
     @property
     def symbol(self) -> str:
         """The field's abbreviation."""
-        return ("", "LP", "PD", "NS", "BP", "GR", "SB", "H", "?", "CP", "R1", "R2")[self]
+        symbols = "", "LP", "PD", "NS", "BP", "GR", "SB", "H", "?", "CP", "R1", "R2", "BLP", "BPD"
+        return symbols[self]
 
 
+# Kinds of points at which a turning point of a gap touches a wall.
+GRAZES = Special.GRAZING, Special.BORDER_FOLD, Special.BORDER_FLIP
 # Value of two multipliers at a strong resonance.
 RESONANCES: dict[int, float] = {Special.RESONANCE_1_1: 1.0, Special.RESONANCE_1_2: -1.0}
 
@@ -162,9 +168,14 @@ class Graze:
         wall = walls(self.equations, orbit, self.contact)[self.side]
         if wall is None:  # it has lost its stiffness: the curve ends
             return np.nan
-        beyond = _beyond(orbit, self.contact, self.side, wall)[0 if self.is_outer else 1]
+        values = beyond(orbit, self.contact, self.side, wall)[0 if self.is_outer else 1]
         least = -abs(wall) - 1e-9
-        return float(beyond[self.rank]) if self.rank < len(beyond) else least
+        return float(values[self.rank]) if self.rank < len(values) else least
+
+
+def on_wall(orbit: Orbit, contact: int) -> float:
+    """Distance [m] from a wall within which a turning point of a contact is on it."""
+    return ON_WALL * max(float(np.abs(x).max(initial=0.0)) for x in orbit.turning[contact])
 
 
 def nearest_graze(equations: OrbitEquations, orbit: Orbit) -> Graze:
@@ -193,7 +204,7 @@ def walls(equations: OrbitEquations, orbit: Orbit, contact: int) -> dict[int, fl
     return {1: high if upper else None, -1: low if lower else None}
 
 
-def _beyond(orbit: Orbit, contact: int, side: int, wall: float) -> tuple[Array, Array]:
+def beyond(orbit: Orbit, contact: int, side: int, wall: float) -> tuple[Array, Array]:
     """Distances of outer and inner turning points beyond a wall [m], in descending order."""
     maxima, minima = orbit.turning[contact]
     if side > 0:
@@ -209,7 +220,7 @@ def _grazes(
         wall = walls(equations, orbit, contact)[side]
         if wall is None:
             return
-        counts.append([int((x > 0.0).sum()) for x in _beyond(orbit, contact, side, wall)])
+        counts.append([int((x > 0.0).sum()) for x in beyond(orbit, contact, side, wall)])
     (outer, inner), (outer_after, inner_after) = counts
     # An outer and an inner point that appear together beyond the wall touch nothing.
     common = 0

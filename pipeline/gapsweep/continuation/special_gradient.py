@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from gapsweep.continuation.curves import special_point_of
 from gapsweep.continuation.gradient import PARAMETER, parameters_of
-from gapsweep.continuation.special import Special
+from gapsweep.continuation.special import GRAZES, Special
 from gapsweep.errors import ModelError
 from gapsweep.integrate.problem import Model, Solver
 from gapsweep.integrate.simulate import AnyLaw
@@ -84,7 +84,7 @@ def special_gradient(
     2
     """
     points, kind, family, along = special_point_of(branches, point, oscillator, law)
-    if kind not in (Special.FOLD, Special.GRAZING) or not family.is_forced:
+    if kind not in (Special.FOLD, *GRAZES) or not family.is_forced:
         raise ModelError(
             f"point = {point}: is a {kind.name.lower()}; must be a fold or a graze of a forced "
             "model"

@@ -76,6 +76,8 @@ AT_VALUE = 1e-5
 AT_DOUBLE = 1e-4
 # A turning point this near to a wall, as a share of the largest one, is on it.
 ON_WALL = 1e-7
+# Without its graze, an orbit passes the wall at this part of that distance.
+CLEAR_OF_WALL = 1e-3
 # Largest residual of an orbit at a crossing, for one unit of the derivatives, and singular value
 # that is zero, as a share of the next one.
 RESIDUAL, SINGULAR = 1e-9, 1e-5

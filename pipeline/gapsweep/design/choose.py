@@ -57,6 +57,8 @@ ENDS = {
     Special.TORUS: "torus bifurcation",
     Special.SYMMETRY_BREAKING: "symmetry breaking",
     Special.BRANCH_POINT: "branch point",
+    Special.BORDER_FOLD: "border fold",
+    Special.BORDER_FLIP: "border flip",
 }
 BEYOND = 1.5  # initial displacements over the walls' distances
 

@@ -8,7 +8,7 @@ there are limited, and have no derivative.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -17,10 +17,10 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 from scipy.stats import chi2, qmc
 
-from gapsweep.continuation.family import AMPLITUDE, Window
+from gapsweep.continuation.family import Window
 from gapsweep.design.demands import quantity
 from gapsweep.design.machine import Machine
-from gapsweep.design.measured import Sweep, sweeps
+from gapsweep.design.measured import Sweep, ranges, sweeps
 from gapsweep.errors import ModelError
 from gapsweep.integrate.problem import Model
 from gapsweep.integrate.simulate import AnyLaw
@@ -236,7 +236,7 @@ def fit(
     oscillator: Model | Callable[..., Model],
     law: AnyLaw | None = None,
     *,
-    free: Mapping[str, tuple[float, float]],
+    free: Mapping[str, Sequence[float]],
     noise: float | None = None,
     rtol: float | None = None,
 ) -> Fit:
@@ -284,13 +284,8 @@ def fit(
     >>> abs(found.values["gap"] - 0.4e-3) < 1e-6
     True
     """
-    windows = _windows(free)
     name, found = sweeps(measured)
-    n = sum(len(each.omega) for each in found)
-    if n <= len(windows):
-        raise ModelError(
-            f"measured: {n} points for {len(windows)} free parameters; must be more points"
-        )
+    windows = ranges(free, sum(len(each.omega) for each in found))
     scale = max(float(np.abs(each.values).max()) for each in found)
     if not scale > 0.0:
         raise ModelError("measured: all values are 0")
@@ -305,18 +300,6 @@ def fit(
     sigma = given or 0.01 * scale
     places = [_minimum(points, start, sigma, scale) for start in _starts(points, scale)]
     return _result(points, places, given, sigma, scale)
-
-
-def _windows(free: Any) -> tuple[Window, ...]:
-    """Ranges of the free parameters."""
-    if not isinstance(free, Mapping) or not free:
-        raise ModelError(f"free = {free!r:.80}: must be ranges by name, as {{'gap': (1e-4, 1e-3)}}")
-    for name in free:
-        if name in ("omega", AMPLITUDE):
-            raise ModelError(f"free: {name!r} is measured; name parameters of the model")
-    if {"gap"} < {*free} and {"j_1", "j_2"} & {*free}:
-        raise ModelError("free: 'gap' means both walls; leave it out with 'j_1' or 'j_2'")
-    return tuple(Window.of(name, ends) for name, ends in free.items())
 
 
 def _starts(points: _Points, scale: float) -> list[Array]:

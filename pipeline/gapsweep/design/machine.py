@@ -18,8 +18,6 @@ from gapsweep.response.result import Responses, Steady
 
 Array = NDArray[np.float64]
 
-DIRECTIONS = {"up": 1, "down": -1}
-
 
 @dataclass(frozen=True)
 class Machine:

@@ -1,4 +1,4 @@
-"""Measured sweeps: frequencies, values and directions in SI units.
+"""Measured sweeps in SI units, and ranges of the parameters that are fitted to them.
 
 A table has a column of frequencies (``omega`` or ``frequency``), a column of one quantity
 (``amplitude``, ``x_max`` or ``peak``, ``x_min``, ``force_max``) and, if it is known, a column
@@ -10,7 +10,6 @@ sweeps.
 
 from __future__ import annotations
 
-import csv
 import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
@@ -20,13 +19,12 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.io import loadmat
 
+from gapsweep.continuation.family import AMPLITUDE, Window
 from gapsweep.design.demands import QUANTITIES
-from gapsweep.design.machine import DIRECTIONS
 from gapsweep.errors import ModelError
-from gapsweep.model.arrays import split_title
-from gapsweep.quantities import without_units, written
+from gapsweep.model.arrays import factor_of, read_columns, split_title
+from gapsweep.quantities import written
 from gapsweep.response.result import RESPONSE
 
 Array = NDArray[np.float64]
@@ -41,6 +39,7 @@ _OTHER_NAMES = {
 _NAMES = ("omega", "sweep", *QUANTITIES)
 _EXAMPLE = "frequency [Hz], amplitude [mm], sweep"
 _FEWEST = 3  # points of a sweep
+DIRECTIONS = {"up": 1, "down": -1}
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,7 +55,6 @@ class Sweep:
 class _Column:
     name: str
     direction: str  # empty unless the name has it
-    units: str
     title: str  # as in the file
 
 
@@ -77,7 +75,7 @@ def sweeps(measured: Any) -> tuple[str, list[Sweep]]:
         frequencies are not sorted.
     """
     where, table = _table(measured)
-    columns = [(_column(where, title), values) for title, values in table.items()]
+    columns = [(_column(title), values) for title, values in table.items()]
     of_omega = [each for each in columns if each[0].name == "omega"]
     of_values = [each for each in columns if each[0].name in QUANTITIES]
     words = [values for column, values in columns if column.name == "sweep"]
@@ -105,6 +103,27 @@ def sweeps(measured: Any) -> tuple[str, list[Sweep]]:
             parts = _by_order(omega)
         several += [_sweep(where, name, omega[rows], measured_values[rows]) for name, rows in parts]
     return names[0], several
+
+
+def ranges(free: Any, n_points: int) -> tuple[Window, ...]:
+    """Return the ranges of free parameters, of which `n_points` measured points may decide.
+
+    Raises
+    ------
+    ModelError
+        If they are no ranges of parameters, or too many for the points.
+    """
+    if not isinstance(free, Mapping) or not free:
+        raise ModelError(f"free = {free!r:.80}: must be ranges by name, as {{'gap': (1e-4, 1e-3)}}")
+    for name in free:
+        if name in ("omega", AMPLITUDE):
+            raise ModelError(f"free: {name!r} is measured; name parameters of the model")
+    if {"gap"} < {*free} and {"j_1", "j_2"} & {*free}:
+        raise ModelError("free: 'gap' means both walls; leave it out with 'j_1' or 'j_2'")
+    if n_points <= len(free):
+        said = f"{n_points} points for {len(free)} free parameters; must be more points"
+        raise ModelError(f"measured: {said}")
+    return tuple(Window.of(name, ends) for name, ends in free.items())
 
 
 def _sweep(where: str, direction: str, omega: Array, values: Array) -> Sweep:
@@ -152,48 +171,33 @@ def _by_order(omega: Array) -> list[tuple[str, NDArray[np.intp]]]:
 def _numbers(where: str, column: _Column, values: Any) -> Array:
     """Values of a column in the unit of its quantity."""
     units = "Hz" if column.name == "omega" else RESPONSE[column.name].units
-    allowed = "Hz, rad/s or rpm" if units == "Hz" else f"as {written(units)}"
-    example = {"Hz": "Hz", "m": "mm"}.get(units, written(units))
-    if not column.units:
-        remedy = f"{column.title.strip()} [{example}]"
-        raise ModelError(f"{where}: {column.title.strip()}: has no unit; write {remedy}")
-    try:
-        # Not a parameter: the caller states the unit.
-        factor = without_units(column.title, f"1 {column.units}", units)
-        if isinstance(factor, str):
-            raise ModelError("")
-    except ModelError:
-        said = f"unit {column.units!r}: must be {allowed}"
-        raise ModelError(f"{where}: {column.title.strip()}: {said}") from None
+    factor = factor_of(where, column.title, column.name, units)
+    if factor is None and units != "1":
+        example = {"Hz": "Hz", "m": "mm"}.get(units, written(units))
+        raise ModelError(f"{where}: {column.title}: has no unit; write {column.title} [{example}]")
     try:
         found = np.ravel(np.asarray(values, float))
     except (TypeError, ValueError):
-        raise ModelError(
-            f"{where}: {column.title.strip()}: must be numbers with decimal points"
-        ) from None
+        raise ModelError(f"{where}: {column.title}: must be numbers") from None
     wrong = np.flatnonzero(~np.isfinite(found))
     if wrong.size:
         said = f"row {wrong[0] + 1} is {found[wrong[0]]}"
-        raise ModelError(
-            f"{where}: {column.title.strip()}: {said}; leave out rows without a number"
-        )
+        raise ModelError(f"{where}: {column.title}: {said}; leave out rows without a number")
     if column.name == "omega" and found.size and found.min() <= 0.0:
-        raise ModelError(f"{where}: {column.title.strip()}: {found.min():g}: must be > 0")
-    return found * float(factor)
+        raise ModelError(f"{where}: {column.title}: {found.min():g}: must be > 0")
+    return found * (1.0 if factor is None else factor)
 
 
-def _column(where: str, title: str) -> _Column:
-    """The quantity, direction and unit that the title of a column names."""
-    words, units = split_title(title)
-    text = re.sub(r"[\s_]+", "_", words.lower())
+def _column(title: str) -> _Column:
+    """The quantity and direction that the title of a column names."""
+    text = re.sub(r"[\s_]+", "_", split_title(title)[0].lower())
     direction = next((each for each in DIRECTIONS if text.endswith(f"_{each}")), "")
     text = text.removesuffix(f"_{direction}") if direction else text
     name = _OTHER_NAMES.get(text, text)
-    if name not in _NAMES and not units and "_" in text:  # as amplitude_mm
-        start, _, end = re.sub(r"\s+", "_", words).rpartition("_")
-        start = start.lower()
-        name, units = _OTHER_NAMES.get(start, start), end
-    return _Column(name, direction, units, title)
+    if name not in _NAMES:  # a unit as of amplitude_mm
+        start = text.rpartition("_")[0]
+        name = _OTHER_NAMES.get(start, start)
+    return _Column(name, direction, title.strip())
 
 
 def _table(measured: Any) -> tuple[str, Mapping[str, Any]]:
@@ -217,26 +221,21 @@ def _table(measured: Any) -> tuple[str, Mapping[str, Any]]:
         raise ModelError(f"measured = {measured!r:.80}: {said}") from None
 
 
-def _csv(path: Path) -> dict[str, list[Any]]:
-    """Columns of a CSV file, with the separator of its first line."""
-    try:
-        lines = path.read_text(encoding="utf-8-sig").splitlines()
-    except (OSError, ValueError) as error:
-        raise ModelError(f"{path}: cannot be read: {error}") from None
-    lines = [line for line in lines if line.strip() and not line.lstrip().startswith("#")]
-    if not lines:
-        raise ModelError(f"{path}: is empty; the first line must be as {_EXAMPLE}")
-    separator = max(",;\t", key=lines[0].count)
-    titles, *rows = csv.reader(lines, delimiter=separator, skipinitialspace=True)
-    for number, row in enumerate(rows, 2):
-        if len(row) != len(titles):
-            said = f"{len(row)} columns, the first line has {len(titles)}"
-            raise ModelError(f"{path}: row {number}: {said}")
-    return {title: [row[k] or "nan" for row in rows] for k, title in enumerate(titles)}
+def _csv(path: Path) -> dict[str, Any]:
+    """Columns of a CSV file by their titles."""
+    found = read_columns(path)
+    named = list(enumerate(found.titles))
+    has_numbers = [_column(title).name in ("omega", *QUANTITIES) for title in found.titles]
+    return {
+        title: found.numbers(k) if has_numbers[k] else np.array(found.texts(k))
+        for k, title in named
+    }
 
 
 def _mat(path: Path) -> dict[str, Any]:
     """Arrays of a MATLAB file by their names."""
+    from scipy.io import loadmat  # a quarter of a second to import, and few sweeps need it
+
     try:
         found = loadmat(path, squeeze_me=True)
     except Exception as error:  # scipy raises errors of many kinds for damaged files

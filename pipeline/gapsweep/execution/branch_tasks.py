@@ -25,6 +25,7 @@ from gapsweep.continuation.seed import Attractor
 from gapsweep.execution.cluster import check_workers
 from gapsweep.execution.execute import is_gone
 from gapsweep.execution.isolated import CallError, Isolated, failure
+from gapsweep.model.contact import ContactLaw
 from gapsweep.status import Status
 from gapsweep.study.parametric_model import AlongParameter
 from gapsweep.study.points import FIXED, OF_CONTACT, Points
@@ -71,6 +72,26 @@ class Followed:
     branches: Any = None
 
 
+def model_of(
+    point: Points, system: AlongParameter | None
+) -> tuple[Any, dict[str, ContactLaw], float | None]:
+    """Return the model of a sweep point, its laws by contact, and its frequency if it is forced.
+
+    Parameters
+    ----------
+    point : Points
+        A table of one row.
+    system : AlongParameter, optional
+        A function of parameters that is returned in place of the point's model.
+    """
+    kind = point.kind
+    n = len(kind.contacts) * len(OF_CONTACT)
+    walls, omega, numbers = np.split(point.numbers[0, : -kind.n_states], [n, n + 1])
+    example = system() if system else kind.structure.system(numbers)
+    laws = dict(zip(example.contacts, kind.laws(walls), strict=True))
+    return system or example, laws, float(omega[0]) or None
+
+
 def follow(scene: BranchScene) -> Any:
     """Dataset of the branches or curves of a parameter set, as from `gapsweep.branches`.
 
@@ -81,18 +102,11 @@ def follow(scene: BranchScene) -> Any:
     ModelError
         If the model or a law cannot be built.
     """
-    window, table, kind = scene.window, scene.table, scene.point.kind
-    n = len(kind.contacts) * len(OF_CONTACT)
-    walls, omega, numbers = np.split(scene.point.numbers[0, : -kind.n_states], [n, n + 1])
+    window, table = scene.window, scene.table
     values: Mapping[str, float] = {window.name: window.low}
-    example = scene.system() if scene.system else kind.structure.system(numbers)
-    family = Family(
-        scene.system or example,
-        dict(zip(example.contacts, kind.laws(walls), strict=True)),
-        None if window.name == "omega" else float(omega[0]) or None,
-        (window.name,),
-        values,
-    )
+    model, laws, omega = model_of(scene.point, scene.system)
+    omega = None if window.name == "omega" else omega
+    family = Family(model, laws, omega, (window.name,), values)
     solver = solver_of(family, table.rtol, table.atol)
     if scene.points is not None:
         windows = window, Window.of(table.second or "", table.range)

@@ -18,7 +18,7 @@ from bokeh.models import (
 from bokeh.plotting import figure
 
 from gapsweep.explorer.page_results import BASINS, DECAY_TIMES, MAP, Plane, decay_times
-from gapsweep.explorer.question import Dial, Machine, Question, numbers
+from gapsweep.explorer.question import Dial, Question, SliderModel, numbers
 from gapsweep.model.labels import EXACT
 from gapsweep.report.style import CLASS_COLOURS, GREY, NOT_PERIODIC, NOT_SETTLED, sequence
 
@@ -39,7 +39,7 @@ class Planes:
         Basins and maps, of the exact law (0) and the first approximation (1).
     """
 
-    def __init__(self, machine: Machine) -> None:
+    def __init__(self, machine: SliderModel) -> None:
         self._machine = machine
         # Both laws share the colour scale and the ranges of the axes.
         self._peaks = {

@@ -45,7 +45,7 @@ class Scale:
 
 
 @dataclass(frozen=True, eq=False)
-class Machine:
+class SliderModel:
     """A model and the walls of its contacts as functions of the sliders.
 
     Attributes
@@ -146,9 +146,9 @@ class Question:
 
     Attributes
     ----------
-    machine : Machine
+    machine : SliderModel
     values : tuple of float
-        Values of the sliders in SI units, in the order of `Machine.names`.
+        Values of the sliders in SI units, in the order of `SliderModel.names`.
     approximations : tuple of str
         Labels of the other laws.
     band : (float, float)
@@ -170,7 +170,7 @@ class Question:
         The model at these values.
     """
 
-    machine: Machine
+    machine: SliderModel
     values: tuple[float, ...]
     band: tuple[float, float]
     approximations: tuple[str, ...] = ()
@@ -435,7 +435,7 @@ def _machine(
     widest: float,
     laws: Mapping[str, str] | None = None,
     exact: Mapping[str, Piecewise] | None = None,
-) -> Machine:
+) -> SliderModel:
     """The machine of a model, or of a function that returns it for keywords with defaults.
 
     `widest` is the distance of a wall; those of a system decide the power of ten that is shown.
@@ -443,11 +443,11 @@ def _machine(
     several = laws or {}, exact or {}
     if isinstance(model, Oscillator):
         numbers_of = {name: getattr(model, name) for name in _OSCILLATOR}
-        return Machine(lambda values: replace(model, **values), numbers_of, walls, *several)
+        return SliderModel(lambda values: replace(model, **values), numbers_of, walls, *several)
     factor = 10.0 ** (3 * round(math.log10(widest) / 3)) if widest else 1.0
     if isinstance(model, System):
-        return Machine(lambda _: model, {}, walls, *several, factor)
-    return Machine(lambda values: model(**values), _defaults(model), walls, *several, factor)
+        return SliderModel(lambda _: model, {}, walls, *several, factor)
+    return SliderModel(lambda values: model(**values), _defaults(model), walls, *several, factor)
 
 
 def _defaults(function: Any) -> dict[str, float]:
@@ -494,20 +494,20 @@ def of_model(
     for one in several.values():
         if not isinstance(one, ContactLaw):
             raise ModelError(f"law = {one!r:.80}: must be a contact law, as gapsweep.Piecewise")
-        _refuse_one_wall([one.gap.j_1, one.gap.j_2])
     if set(several) != set(example.contacts):
         raise ModelError(f"law: of {list(several)}: must name {list(example.contacts)}")
     is_one = len(set(map(id, several.values()))) == 1
     of_laws = {contact: _numbers_of(several[contact]) for contact in example.contacts}
-    walls = {
-        contact: {name: name if is_one else f"{name} of {contact}" for name in of_law}
-        for contact, of_law in of_laws.items()
-    }
+    walls: dict[str, dict[str, str | float]] = {contact: {} for contact in of_laws}
     values: dict[str, float] = {"omega": _LOOKED_AT * example.slowest}
     for contact, of_law in of_laws.items():
-        values |= {walls[contact][name]: value for name, value in of_law.items()}
+        for name, value in of_law.items():
+            slider = name if is_one else f"{name} of {contact}"
+            is_wall = value < math.inf
+            walls[contact][name] = slider if is_wall else value
+            values |= {slider: value} if is_wall else {}
     exact = {k: one for k, one in several.items() if isinstance(one, Piecewise) and one.located}
-    widest = max(one.gap.width for one in several.values())
+    widest = max(one.gap.size for one in several.values())
     machine = _machine(model, walls, widest, exact=exact)
     values |= machine.parameters
     low, fastest = example.slowest, min(example.fastest, _MODES * example.slowest)
@@ -562,12 +562,11 @@ def of_study(study: Study) -> tuple[Question, dict[str, tuple[float, float]]]:
     if not (example.is_forced and example.contacts):
         raise ModelError(f"{study.source}: {_NOT_SHOWN}")
     gaps = grid.gaps if {"gap", "j_1"} & grid.axes.keys() else ()
-    _refuse_one_wall([wall for gap in gaps for wall in (gap.j_1, gap.j_2)])
     machine = _machine_of(study, gaps)
     ranges = {
         name: (min(axis), max(axis)) for name, axis in grid.axes.items() if name in machine.names
     }
-    for name in ("j_1", "j_2") if gaps else ():
+    for name in {"j_1", "j_2"}.intersection(machine.names) if gaps else ():
         walls = [getattr(gap, name) for gap in gaps]
         ranges[name] = min(walls), max(walls)
     band = ranges.pop("omega")
@@ -589,23 +588,24 @@ def of_study(study: Study) -> tuple[Question, dict[str, tuple[float, float]]]:
         values=tuple(float(values[name]) for name in machine.names),
         band=band,
         approximations=tuple(others[:1]),
-        fit_range=spec.fit.range,
+        fit_range=spec.approximation.range,
     )
     return question, ranges
 
 
-def _refuse_one_wall(distances: Sequence[float]) -> None:
-    if math.inf in distances:
-        raise ModelError(
-            "gap = inf: explore has walls on both sides, as gs.Gap(4e-4, 4e-4); use "
-            "gapsweep.respond"
-        )
-
-
-def _machine_of(study: Study, gaps: Sequence[Gap]) -> Machine:
+def _machine_of(study: Study, gaps: Sequence[Gap]) -> SliderModel:
     """The model of a study; numbers of a contact in [contact] have no slider."""
     walls: dict[str, dict[str, str | float]] = {}
-    laws, widths = {}, [gap.width for gap in gaps]
+    laws, widths = {}, [gap.size for gap in gaps]
+    places = dict[str, str | float]()
+    for name in ("j_1", "j_2"):
+        is_absent = [getattr(gap, name) == math.inf for gap in gaps]
+        if any(is_absent) and not all(is_absent):
+            raise ModelError(
+                f"{study.source}: {name} = inf next to other values: explore draws machines with "
+                "equal walls; give a study of either"
+            )
+        places |= {name: math.inf} if any(is_absent) else {}
     for contact in study.model.contacts:
         table = study.spec.contact.get(contact)
         own = {} if table is None else table.model_dump(exclude_none=True)
@@ -616,13 +616,12 @@ def _machine_of(study: Study, gaps: Sequence[Gap]) -> Machine:
                     f"{study.source}: contact {contact}: {law}: user laws are not computed here"
                 )
         if "gap" in own:
-            _refuse_one_wall(own["gap"])
             own["j_1"], own["j_2"] = own.pop("gap")
-            widths.append(own["j_1"] + own["j_2"])
+            widths.append(Gap(own["j_1"], own["j_2"]).size)
         # A contact with a separate law has the damping that the study gives it, if any.
         names = [name for name in _WALLS if name != _CHI]
         names = [name for name in names if name in own or contact not in laws or name != "damping"]
-        walls[contact] = {name: own.get(name, name) for name in names}
+        walls[contact] = {name: own.get(name, places.get(name, name)) for name in names}
     model = study.model.along(tuple(study.spec.model), {}) or study.model.default
     return _machine(model, walls, max(widths, default=0.0), laws)
 

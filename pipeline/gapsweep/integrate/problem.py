@@ -166,8 +166,8 @@ class Models:
                     walls += (stiffest if law.losses.is_rigid else _stiffness(law)) * np.outer(b, b)
                 length[rows] = np.minimum(length[rows], system.held(walls) + farther[rows])
         for number, laws in enumerate(self.laws):
-            rows = np.flatnonzero((self.law == number) & np.isfinite(spring) & (length > 0.0))
-            if len(laws) == 1 and isinstance(laws[0], UserLaw | ForceTable) and rows.size:
+            if len(laws) == 1 and isinstance(laws[0], UserLaw | ForceTable):
+                rows = np.flatnonzero((self.law == number) & np.isfinite(spring) & (length > 0.0))
                 x, load = length[rows], spring[rows] * length[rows]
                 with np.errstate(all="ignore"):  # far outside the range of the law
                     force = np.minimum(abs(laws[0].force(x)), abs(laws[0].force(-x)))

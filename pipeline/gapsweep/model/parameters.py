@@ -1,19 +1,20 @@
-"""Parameters of models and of contact laws by name, with shifted values."""
+"""Numbers of models and of contact laws by name, and models with other values of them."""
 
 import math
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
-from itertools import chain
 from typing import Any
 
 from gapsweep.errors import ModelError
 from gapsweep.model.contact import ContactLaw
+from gapsweep.model.oscillator import OSCILLATOR, Oscillator
 from gapsweep.model.system import System
 from gapsweep.model.user_law import UserLaw
 from gapsweep.model.waves import ForceByPieces
 
-_WALLS = {"gap": ("j_1", "j_2"), "j_1": ("j_1",), "j_2": ("j_2",)}
+WALLS = ("j_1", "j_2")
+GAP = ("gap", *WALLS)
 _OF_CONTACT = re.compile(r"(\w+)\[(.+)\]")
 
 
@@ -38,16 +39,22 @@ class Parameter:
     function: Callable[..., Any] | None = None
     arguments: Mapping[str, float] = field(default_factory=dict)
 
-    @property
-    def _of_law(self) -> tuple[str, str | None]:
-        """Name of a law's number, and the contact if it is only one's."""
-        found = _OF_CONTACT.fullmatch(self.name)
-        return (found[1], found[2]) if found else (self.name, None)
-
     def _is_of_model(self, model: Any) -> bool:
         if isinstance(model, System):
             return self.name == "forcing"
-        return self.name in _numbers(model)
+        return self.name in numbers_of(model)
+
+    def _of_laws(self, model: Any, laws: Sequence[ContactLaw]) -> list[dict[str, float]]:
+        """Numbers of the law of every contact that it changes, by name."""
+        found = _OF_CONTACT.fullmatch(self.name)
+        name, contact = found.groups() if found else (self.name, None)
+        names = WALLS if name == "gap" else (name,)
+        return [
+            {each: value for each, value in numbers_of(law).items() if each in names}
+            if contact in (None, place)
+            else {}
+            for place, law in zip(model.contacts, laws, strict=True)
+        ]
 
     def values(self, model: Any, laws: Sequence[ContactLaw], omega: float) -> list[float]:
         """Return the value, or those of all contacts and walls that it changes together.
@@ -63,20 +70,11 @@ class Parameter:
             return [omega]
         if self._is_of_model(model):
             return [1.0 if isinstance(model, System) else float(getattr(model, self.name))]
-        name, contact = self._of_law
-        found: list[float] = []
-        for place, law in zip(model.contacts, laws, strict=True):
-            if contact in (None, place):
-                found += _distances(law, name).values()
-                found += [getattr(law, name)] if name in _numbers(law) else []
-        if found:
+        if found := [value for own in self._of_laws(model, laws) for value in own.values()]:
             return found
         known = [*self.arguments] + (["omega"] if model.is_forced else [])
-        known += ["forcing"] if isinstance(model, System) and model.forcing else _numbers(model)
-        several = (
-            [*_numbers(law), *(name for name in _WALLS if _distances(law, name))] for law in laws
-        )
-        own = list(dict.fromkeys(chain.from_iterable(several)))
+        known += ["forcing"] if isinstance(model, System) and model.forcing else numbers_of(model)
+        own = list(dict.fromkeys(each for law in laws for each in [*numbers_of(law), "gap"]))
         known += own + [f"{own[0]}[{place}]" for place in model.contacts if len(laws) > 1]
         raise ModelError(f"parameter {self.name!r}: must be one of {', '.join(known)}")
 
@@ -93,35 +91,43 @@ class Parameter:
             if isinstance(model, System):
                 loads = tuple(_scaled(load, 1.0 + by) for load in model.forcing)
                 return replace(model, forcing=loads), tuple(laws), omega
-            changed = replace(model, **{self.name: getattr(model, self.name) + by})
-            return changed, tuple(laws), omega
-        name, contact = self._of_law
-        pairs = zip(model.contacts, laws, strict=True)
-        found = [_shifted(law, name, by) if contact in (None, x) else law for x, law in pairs]
-        return model, tuple(found), omega
+            value = getattr(model, self.name) + by
+            return with_numbers(model, {self.name: value}), tuple(laws), omega
+        found = zip(laws, self._of_laws(model, laws), strict=True)
+        moved = [(law, {name: value + by for name, value in own.items()}) for law, own in found]
+        return model, tuple(with_numbers(law, own) for law, own in moved), omega
 
 
-def _numbers(of: Any) -> list[str]:
-    """Names of the numbers of an oscillator or a law; none of a system or of a user law."""
-    if isinstance(of, System | UserLaw):
-        return []
-    return [each.name for each in fields(of) if type(getattr(of, each.name)) is float]
+def numbers_of(of: Any) -> dict[str, float]:
+    """Return the numbers of an oscillator or of a law by name, with its walls; none of a system."""
+    if isinstance(of, System):
+        return {}
+    if isinstance(of, Oscillator):
+        return {name: getattr(of, name) for name in OSCILLATOR}
+    walls = {wall: j for wall in WALLS if (j := getattr(of.gap, wall)) < math.inf}
+    if isinstance(of, UserLaw):
+        return {**walls, **of.parameters}
+    own = {each.name: getattr(of, each.name) for each in fields(of)}
+    return {name: value for name, value in own.items() if type(value) is float} | walls
 
 
-def _distances(law: ContactLaw, name: str) -> dict[str, float]:
-    """Distances [m] of the walls of a law that a name means, without missing walls."""
-    several = {wall: getattr(law.gap, wall) for wall in _WALLS.get(name, ())}
-    return {wall: j for wall, j in several.items() if j < math.inf}
+def with_numbers(of: Any, values: Mapping[str, float]) -> Any:
+    """Return an oscillator or a law with other values of its numbers; other names are ignored.
+
+    ``"gap"`` is the distance of every wall of a law. Walls of user laws stay where they are.
+    """
+    if isinstance(of, UserLaw):
+        own = {name: value for name, value in values.items() if name in of.parameters}
+        return replace(of, parameters={**of.parameters, **own}) if own else of
+    own = {name: values[name] for name in numbers_of(of).keys() & values if name not in WALLS}
+    if isinstance(of, ContactLaw) and not values.keys().isdisjoint(GAP):
+        gap = of.gap.at(values["gap"]) if "gap" in values else of.gap
+        walls = {wall: values[wall] for wall in WALLS if wall in values}
+        return replace(of, **own, gap=replace(gap, **walls))
+    return replace(of, **own) if own else of
 
 
 def _scaled(load: Any, factor: float) -> Any:
     if isinstance(load, ForceByPieces):
         return replace(load, peak=load.peak * factor)
     return replace(load, amplitude=load.amplitude * factor)
-
-
-def _shifted(law: ContactLaw, name: str, by: float) -> ContactLaw:
-    if name in _WALLS:
-        walls = {wall: j + by for wall, j in _distances(law, name).items()}
-        return replace(law, gap=replace(law.gap, **walls))
-    return replace(law, **{name: getattr(law, name) + by})

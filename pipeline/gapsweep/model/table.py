@@ -18,7 +18,7 @@ Array = NDArray[np.float64]
 MAX_POINTS = 10_000
 _LENGTHS = {"m": 1.0, "mm": 1e-3, "um": 1e-6}
 _FORCES = {"N": 1.0, "mN": 1e-3, "kN": 1e3}
-_LOADS = "N", "N m"
+_X, _LOADS = ("m", "rad"), ("N", "N m")
 _NO_WALL = 1e-12  # of the other chord's slope: the ratio of two needs both
 
 
@@ -108,13 +108,11 @@ class ForceTable(ContactLaw):
         for name, unit, known in (("x", x, _LENGTHS), ("force", force, _FORCES)):
             if unit is not None and (not isinstance(unit, str) or unit not in known):
                 raise ModelError(f"{name} = {unit!r}: must be a unit: {', '.join(known)}")
-        words, rows = read_columns(path)
-        x_title, force_title = words or ("", "")
-        factors = (
-            _factor(path, x_title, "x", None if x is None else _LENGTHS[x], ("m", "rad")),
-            _factor(path, force_title, "force", None if force is None else _FORCES[force], _LOADS),
-        )
-        places, forces = (rows * factors).T
+        found = read_columns(path)
+        places, forces = found.numbers(0), found.numbers(1)
+        places *= _factor(path, found.title(0), "x", None if x is None else _LENGTHS[x], _X)
+        given = None if force is None else _FORCES[force]
+        forces *= _factor(path, found.title(1), "force", given, _LOADS)
         return cls(places, forces, gap, noise)
 
     def __repr__(self) -> str:
@@ -201,14 +199,7 @@ def _factor(
     units: tuple[str, str],
 ) -> float:
     """Return the factor of a column to SI units; `units` are those of a force and of a torque."""
-    written = None
-    for each in units:
-        try:
-            written = factor_of(title, name, each)
-            break
-        except ModelError as error:
-            if each == units[-1]:
-                raise ModelError(f"{path}: column {title.strip()!r}: {error}") from None
+    written = factor_of(str(path), title, name, *units)
     if None not in (given, written) and given != written:
         raise ModelError(
             f"{path}: column {title.strip()!r}: has another unit than the argument {name}; leave "

@@ -313,16 +313,17 @@ class Record(ForceByPieces):
 
 def _columns(path: str | PathLike[str], of_time: str) -> tuple[Array, Array]:
     """Return times and forces of a file in SI units; `of_time` is the unit of times."""
-    words, rows = read_columns(path)
-    factors = []
-    for number, (name, units) in enumerate((("time", of_time), ("force", "N"))):
+    found = read_columns(path)
+    several = []
+    for place, (name, units) in enumerate((("time", of_time), ("force", "N"))):
+        values = found.numbers(place)
         try:
-            factor = factor_of(words[number], name, units) if words else None
+            factor = factor_of(str(path), found.title(place), name, units)
         except ModelError as error:
             remedy = "; give the period [s], as period=0.02" if units == "1" else ""
-            raise ModelError(f"{path}: column {words[number].strip()!r}: {error}{remedy}") from None
-        factors.append(1.0 if factor is None else factor)
-    t, force = (rows * factors).T
+            raise ModelError(f"{error}{remedy}") from None
+        several.append(values * (1.0 if factor is None else factor))
+    t, force = several
     return t, force
 
 

@@ -16,7 +16,7 @@ from gapsweep.continuation.dataset import (
     VARIABLES,
     special_points,
 )
-from gapsweep.continuation.special import Special
+from gapsweep.continuation.special import GRAZES, Special
 from gapsweep.errors import DatasetError
 from gapsweep.report import marks, scales
 from gapsweep.report.marks import Marks
@@ -49,6 +49,8 @@ KINDS = {
     Special.CUSP: ("d", "cusp"),
     Special.RESONANCE_1_1: ("h", "resonance 1:1"),
     Special.RESONANCE_1_2: ("p", "resonance 1:2"),
+    Special.BORDER_FOLD: ("<", "border fold"),
+    Special.BORDER_FLIP: (">", "border flip"),
 }
 _MOST_NAMES = 8  # branches in a legend
 _FONT, _DARK = 8.0, "#222222"  # points
@@ -268,7 +270,7 @@ def lines(branches: xr.Dataset, along: str, height: str) -> Iterator[tuple[int, 
     for number, (x, y, stable, special) in enumerate(zip(*columns, strict=True)):
         there = np.isfinite(x) & np.isfinite(y)
         # At a bifurcation rounding decides whether a multiplier exceeds 1: take the neighbour's.
-        is_at = (special > 0) & (special != Special.GRAZING)
+        is_at = (special > 0) & ~np.isin(special, GRAZES)
         of_step = np.where(is_at[:-1], stable[1:], stable[:-1])
         for is_stable in (False, True):
             chosen = (of_step == is_stable) & there[:-1] & there[1:]

@@ -14,7 +14,9 @@ from gapsweep.report.sections import (
     benchmarks,
     claim_list,
     contact_losses,
+    derivatives,
     findings,
+    fitted,
     force_errors,
     model,
     overview,
@@ -63,6 +65,7 @@ def results(inputs: Inputs) -> Iterator[Part]:
 
 SECTIONS = (
     Section(answer.sections, template="_answer.html", script="answer"),
+    Section(fitted.sections),
     Section(uncertainty.sections),
     Section(findings.sections, template="_findings.html"),
     Section(model.sections, template="_pairs.html"),
@@ -70,6 +73,7 @@ SECTIONS = (
     Section(benchmarks.work_precision, RESULTS),
     Section(benchmarks.stability, RESULTS),
     Section(results, RESULTS),
+    Section(derivatives.sections),
     Section(force_errors.sections),
     Section(contact_losses.sections),
     Section(claim_list.sections, template="_claims.html", script="claims"),

@@ -35,6 +35,7 @@ WORDS = {
     "amplitude": "amplitude",
     "force_max": "largest contact force",
     "contact_share": "share of time in contact",
+    "energy_lost": "energy lost per forcing period",
     "contact_x_max": "peak relative displacement",
     "contact_x_min": "trough relative displacement",
     "extrema": "steady extrema",

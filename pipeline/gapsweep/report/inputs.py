@@ -30,6 +30,10 @@ class Inputs:
         Branches of periodic orbits, and curves of their special points.
     risk : Dataset, optional
         Present if numbers are uncertain.
+    fit : Dataset, optional
+        Fit to measured sweeps, with the branches of the fitted model.
+    gradients : Dataset, optional
+        Derivatives of the quantities of attractors by parameters.
     claims : mapping, optional
         ``claims.json``.
     sections : sequence of mapping, optional
@@ -47,6 +51,8 @@ class Inputs:
     branches: xr.Dataset | None = None
     curves: xr.Dataset | None = None
     risk: xr.Dataset | None = None
+    fit: xr.Dataset | None = None
+    gradients: xr.Dataset | None = None
     claims: Mapping[str, Any] | None = None
     sections: Sequence[Mapping[str, Any]] | None = None
 

@@ -10,6 +10,7 @@ import numpy as np
 from matplotlib import rc_context
 from matplotlib.figure import Figure
 
+from gapsweep.analysis.datasets import fit_file
 from gapsweep.analysis.dimensions import Array
 from gapsweep.analysis.spectra import spectrum
 from gapsweep.design.fit import Fit
@@ -104,7 +105,7 @@ def plot(
         with rc_context(MATPLOTLIB):
             figure = Picture(figsize=(7.0, 5.6))
             above, below = figure.subplots(2, 1, height_ratios=(3, 1))
-            fit_figure.draw(above, below, run)
+            fit_figure.draw(above, below, fit_file.dataset(run))
         return figure
     if isinstance(run, Response):
         run, start = _steady_motion(run), 0.0 if start is None else start

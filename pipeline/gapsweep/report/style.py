@@ -64,7 +64,7 @@ class _Family:
     """Colours of the coarsest and the sharpest law of a family, and its scale of sharpness.
 
     A law is ``(number - reference) / step`` steps from the reference, where the number is the
-    degree, the sum of both degrees, or the decimal logarithm of the convergence parameter.
+    degree, the sum of both degrees, the decimal logarithm of the convergence parameter, or chi.
     """
 
     coarse: str
@@ -79,6 +79,7 @@ _FAMILIES = {
     "tanh": _Family("#eb7001", "#c04f00", 4.0),
     "arctan": _Family("#12824d", "#195a45", 4.0),
     "logarctan": _Family("#4b80ce", "#1d5698", 4.0),
+    "huntcrossley": _Family("#d4579f", "#8d0f5c", 0.0, 4.0),
 }
 _USER = _Family("#3d9dc0", "#18728f", 0.0)
 _STEPS = -2.0, 5.0  # from the coarse colour to the sharp one

@@ -177,6 +177,8 @@ TAKEN = {
     # of risk.nc and the table [uncertain]
     *("event", "quantity", "level", "number", "samples", "repeats", "seed", "indices"),
     *("correlation", "quantities", "safe", "probability", "low", "high", "first_order", "total"),
+    # of gradients.nc
+    *("parameter", "gradient", "value", "reason"),
     # of agreement.nc and timing.nc
     *("regime", "bound", "f1", "precision", "recall"),
     *("n_points", "n_compared", "n_failed", "n_unresolved"),

@@ -47,6 +47,7 @@ from gapsweep.study.axes import (
     values,
 )
 from gapsweep.study.bench_tables import BenchTable
+from gapsweep.study.fit_table import FitTable, with_sweep
 from gapsweep.study.grid import START, Axes
 from gapsweep.study.least_model import DEFAULT_ERROR, LARGEST_ERROR, SMALLEST_ERROR
 from gapsweep.study.oscillator_table import OscillatorTable, with_points
@@ -152,7 +153,7 @@ class SteadyTable(TomlTable):
         return self
 
 
-class FitTable(TomlTable):
+class ApproximationTable(TomlTable):
     range: Positive = FIT_RANGE
 
 
@@ -267,6 +268,12 @@ class BranchesTable(TomlTable):
             yield f"branches.range = {self.range}: must contain {name} = {value:g} of the study"
 
 
+class GradientsTable(TomlTable):
+    """Derivatives of the quantities of all periodic attractors by parameters."""
+
+    by: Annotated[list[str], Field(min_length=1)]
+
+
 def is_followed(one: Representation) -> bool:
     """Whether branches of a representation are followed: contacts located, no protocol."""
     return not (one.protocol or one.is_auto or one == NOT_LOCATED)
@@ -297,12 +304,14 @@ class StudySpec(TomlTable):
     solver: SolverTable = SolverTable()
     protocol: dict[Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]+$")], SolverTable] = Field({})
     steady: SteadyTable = SteadyTable()
-    fit: FitTable = FitTable()
+    approximation: ApproximationTable = ApproximationTable()
     auto: AutoTable = AutoTable()
     history: list[HistoryTable] = Field([])
     bench: BenchTable | None = None
     branches: BranchesTable | None = None
     uncertain: UncertainTable | None = None
+    fit: FitTable | None = None
+    gradients: GradientsTable | None = None
     claims: ClaimsTable | None = None
     report: ReportTable | None = None
 
@@ -401,8 +410,10 @@ class StudySpec(TomlTable):
         ]
         if any(one.is_auto and one.protocol for one in self.representations):
             wrong.append("'auto' chooses solver settings; leave out the protocol")
-        if self.uncertain and self.branches:
-            wrong.append("branches: not together with [uncertain]; write a separate study")
+        if self.uncertain:
+            several = [name for name in ("branches", "fit", "gradients") if getattr(self, name)]
+            said = "not together with [uncertain]; write a separate study"
+            wrong += [f"{name}: {said}" for name in several]
         if any(one.is_auto for table in self.history for one in table.representation):
             wrong.append("history: 'auto' is not allowed; write a representation, as 'piecewise'")
         if any(method.label.is_auto for method in methods):
@@ -552,7 +563,7 @@ def _line(text: str, error: ValueError) -> str:
 
 def check(tables: dict[str, Any], source: str = "study") -> StudySpec:
     """Check the tables of a study; see `parse`."""
-    tables = with_numbers(with_data(with_points(tables, source), source))
+    tables = with_numbers(with_sweep(with_data(with_points(tables, source), source), source))
     try:
         return StudySpec.model_validate(tables)
     except ValidationError as error:

@@ -21,6 +21,7 @@ from gapsweep.model.contact import OF_WALLS, ContactLaw, Piecewise
 from gapsweep.model.labels import EXACT, Representation, contact_law
 from gapsweep.model.oscillator import Gap, Oscillator
 from gapsweep.model.own_law import OwnLaw, checked
+from gapsweep.model.parameters import Parameter
 from gapsweep.model.structure import AnyStructure
 from gapsweep.response.result import Steady
 from gapsweep.study.axes import MAX_POINTS, MAX_VALUES, forms
@@ -163,7 +164,14 @@ class Study:
         )
         if self.spec.branches:
             of_branches = self.spec.branches.problems(axes, known, self.spec.contact)
-            lines = chain(lines, of_branches, self._problems_of_range())
+            second = {self.spec.branches.second or "": self.spec.branches.range or []}
+            lines = chain(lines, of_branches, self._problems_of_ranges("branches.range", second))
+        if fit := self.spec.fit:
+            walls = ["K_c", "gap", "j_1", "j_2", *OF_WALLS] if self.model.contacts else []
+            of_fit = fit.problems(axes, [*walls, *known], self.spec.contact.values())
+            lines = chain(lines, of_fit, self._problems_of_ranges("fit.free", fit.free))
+        if self.spec.gradients:
+            lines = chain(lines, self._problems_of_gradients(self.spec.gradients.by))
         if self.spec.uncertain:
             lines = chain(lines, self._problems_of_uncertain())
         problems = [f"{self.source}: {line}" for line in lines]
@@ -194,13 +202,13 @@ class Study:
             except ModelError as error:
                 yield f"{one}: {error}"
 
-    def _problems_of_range(self) -> Iterator[str]:
-        """Values of the second parameter of [branches] that no model can have."""
-        table = self.spec.branches
-        assert table is not None
-        for value in table.range or ():
+    def _problems_of_ranges(
+        self, where: str, ranges: Mapping[str, Sequence[float]]
+    ) -> Iterator[str]:
+        """Values of ranges of numbers that no model can have."""
+        for name, value in ((name, value) for name, ends in ranges.items() for value in ends):
             try:
-                match table.second:
+                match name:
                     case "gap" | "j_1" | "j_2":
                         Gap(value, value)
                     case "K_c":
@@ -209,10 +217,23 @@ class Study:
                         Piecewise(1.0, Gap(0.0, 0.0), K_ratio=value)
                     case "damping":
                         Piecewise(1.0, Gap(0.0, 0.0), damping=value)
-                    case str(name) if self.model.is_oscillator and name in self.spec.model:
+                    case _ if self.model.is_oscillator and name in self.spec.model:
                         replace(self.oscillator, **{name: value})
             except ModelError as error:
-                yield f"branches.range = {table.range}: {error}"
+                yield f"{where}: {error}"
+
+    def _problems_of_gradients(self, names: Sequence[str]) -> Iterator[str]:
+        """Names that are no parameters of the model or of the exact law."""
+        model = self.model.default
+        exact = tuple(Piecewise(1.0, Gap(1.0, 1.0)) for _ in model.contacts)
+        own = {} if self.model.is_oscillator else self.spec.parameters
+        if EXACT not in {one.law for one in self._axes["representation"]}:
+            yield f"gradients: no representation has located contacts; add {str(EXACT)!r}"
+        for name in names:
+            try:
+                Parameter(name, None, own).values(model, exact, 1.0)
+            except ModelError as error:
+                yield f"gradients.by: {error}"
 
     def _check_modules(self) -> None:
         """Refuse modules of [claims] and [report] that cannot be read; none of them is run."""
@@ -336,7 +357,7 @@ class Study:
             return own.law(K_c, gap, K_ratio)
         law = Representation(label).law
         of_walls = {"K_ratio": K_ratio, "damping": damping}
-        return contact_law(law, K_c, gap, self.spec.fit.range, **of_walls)
+        return contact_law(law, K_c, gap, self.spec.approximation.range, **of_walls)
 
     @property
     def own_laws(self) -> tuple[Representation, ...]:
@@ -568,7 +589,7 @@ class Study:
             representation=one.law,
             solver=self.solver(one),
             steady=self.steady,
-            fit_range=self.spec.fit.range,
+            fit_range=self.spec.approximation.range,
             start=start,
             start_jitter=self.start_jitter(one),
             law_code=None if own is None else own.key,

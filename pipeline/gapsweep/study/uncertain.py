@@ -1,6 +1,5 @@
 """The table ``[uncertain]`` of a study: distributions of numbers, and events."""
 
-import csv
 import math
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from pathlib import Path
@@ -10,9 +9,10 @@ import numpy as np
 from pydantic import AfterValidator, Field, ValidationError, model_validator
 
 from gapsweep.errors import ModelError, StudyError
+from gapsweep.model.arrays import factor_of, read_columns
 from gapsweep.model.contact import OF_WALLS
 from gapsweep.model.structure import AnyStructure
-from gapsweep.quantities import without_units
+from gapsweep.quantities import UNITS, without_units
 from gapsweep.response.result import RESPONSE, ResponseClass, columns_of
 from gapsweep.study.axes import MAX_VALUES, Number, Positive, Range, TomlTable
 from gapsweep.study.oscillator_table import OscillatorTable
@@ -95,8 +95,8 @@ class DistributionTable(TomlTable):
 def with_data(tables: Any, source: str) -> Any:
     """Return the tables of a study with measured values in place of files.
 
-    ``{ data = "gaps.csv", column = "gap" }`` has the values of a column of that file, which is next
-    to the study and begins with the names of its columns.
+    ``{ data = "gaps.csv", column = "gap" }`` has the values of the column ``gap [mm]`` of a file
+    next to the study; without a unit in its title they are in SI units.
 
     Raises
     ------
@@ -114,37 +114,14 @@ def with_data(tables: Any, source: str) -> Any:
                 raise StudyError(f"{where}: data needs column, as column = 'gap'")
             rest = {key: value for key, value in table.items() if key != "column"}
             try:
-                found[name] = rest | {"data": _column(folder / table["data"], column)}
-            except ValueError as error:
+                columns = read_columns(folder / table["data"])
+                place = columns.place(column)
+                factor = factor_of(columns.path, columns.title(place), name, UNITS.get(name, ""))
+                values = columns.numbers(place) * (1.0 if factor is None else factor)
+                found[name] = rest | {"data": values.tolist()}
+            except ModelError as error:
                 raise StudyError(f"{where}: {error}") from None
     return tables | {"uncertain": found}
-
-
-def _column(path: Path, name: str) -> list[float]:
-    """Return the numbers of a column of a CSV file with a header.
-
-    Raises
-    ------
-    ValueError
-        If the file cannot be read or has no such column of finite numbers.
-    """
-    try:
-        with path.open(encoding="utf-8-sig", newline="") as file:
-            rows = csv.DictReader(file)
-            names = rows.fieldnames or []
-            if name not in names:
-                raise ValueError(f"column {name!r}: {path.name} has {', '.join(names)}")
-            texts = [row[name] or "" for row in rows]
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise ValueError(f"{path} cannot be read: {error}") from None
-    found = []
-    for i, text in enumerate(texts):
-        try:
-            found.append(float(text))
-        except ValueError:
-            problem = f"{path.name}, row {i + 2}: {name} = {text!r:.40}"
-            raise ValueError(f"{problem}: must be a number") from None
-    return found
 
 
 class EventTable(TomlTable):

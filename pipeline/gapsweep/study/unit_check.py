@@ -82,7 +82,7 @@ def _out_of_range(status: NDArray[Any], labels: Sequence[Representation]) -> Ite
     for label, some in zip(labels, status, strict=False):  # none if the file cannot be read
         n = np.count_nonzero(some != Status.NOT_REQUESTED)
         if 0 < n == np.count_nonzero(some == Status.OUT_OF_FIT_RANGE):
-            remedy = "increase range in [fit]" if label.is_fitted else "extend its table"
+            remedy = "increase range in [approximation]" if label.is_fitted else "extend its table"
             yield f"{label}: all {n} points leave its range (out_of_fit_range); {remedy}"
 
 

@@ -89,7 +89,7 @@ def _scenario(study: Study, table: BenchSceneTable) -> Scenario:
         v_0=v_0,
         n_periods=table.horizon or study.spec.bench.horizon,
         expected=table.expected,
-        fit_range=study.spec.fit.range,
+        fit_range=study.spec.approximation.range,
         without=tuple(table.without),
         own=dict(_own_laws(study)),
     )

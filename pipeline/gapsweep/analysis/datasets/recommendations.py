@@ -142,7 +142,7 @@ def _screened(study: Study, share: float) -> tuple[list[str], dict[str, Any]]:
         oscillator = replace(study.oscillator, **{n: axes[n] for n in OSCILLATOR if n in axes})
         oscillator = at_resonance(oscillator, grid.omega)
         forcing = abs(oscillator.forcing)
-        placed = partial(_placed, oscillator, *walls, study.spec.fit.range)
+        placed = partial(_placed, oscillator, *walls, study.spec.approximation.range)
         labels = []
         for name, seed in seeds.items():
             with suppress(ModelError):  # of a fit whose range does not reach the walls

@@ -121,7 +121,7 @@ def static(study: Study, responses: xr.Dataset | None = None) -> xr.Dataset:
     Dataset
         With title, study, study_json as attributes.
     """
-    grid, x_max = study.grid, study.spec.fit.range
+    grid, x_max = study.grid, study.spec.approximation.range
     labels = tuple(dict.fromkeys(one.law for one in grid.representations if not one.is_auto))
     x = displacements(grid.gaps, x_max)
     swept = {name: grid.axes[name] for name in grid.scene_dims if name in (*_SPRING, "K_ratio")}
@@ -208,7 +208,7 @@ def _with_forcing(
         for oscillator, K_c, gap, ratio in models
         for p in forcing.tolist()
     ]
-    ranges, x_max = _visited(responses, over[1:]), study.spec.fit.range
+    ranges, x_max = _visited(responses, over[1:]), study.spec.approximation.range
     is_expected = ranges is None
     if ranges is None:
         ranges = np.array([expected_range(*case, x_max) for case in cases])
@@ -276,7 +276,7 @@ def _unless_refused(measured: Callable[..., Values], *given: Any) -> Values:
 
 def _of_walls(x: Array, study: Study, label: str, K_c: float, gap: Gap, K_ratio: float) -> Values:
     """The law, and the values that depend on the law only, not on the oscillator."""
-    law, x_max = study.law(label, K_c, gap, K_ratio), study.spec.fit.range
+    law, x_max = study.law(label, K_c, gap, K_ratio), study.spec.approximation.range
     force = law.force(x)
     return {
         "law": law,

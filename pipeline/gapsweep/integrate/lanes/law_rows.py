@@ -3,6 +3,7 @@
 import builtins
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import cache
 from inspect import signature
 from types import BuiltinFunctionType, CellType, FunctionType
 from typing import Any
@@ -44,9 +45,10 @@ def rows_of_law(law: type[ContactLaw]) -> dict[str, int]:
     return _ROWS | {name: OWN + i for i, name in enumerate(own)}
 
 
-def arguments(formula: Callable[..., Any]) -> list[str]:
+@cache
+def arguments(formula: Callable[..., Any]) -> tuple[str, ...]:
     """Names of a formula's arguments after the displacement."""
-    return [*signature(formula).parameters][1:]
+    return tuple(signature(formula).parameters)[1:]
 
 
 def with_callees(function: Any, done: dict[Any, Any], compiled: Callable[..., Any]) -> Any:
@@ -155,7 +157,11 @@ def _moved(table: SceneTable, at: RowLayout) -> SceneTable:
     """Copy a table into a layout that has all of its blocks."""
     at = known(at)
     rows = np.zeros((len(table.table), at.n_rows))
-    for name, size in table.at.blocks.items():
-        old, new = table.at.first[name], at.first[name]
-        rows[:, new : new + size] = table.table[:, old : old + size]
+    rows[:, _places(table.at, at)] = table.table
     return replace(table, at=at, table=rows)
+
+
+@cache
+def _places(old: RowLayout, new: RowLayout) -> NDArray[np.intp]:
+    """Return the number in a layout of every row of another one."""
+    return np.concatenate([new.first[name] + np.arange(n) for name, n in old.blocks.items()])

@@ -373,7 +373,8 @@ def run(
         if method.is_users:  # not far away: the force is no number beyond the last step
             is_far = np.abs(ended[:, at.q : at.q + at.n]).max(axis=1) > DIVERGED_AT
             statuses[(statuses == Status.DIVERGED) & ~is_far] = Status.MODEL_INVALID
-        statuses[left_range & np.isin(statuses, _OF_MOTIONS)] = Status.OUT_OF_FIT_RANGE
+        if left_range.any():
+            statuses[left_range & np.isin(statuses, _OF_MOTIONS)] = Status.OUT_OF_FIT_RANGE
         # A point that follows a failed point has failed with the same status.
         source = np.maximum.accumulate(np.where(has_failed, 0, np.arange(n)))
         statuses = statuses[source]

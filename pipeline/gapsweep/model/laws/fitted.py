@@ -119,7 +119,7 @@ class Fitted(ContactLaw):
         if value <= farther:
             raise ModelError(
                 f"fit range = {value:g}: must be > {farther:g}, where the farther wall stands, "
-                "whose contact the fit would leave out: raise it ([fit] range of a study)"
+                "whose contact the fit would leave out: raise it ([approximation] range of a study)"
             )
         _ = self.fit
 

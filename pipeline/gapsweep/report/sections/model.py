@@ -76,7 +76,7 @@ def _oscillator(responses: xr.Dataset) -> list[tuple[str, str]]:
     )
     numbers.append(_walls(responses))
     if any(label.is_fitted for label in labels_of(responses)):
-        numbers.append(f"fits over ±{1e3 * study['fit']['range']:g} mm")
+        numbers.append(f"fits over ±{1e3 * study['approximation']['range']:g} mm")
     return [
         ("Equation", equation),
         ("Numbers", ", ".join(numbers)),

@@ -1,0 +1,99 @@
+"""Gradients in a study, on real worker processes: `gradients.nc` and its section of the report."""
+
+import numpy as np
+import pytest
+import xarray as xr
+from tests.builders.runs import run
+from tests.builders.studies import PAPER
+
+import gapsweep as gs
+from gapsweep.analysis.datasets.gradients_file import Reason
+
+pytestmark = pytest.mark.extended
+
+BY = ["gap", "K_c", "forcing", "omega"]
+BLOCK = {
+    "representation": ["piecewise", "tanh-1e4"],
+    "K_c": [1.4e4, 3e4],
+    "gap": [4e-4, 4e-4],
+    "omega": [7.0, 9.0, 11.0],
+    "initial_condition": ["sweep_up", "sweep_down"],
+}
+TABLES = {
+    "study": {"name": "slopes"},
+    "oscillator": PAPER,
+    "sweep": [BLOCK],
+    "gradients": {"by": BY},
+}
+
+
+def files(folder):
+    return [xr.open_dataset(folder / "out" / name) for name in ("gradients.nc", "attractors.nc")]
+
+
+def test_attractors_of_a_study_have_the_gradients_of_a_call(client, tmp_path):
+    run(TABLES, client, tmp_path)
+    found, attractors = files(tmp_path)
+    exact = found.sel(representation="piecewise")
+    at = attractors.sel(representation="piecewise").squeeze("gap")
+    several = np.argwhere(exact.squeeze("gap")["reason"].values == Reason.NONE)
+    assert len(several) > 6  # two attractors coexist at some frequency
+    for i, j, k in several:
+        state = [at[name].values[i, j, k, 0] for name in ("section_x", "section_v")]
+        law = gs.Piecewise(BLOCK["K_c"][i], gs.Gap(4e-4, 4e-4))
+        omega, machine = BLOCK["omega"][j], gs.Oscillator(**PAPER)
+        expected = gs.gradient(machine, law, BY, omega, *state).squeeze()
+        one = exact.squeeze("gap").isel(K_c=i, omega=j, attractor=k)
+        if at["period_multiple"].values[i, j, k] > 1:  # the call ends at another section point
+            one, expected = (each.drop_sel(quantity=["x_end", "v_end"]) for each in (one, expected))
+        np.testing.assert_allclose(one["gradient"], expected["gradient"], rtol=1e-8, atol=1e-12)
+        np.testing.assert_allclose(one["value"], expected["value"], rtol=1e-9, atol=1e-14)
+    smooth = found.sel(representation="tanh-1e4")
+    assert {*np.unique(smooth["reason"])} == {Reason.NO_ATTRACTOR, Reason.REFUSED}
+    assert np.isnan(smooth["gradient"]).all()
+    assert "tanh-1e4" in found.attrs["refused"]
+    page = (tmp_path / "out" / "report" / "index.html").read_text()
+    assert f"{len(several)} attractors have derivatives" in page
+
+
+def test_gradients_by_a_parameter_of_a_system_follow_its_sweep(client, tmp_path):
+    tables = {
+        "study": {"name": "gears"},
+        "system": {"function": "gear_pair"},
+        "parameters": {"mean_load": 0.1},
+        "sweep": [
+            {
+                **{"representation": "piecewise", "K_c": 1.0, "gap": [1.0, 1.0]},
+                **{"omega": [0.05, 0.06], "mean_load": [0.1, 0.2]},
+            }
+        ],
+        "gradients": {"by": ["mean_load", "K_c"]},
+    }
+    run(tables, client, tmp_path)
+    found, attractors = files(tmp_path)
+    assert (found["reason"] == Reason.NONE).any()
+    for i, j in np.argwhere(found["reason"].squeeze().values == Reason.NONE):
+        here = attractors.isel(omega=i, mean_load=j).squeeze()
+        state = [here[name].values[0] for name in ("section_x", "section_v")]
+        omega, load = tables["sweep"][0]["omega"][i], [0.1, 0.2][j]
+        law = gs.Piecewise(1.0, gs.Gap(1.0, 1.0))
+        expected = gs.gradient(
+            gs.systems.gear_pair, law, ["mean_load", "K_c"], omega,
+            q_0=state[0], v_0=state[1], values={"mean_load": load},
+        ).squeeze()  # fmt: skip
+        one = found.isel(omega=i, mean_load=j).squeeze()
+        np.testing.assert_allclose(one["gradient"], expected["gradient"], rtol=1e-7, atol=1e-8)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"gradients": {"by": ["gapp"]}}, r"gradients\.by: parameter 'gapp': must be one of"),
+        ({"gradients": {"by": []}}, r"gradients\.by.*: must have at least one value"),
+        ({"sweep": [BLOCK | {"representation": "tanh-1e4"}]}, "gradients: .* add 'piecewise'"),
+    ],
+)
+def test_gradients_that_no_attractor_has_are_refused(change, words):
+    with pytest.raises(gs.StudyError, match=words) as raised:
+        gs.Study.from_dict(TABLES | change)
+    assert len(raised.value.problems) == 1
