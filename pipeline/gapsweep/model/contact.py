@@ -395,6 +395,13 @@ class Rigid(Piecewise):
                 "without a gap; write gs.Rigid(gs.Gap(4e-4, 4e-4), restitution=0.8)"
             )
 
+    @property
+    def exact(self) -> Piecewise:
+        raise ModelError(
+            f"{self.family}-{self.restitution:.12g}: an impact has no finite force to compare; "
+            "compare responses instead, or take gs.Piecewise(1.4e4, gap)"
+        )
+
     @classmethod
     def made(cls, K_c: float, gap: Gap, **numbers: Any) -> "Rigid":
         return cls(gap, **numbers)

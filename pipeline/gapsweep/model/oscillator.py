@@ -36,8 +36,8 @@ C = TypeVar("C", bound=Callable[..., Any])
 
 _LOSSES = frozenset(("damping", "restitution", "friction"))
 NO_LOSS = (
-    "only gs.Piecewise(K_c, gap, damping=60.0) is a contact that loses energy; restitution and "
-    "friction are not covered"
+    "contacts that lose energy are gs.Piecewise(K_c, gap, damping=60.0), gs.HuntCrossley and "
+    "gs.Rigid(gap, restitution=0.8); friction is not covered"
 )
 
 
