@@ -71,7 +71,8 @@ class Lossy:
         modes = [self._begin(wall, y, n) for wall in self.walls]
         t, time, shrunk, largest = 0.0, np.zeros(len(self.walls)), 0.0, 0.0
         times: list[float] = []
-        longest = 2.0 * math.pi / self.omega / 300.0  # a shorter contact would be missed
+        # a shorter contact would be missed
+        longest = min(2.0 * math.pi / self.omega / 300.0, 0.02)
         while t < t_end:
             events, about = self._events(modes, inverse)
             found = solve_ivp(
@@ -138,23 +139,8 @@ class Lossy:
             return y, modes, [t]
         u, beta = float(b @ y[n : 2 * n]), inverse @ b / (b @ inverse @ b)
         before = self._rhs(modes, inverse)(t, y)[: 2 * n]
-        pressing = float(b @ before[n:])
         after = y.copy()
         after[:n] -= (float(b @ y[:n]) - wall.place + 1e-15) * beta
-        if rigid * u < SLOW and pressing > 0.0:
-            modes = [HOLD if i == k else mode for i, mode in enumerate(modes)]
-            held = np.array(
-                [np.asarray(w.b) for w, m in zip(self.walls, modes, strict=True) if m == HOLD]
-            )
-            pull = inverse @ held.T
-            project = np.eye(n) - pull @ np.linalg.solve(held @ pull, held)
-            after[n : 2 * n] = project @ y[n : 2 * n]
-            after[2 * n : -2] = (np.kron(np.eye(2), project) @ images).ravel()
-            after[-2] += 0.5 * float(
-                y[n : 2 * n] @ self.M @ y[n : 2 * n] - after[n : 2 * n] @ self.M @ after[n : 2 * n]
-            )
-            rest = 2.0 * rigid * u / (pressing * (1.0 - rigid)) if rigid < 1.0 else 0.0
-            return after, modes, [t + rest]
         after[n : 2 * n] -= (1.0 + rigid) * u * beta
         after[-2] += 0.5 * (1.0 - rigid**2) * u**2 / float(b @ inverse @ b)
         found = [t, t]
@@ -165,7 +151,7 @@ class Lossy:
                 new = ON if other.force(d, v) >= 0.0 else SLACK
                 found += [t] * (new != mode)
                 modes = [new if j == i else each for j, each in enumerate(modes)]
-            if mode == HOLD and abs(v) > 1e-12 * abs(u):
+            if mode == HOLD and abs(v) > SLOW:
                 found.append(t)
                 modes = [OFF if j == i else each for j, each in enumerate(modes)]
                 after[:n] -= 1e-15 * inverse @ np.asarray(other.b)
@@ -173,8 +159,23 @@ class Lossy:
         r[n:, n:] -= (1.0 + rigid) * np.outer(beta, b)
         rates = self._rhs(modes, inverse)(t, after)[: 2 * n]
         jump = r + np.outer(rates - r @ before, np.append(b, np.zeros(n))) / u
-        after[2 * n : -2] = (jump @ images).ravel()
+        images = jump @ images
+        pressing = float(b @ rates[n:])
+        if rigid * u < SLOW and pressing > 0.0:
+            rest = 2.0 * rigid * u / (pressing * (1.0 - rigid)) if rigid < 1.0 else 0.0
+            found = [*found[2:], t + rest]
+            modes = [HOLD if i == k else mode for i, mode in enumerate(modes)]
+            project = self._projection(modes, inverse)
+            after[n : 2 * n] = project @ after[n : 2 * n]
+            images = np.kron(np.eye(2), project) @ images
+        after[2 * n : -2] = images.ravel()
         return after, modes, found
+
+    def _projection(self, modes: list[int], inverse: Any) -> Any:
+        """Matrix that takes the components along held walls from velocities."""
+        held = np.array([w.b for w, mode in zip(self.walls, modes, strict=True) if mode == HOLD])
+        pull = inverse @ held.T
+        return np.eye(len(self.M)) - pull @ np.linalg.solve(held @ pull, held)
 
     @staticmethod
     def _begin(wall: Wall, y: Any, n: int) -> int:
@@ -251,11 +252,7 @@ class Lossy:
             accelerations = inverse @ force
             of_images = inverse @ (by_q @ images[:n] + by_v @ images[n:])
             if HOLD in modes:
-                held = np.array(
-                    [w.b for w, mode in zip(self.walls, modes, strict=True) if mode == HOLD]
-                )
-                pull = inverse @ held.T
-                project = np.eye(n) - pull @ np.linalg.solve(held @ pull, held)
+                project = self._projection(modes, inverse)
                 accelerations, of_images = project @ accelerations, project @ of_images
             turned = np.concatenate([images[n:], of_images])
             return np.concatenate([v, accelerations, turned.ravel(), [lost, float(load @ v)]])

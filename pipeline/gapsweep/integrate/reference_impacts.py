@@ -143,20 +143,18 @@ def meet(
     if holds and left > 0.0:
         rest = 2.0 * left / (pressing * (1.0 - e)) if e < 1.0 else math.inf
         holds = rest * _rate(scene) <= _LONGEST_REST
-    if not holds:
-        changes += [(t, contact)] * 2
-        return Meeting((*after, *images.ravel()), found, changes, 0.0, losses.of_impact)
-    found = (*found[:contact], side * HOLD, *found[contact + 1 :])
+    if holds:
+        found = (*found[:contact], side * HOLD, *found[contact + 1 :])
+    changes += [(t + rest, contact)] if holds else [(t, contact)] * 2
+    loss = math.inf if holds else losses.of_impact
     if has_dependent_holds(scene, found):
-        return Meeting(y, found, [], 0.0, math.inf)
-    project = _projection(scene, _held(scene, found))
-    after[n : 2 * n] = project @ after[n : 2 * n]
-    images[:, :n], images[:, n : 2 * n] = (
-        images[:, :n] @ project.T,
-        images[:, n : 2 * n] @ project.T,
-    )
-    changes.append((t + rest, contact))
-    return Meeting((*after, *images.ravel()), found, changes, rest, math.inf)
+        return Meeting(y, found, [], 0.0, loss)
+    if held := _held(scene, found):
+        project = _projection(scene, held)
+        after[n : 2 * n] = project @ after[n : 2 * n]
+        for part in (images[:, :n], images[:, n : 2 * n]):
+            part[:] = part @ project.T
+    return Meeting((*after, *images.ravel()), found, changes, rest, loss)
 
 
 def _height(scene: ReferenceScene, contact: int, side: int) -> float:

@@ -189,7 +189,7 @@ def meet(at, lanes, k, contact, side, step, coefficients, work):
     if step == 0.0 and series[1] == 0.0:
         speed = 0.0
     lanes[at.switched + contact, k] = 0.0
-    if speed < 0.0:  # an impact of another contact has turned it
+    if speed < 0.0 or (speed == 0.0 and pressing < 0.0):  # turned by another impact, or at rest
         return
     pressing += side * _rebound(at, lanes, k, contact, side * speed, step, coefficients, work)
     holds, rest = _is_low(at, lanes, k, contact, e * speed, pressing), 0.0
@@ -238,7 +238,9 @@ def _rebound(at, lanes, k, contact, speed, step, coefficients, work):
             for i in range(n):
                 kick[i] += _pull(at, lanes, k, i, j) * work.forces[j]
     for i in range(n):
-        lanes[at.v + i, k] -= share * speed * _pull(at, lanes, k, i, contact)
+        before = lanes[at.v + i, k]
+        after = before - share * speed * _pull(at, lanes, k, i, contact)
+        lanes[at.v + i, k] = 0.0 if abs(after) <= _STILL * abs(before) else after
     _change_others(at, lanes, k, contact, work)
     _add_rates(at, lanes, k, 1.0, kick)
     work.shares[contact] = share
@@ -331,9 +333,10 @@ def _change_others(at, lanes, k, contact, work):
 @internal
 def turn_tangent(at, lanes, k, first, work):
     """Change a solution of the variational equation, in rows from `first` on, by what has met."""
-    begins = False
+    has_met = is_held = False
     for contact in range(at.contacts):
         share = work.shares[contact]
+        is_held = is_held or abs(lanes[at.mode + contact, k]) == HOLD
         if share != 0.0:
             place, _ = _along(at, lanes, k, contact, first)
             speed, _ = _along(at, lanes, k, contact, first + at.n)
@@ -343,7 +346,7 @@ def turn_tangent(at, lanes, k, first, work):
                 lanes[first + at.n + i, k] -= pull * speed
             for i in range(at.n + at.m):
                 lanes[first + at.n + i, k] += work.kicks[contact, i] * place
-            begins = begins or abs(lanes[at.mode + contact, k]) == HOLD
-    if begins:
+            has_met = True
+    if has_met and is_held:
         _project(at, lanes, k, first, work)
         _project(at, lanes, k, first + at.n, work)
