@@ -169,6 +169,11 @@ class Lossy:
             after[n : 2 * n] = project @ after[n : 2 * n]
             images = np.kron(np.eye(2), project) @ images
         after[2 * n : -2] = images.ravel()
+        for _ in range(20):  # just inside of all walls that do not hold
+            for other, mode in zip(self.walls, modes, strict=True):
+                d = float(np.dot(other.b, after[:n])) - other.place
+                if other.e is not None and mode == OFF and -1e-15 < d < 1e-12:
+                    after[:n] -= (d + 1e-15) * inverse @ np.asarray(other.b)
         return after, modes, found
 
     def _projection(self, modes: list[int], inverse: Any) -> Any:

@@ -131,9 +131,13 @@ def meet(
     turn[n : 2 * n, n : 2 * n] -= (1.0 + e) * np.outer(pull, b) / (b @ pull)
     before = np.asarray(moving(scene, modes)(t, np.array(y)))[:n_states]
     after = turn @ state
+    on_walls = [(k, 1 if modes[k] > 0 else -1) for k in _held(scene, modes)] + [(contact, side)]
+    for k, of in on_walls:  # rounding errors would become impacts
+        off = scene.gap(k, after) - scene.wall(k, of)
+        after[:n] -= off * scene.pull[:, k] / scene.compliance[k]
     found, changes = _others(scene, t, y, after, modes, contact)
     rates = np.asarray(moving(scene, found)(t, np.append(after, images)))[:n_states]
-    if speed:
+    if abs(speed) > _STILL * float(np.abs(b) @ np.abs(state[n : 2 * n])):
         normal = np.append(b, np.zeros(n_states - n)) / speed
         turn += np.outer(rates - turn @ before, normal)
     images = images @ turn.T

@@ -222,6 +222,8 @@ def _rebound(at, lanes, k, contact, speed, step, coefficients, work):
     Keep what solutions of the variational equation need, as in `tangent._impacts`.
     """
     kick, rates, n = work.kicks[contact], work.rates[0], at.n
+    _, size = _along(at, lanes, k, contact, at.v)
+    per_speed = 1.0 / speed if abs(speed) > _STILL * size else 0.0
     compliance = 1.0 if at.is_plain else lanes[at.compliance + contact, k]
     share = (1.0 + lanes[at.restitution + contact, k]) / compliance
     towards = changed = 0.0
@@ -247,11 +249,11 @@ def _rebound(at, lanes, k, contact, speed, step, coefficients, work):
     _hold_rates(at, lanes, k, kick, rates, work.forces)
     for i in range(n):
         change, pull = kick[i], _pull(at, lanes, k, i, contact)
-        kick[i] = (change + towards * pull) / speed if speed != 0.0 else 0.0
+        kick[i] = (change + towards * pull) * per_speed
         rates[i] += change
         changed += change * (1.0 if at.is_plain else lanes[at.direction + contact * n + i, k])
     for i in range(at.m):
-        kick[n + i] = kick[n + i] / speed if speed != 0.0 else 0.0
+        kick[n + i] *= per_speed
     return changed
 
 
