@@ -34,7 +34,7 @@ LAYERS = (
 FLOORS = (
     {"motions", "vectors"},
     {"problem", "elementary"},
-    {"jit", "simd"},
+    {"jit", "simd", "overlap"},
     {"lanes"},
     {"taylor", "runge_kutta", "stepping"},
     {"compiled", "reference", "reference_motion", "reference_scenes", "simulate", "trajectory"},

@@ -3,6 +3,7 @@
 import gapsweep.model.systems as systems
 from gapsweep.analysis.datasets.basins import basins as basins
 from gapsweep.analysis.datasets.contact_errors import static_error as static_error
+from gapsweep.analysis.datasets.risk import probability as probability
 from gapsweep.continuation.curves import special_curve as special_curve
 from gapsweep.continuation.follow import branches as branches
 from gapsweep.continuation.gradient import gradient as gradient

@@ -64,6 +64,9 @@ from gapsweep.user_code.snapshot import Snapshot
 if TYPE_CHECKING:
     import xarray as xr
 
+    from gapsweep.response.result import Responses
+    from gapsweep.study.points import Points
+
     Content = xr.Dataset | dict[str, Any] | None
 
 _MANY = 100_000  # points; larger datasets justify a garbage collection after each stage
@@ -346,7 +349,19 @@ def _export(run: RunContext) -> Iterator[bool]:
     return export(
         *(run.plan, run.folder / RESPONSES, run.folder / ATTRACTORS),
         made_from=lambda: as_text(STAGES[0].made_from(run.folder, run)),
+        respond=partial(_on_workers, run) if run.study.spec.attractors else None,
     )
+
+
+def _on_workers(run: RunContext, tables: "list[Points]") -> "list[Responses]":
+    """Responses of tables of points from their fixed initial states."""
+    from gapsweep.execution.task import respond_fixed
+
+    assert run.connect is not None
+    client = run.connect()
+    tasks = [client.submit(respond_fixed, points, pure=False) for points in tables]
+    found: list[Responses] = client.gather(tasks)
+    return found
 
 
 def _responses(run: RunContext) -> None:

@@ -84,3 +84,37 @@ def test_safe_values_come_first_in_the_report(client, tmp_path):
     with xr.open_dataset(tmp_path / "out" / "responses.nc") as responses:
         assert responses["amplitude"].dims[-2:] == ("sample", "initial_condition")
         assert responses["drawn_gap"].dims == ("sample",)
+
+
+def test_a_study_has_the_disturbances_of_a_call(client, tmp_path):
+    """Computed by the workers, in two cases at once; the first has a single attractor."""
+    axis, omegas = [-1.0, 0.0, 1.0], [1.0 / (2.0 * math.pi), 1.3 / (2.0 * math.pi)]
+    starts = {"grid": [3, 3], "x": [-1.0, 1.0], "v": [-1.0, 1.0]}
+    sweep = {"representation": "piecewise", "K_c": 2.0, "gap": [0.1745, 0.1745]}
+    tables = {
+        "study": {"name": "knocks"},
+        "oscillator": TABLES["oscillator"] | {"forcing": 0.03},
+        "sweep": [sweep | {"omega": omegas, "initial_condition": starts}],
+        "attractors": {"rays": 8},
+    }
+    study = gs.Study.from_dict(tables)
+    gs.run(study, client, out=tmp_path / "out", cache=tmp_path / "c").close()
+    expected = gs.basins(study.oscillator, LAW, study.grid.omega[1], x=axis, v=axis, rays=8)
+    with gs.open(tmp_path / "out" / "attractors.nc") as ds:
+        one, two = (ds.squeeze().isel(omega=k) for k in (0, 1))
+        assert two["n_attractors"] == expected.sizes["attractor_number"] == 2
+        for name in ("disturbance", "disturbed_x", "disturbance_v", "single_up_v", "single_down_x"):
+            np.testing.assert_allclose(two[name], expected[name], rtol=1e-7, err_msg=name)
+        assert one["n_attractors"] == 1
+        assert np.isnan(one["disturbance"]).all()
+
+
+def test_disturbances_of_user_laws_are_refused():
+    tables = {
+        "study": {"name": "own"},
+        "oscillator": TABLES["oscillator"] | {"forcing": 0.03},
+        "sweep": [{"representation": "own:spring", "omega": 1.0}],
+        "attractors": {"rays": 8},
+    }
+    with pytest.raises(gs.StudyError, match="attractors: not with user laws"):
+        gs.Study.from_dict(tables)

@@ -179,6 +179,15 @@ def test_runs_begin_at_different_points_and_cut_no_sweep(tables):
     assert len(firsts) > 10
 
 
+def test_parts_of_sweeps_are_longer_if_few_sweeps_fill_a_task():
+    for n_sweeps, lengths in ((1, [64]), (3, [21, 21, 21]), (10, [16, 16, 16, 16])):
+        rows = np.arange(100 * n_sweeps)
+        drawn, rest, others = portions.cut(rows, rows % 100 > 0, room=64)
+        assert np.bincount(drawn // 100).tolist() == lengths
+        assert np.array_equal(np.sort(np.concatenate([drawn, rest, others])), rows)
+        assert not {*(others // 100)} & {*(drawn // 100)}, "a sweep stays in one task"
+
+
 def test_equal_points_under_two_labels_are_computed_once(tables, client, tmp_path):
     tables["protocol"] = {"twin": {}}
     tables["sweep"][0] |= {"representation": ["piecewise", "piecewise@twin"]}

@@ -42,6 +42,22 @@ class Wall:
 
 
 @dataclass(frozen=True)
+class SmoothWall(Wall):
+    """A wall of tanh, on everywhere: N = (k d + c u) (1 + tanh sharpness d) / 2."""
+
+    sharpness: float = 1.0
+
+    def force(self, d: float, u: float) -> float:
+        return (self.k * d + self.c * u) * 0.5 * (1.0 + np.tanh(self.sharpness * d))
+
+    def slopes(self, d: float, u: float) -> tuple[float, float]:
+        switch = np.tanh(self.sharpness * d)
+        bend = 0.5 * self.sharpness * (1.0 - switch * switch)
+        by_d = self.k * 0.5 * (1.0 + switch) + (self.k * d + self.c * u) * bend
+        return by_d, self.c * 0.5 * (1.0 + switch)
+
+
+@dataclass(frozen=True)
 class Motion:
     """End state, tangent, events and integrals of a motion."""
 
@@ -87,13 +103,14 @@ class Lossy:
                 if modes[k] != ON:
                     continue
                 b = np.asarray(wall.b)
-                at = np.linspace(t, found.t[-1], 2001)
+                n_samples = 20001 if isinstance(wall, SmoothWall) else 2001
+                at = np.linspace(t, found.t[-1], n_samples)
                 states = found.sol(at)
                 d = b @ states[:n] - wall.place
-                shrunk += float(b @ inverse @ b) * (
-                    wall.c * lasted + wall.k * wall.chi * simpson(d, x=at)
-                )
-                forces = np.abs(wall.force(d, b @ states[n : 2 * n]))
+                u = b @ states[n : 2 * n]
+                rates = np.broadcast_to(wall.slopes(d, u)[1], d.shape)
+                shrunk += float(b @ inverse @ b) * simpson(rates, x=at)
+                forces = np.abs(wall.force(d, u))
                 largest = max(largest, float(forces.max()))
             t, y = float(found.t[-1]), found.y[:, -1].copy()
             if found.status == 0:
@@ -185,6 +202,8 @@ class Lossy:
     @staticmethod
     def _begin(wall: Wall, y: Any, n: int) -> int:
         d, u = np.dot(wall.b, y[:n]) - wall.place, np.dot(wall.b, y[n : 2 * n])
+        if isinstance(wall, SmoothWall):
+            return ON
         if d <= 0.0 or wall.e is not None:
             return OFF
         return ON if wall.pulls or wall.force(d, u) > 0.0 else SLACK
@@ -206,6 +225,8 @@ class Lossy:
             about.append((k, new))
 
         for k, (wall, mode) in enumerate(zip(self.walls, modes, strict=True)):
+            if isinstance(wall, SmoothWall):
+                continue
             if mode == HOLD:
 
                 def event(t: float, y: Any, k: int = k) -> float:

@@ -62,6 +62,104 @@ def test_known_coexisting_attractors_are_found(K_c, gap, omega, known):
     assert_allclose(found["basin_share"].sum(), 1.0)
 
 
+TURN = 2.0 * math.pi
+BISTABLE = gs.Oscillator(mass=1.0, omega_n=0.5 / math.pi, zeta=0.025, forcing=0.03)
+BISTABLE_LAW = gs.Piecewise(2.0, gs.Gap(0.1745, 0.1745))
+
+
+def settled_peaks(oscillator, law, omega, states, n_periods):
+    """Largest displacements in the last two periods, by the classical Runge-Kutta method."""
+    n_rad, rate, h = TURN * oscillator.omega_n, TURN * omega, 1.0 / (192.0 * omega)
+    peak, (x, v) = np.full(len(states), -np.inf), np.array(states).T
+
+    def slopes(t, x, v):
+        wall = np.maximum(x - law.gap.j_2, 0.0) + law.K_ratio * np.minimum(x + law.gap.j_1, 0.0)
+        spring = n_rad**2 * x + law.K_c / oscillator.mass * wall
+        load = oscillator.forcing / oscillator.mass * math.cos(rate * t)
+        return v, load - 2.0 * oscillator.zeta * n_rad * v - spring
+
+    for k in range(192 * n_periods):
+        t = k * h
+        a = slopes(t, x, v)
+        b = slopes(t + h / 2, x + h / 2 * a[0], v + h / 2 * a[1])
+        c = slopes(t + h / 2, x + h / 2 * b[0], v + h / 2 * b[1])
+        d = slopes(t + h, x + h * c[0], v + h * c[1])
+        x = x + h / 6 * (a[0] + 2 * b[0] + 2 * c[0] + d[0])
+        v = v + h / 6 * (a[1] + 2 * b[1] + 2 * c[1] + d[1])
+        if k >= 192 * (n_periods - 2):
+            peak = np.maximum(peak, x)
+    return peak
+
+
+def left(found, number, oscillator, law, omega, shares, n_periods):
+    """Whether states leave an attractor; `shares` of its smallest disturbance, in scaled states."""
+    of = found.isel(attractor_number=number)
+    unit = np.array([1.0, TURN * omega])
+    base = np.array([of["disturbed_x"], of["disturbed_v"]])
+    states = base + of["disturbance"].item() * np.asarray(shares) * unit
+    peaks = settled_peaks(oscillator, law, omega, states, n_periods)
+    nearest = np.abs(np.log(peaks[:, None] / found["x_max"].values)).argmin(axis=1)
+    return nearest != number
+
+
+def test_the_smallest_disturbance_leaves_and_no_smaller_one_does():
+    omega, axis = 1.3 / (2.0 * math.pi), np.linspace(-1.0, 1.0, 5)
+    found = gs.basins(BISTABLE, BISTABLE_LAW, omega, x=axis, v=axis, rays=16)
+    # The lower attractor and its kick, bisected by exact flows between the walls.
+    assert_allclose(found["disturbed_x"][0], -0.04309582053817726, rtol=1e-9)
+    assert_allclose(found["single_up_v"][0], 0.2862056641, rtol=2e-10)
+    change = np.array([found["disturbance_x"], found["disturbance_v"] / 1.3])
+    assert_allclose(found["disturbance"], np.hypot(*change), rtol=1e-12)
+    direction = (change / found["disturbance"].values).T
+    angles = np.linspace(0.0, 2.0 * np.pi, 48, endpoint=False)
+    circle = np.column_stack([np.cos(angles), np.sin(angles)])
+    rings = np.concatenate([share * circle for share in (0.25, 0.5, 0.75, 0.9, 0.99)])
+    for number in (0, 1):
+        shares = np.concatenate([np.outer([1.001, 0.999], direction[number]), rings])
+        leaves = left(found, number, BISTABLE, BISTABLE_LAW, omega, shares, 60)
+        assert leaves[0]
+        assert not leaves[1:].any()
+
+
+def bistable_scenes(n):
+    """Random oscillators with two attractors of the forcing period, in a grid of initial states."""
+    rng = np.random.default_rng(11)
+    while n:
+        forcing, K_c = 10.0 ** rng.uniform(-2.0, -0.8), 10.0 ** rng.uniform(-0.3, 1.5)
+        zeta, rate, lower = rng.uniform([0.02, 0.8, 0.6], [0.06, 2.2, 1.4])
+        model = gs.Oscillator(mass=1.0, omega_n=0.5 / math.pi, zeta=zeta, forcing=forcing)
+        law = gs.Piecewise(K_c, gs.Gap(0.1745 * lower, 0.1745), K_ratio=rng.choice([1.0, 2.0]))
+        omega, axis = rate / (2.0 * math.pi), np.linspace(-1.0, 1.0, 9)
+        starts = {"x": axis, "v": rate * axis}
+        found = gs.basins(model, law, omega, **starts)
+        if (
+            found["period_multiple"].values.tolist() == [1, 1]
+            and np.ptp(np.log(found["x_max"].values)) > 0.2
+        ):
+            n -= 1
+            yield model, law, omega, gs.basins(model, law, omega, **starts, rays=32)
+
+
+@pytest.mark.slow
+def test_no_state_of_a_grid_needs_a_smaller_disturbance():
+    axis = np.linspace(-1.0, 1.0, 41)
+    grid = np.stack(np.meshgrid(axis, axis), axis=-1).reshape(-1, 2)
+    grid = grid[np.hypot(*grid.T) < 1.0 - 0.5 * (axis[1] - axis[0])]
+    for model, law, omega, found in bistable_scenes(50):
+        n_periods = math.ceil(2.0 * omega / (model.zeta * model.omega_n))
+        for number in (0, 1):
+            leaves = left(found, number, model, law, omega, grid, n_periods)
+            assert not leaves.any(), (model, law, omega)
+            # Fixed steps are too inaccurate to tell which side of a boundary these states are on.
+            of = found.isel(attractor_number=number)
+            share = np.array([1.0, 0.999])
+            x, v = (
+                of[f"disturbed_{n}"].item() + share * of[f"disturbance_{n}"].item() for n in "xv"
+            )
+            peaks = gs.respond(model, law, omega, x, v).x_max
+            assert_array_equal(np.isclose(peaks, of["x_max"], rtol=1e-6), [False, True])
+
+
 def test_basins_are_drawn_with_a_name_for_every_attractor():
     found = box(SOFT, SYMMETRIC, 19.0, n=5)
     axes = found.gapsweep.attractors()

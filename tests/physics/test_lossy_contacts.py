@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from tests.oracles.lossy_contacts import Lossy, Wall
+from tests.oracles.lossy_contacts import Lossy, SmoothWall, Wall
 
 import gapsweep as gs
 from gapsweep.errors import StudyError
@@ -131,6 +131,19 @@ def test_force_and_time_of_a_damped_contact_are_those_while_it_acts(pulls):
     assert ended.worked == pytest.approx(ended.lost, rel=1e-9)
 
 
+def damper(x, v, low, high, k, c):
+    """A spring and a damper beyond two walls, which pull."""
+    if low <= x <= high:
+        return 0.0
+    return k * (x - (high if x > high else low)) + c * v
+
+
+def hunt_crossley(x, v, low, high, k, c):
+    if low <= x <= high:
+        return 0.0
+    return k * (x - high) * (1.0 + c * v) if x > high else k * (x - low) * (1.0 - c * v)
+
+
 def drawn(seed, kind):
     """A random system of one or two coordinates and one to three contacts, in both forms."""
     rng = np.random.default_rng(seed)
@@ -144,11 +157,17 @@ def drawn(seed, kind):
     q, v = rng.uniform(-0.3, 0.3, n), rng.uniform(-0.5, 0.5, n)
     for j, b in enumerate(directions[: 1 if n == 1 else int(rng.integers(1, 4))]):
         K_c, c, ratio = (
-            10 ** rng.uniform(0.3, 2.5),
+            # The oracle misses contacts shorter than its longest step.
+            10 ** rng.uniform(0.3, 1.5 if kind.startswith("prestressed") else 2.5),
             10 ** rng.uniform(-2.0, 0.7),
             rng.choice([0.0, 1.5]),
         )
         j_1, j_2 = rng.uniform(0.02, 0.4, 2)
+        of_wall = Wall
+        if kind.startswith("prestressed"):  # at the origin both walls act, or one
+            ratio, j_1, j_2 = 1.5, -j_1, (-0.5 if j != 1 else 1.5) * j_2
+        elif kind == "one wall":
+            ratio, j_1, j_2 = 1.5, *rng.permutation([math.inf, rng.choice([-0.2, 1.0]) * j_2])
         if kind.startswith("rigid") and (j == 0 or kind == "rigid"):
             x, K_c, named = float(np.dot(b, q)), 0.0, {"e": rng.uniform(0.3, 1.0)}
             j_1, j_2 = max(j_1, 0.02 - x), max(j_2, 0.02 + x)
@@ -156,16 +175,25 @@ def drawn(seed, kind):
         elif kind == "hunt-crossley" and j != 1:  # the second contact differs
             named = {"c": 0.0, "chi": c}
             law = gs.HuntCrossley(K_c, gs.Gap(j_1, j_2), K_ratio=ratio, chi=c)
+        elif kind == "function":
+            named = {"c": c} if j != 1 else {"chi": c}
+            low, given = -j_1 if ratio else -1e3, {"k": K_c, "c": c}
+            function, ratio = (damper, hunt_crossley)[j == 1], float(ratio > 0.0)
+            gap = gs.Gap(j_1, j_2)
+            law = gs.law(function, K_c, gap, K_ratio=ratio, low=low, high=j_2, **given)
+        elif kind == "tanh":
+            sharpness = 10 ** rng.uniform(1.5, 2.5)
+            named, of_wall = {"c": c, "sharpness": sharpness}, SmoothWall
+            law = gs.Tanh(K_c, gs.Gap(j_1, j_2), sharpness, K_ratio=ratio, damping=c)
         else:
-            named = {
-                "c": c,
-                "pulls": kind not in ("never pulls", "rigid and never pulls") or j == 1,
-            }
+            c = 0.0 if kind in ("one wall", "prestressed") else c
+            named = {"c": c, "pulls": not kind.endswith("never pulls") or j == 1}
             pulls = named["pulls"]
             law = gs.Piecewise(K_c, gs.Gap(j_1, j_2), K_ratio=ratio, damping=c, pulls=pulls)
-        walls.append(Wall(b, j_2, K_c, **named))
-        if ratio:
-            walls.append(Wall([-each for each in b], j_1, ratio * K_c, **named))
+        if j_2 < math.inf:
+            walls.append(of_wall(b, j_2, K_c, **named))
+        if ratio and j_1 < math.inf:
+            walls.append(of_wall([-each for each in b], j_1, ratio * K_c, **named))
         laws[str(j)], contacts[str(j)] = law, b
     system = gs.System(
         mass=mass, damping=damping, stiffness=stiffness, contacts=contacts,
@@ -177,7 +205,12 @@ def drawn(seed, kind):
 
 @pytest.mark.extended  # layouts of systems
 @pytest.mark.parametrize(
-    "kind", ["pulls", "never pulls", "hunt-crossley", "rigid", "rigid and never pulls"]
+    "kind",
+    [
+        *("pulls", "never pulls", "hunt-crossley", "function", "tanh"),
+        *("one wall", "prestressed", "prestressed, pulls", "prestressed, never pulls"),
+        *("rigid", "rigid and never pulls"),
+    ],
 )
 def test_drawn_systems_move_as_scipy_says(kind):
     """State, tangent, number of contacts, and determinant of the tangent."""
@@ -194,10 +227,70 @@ def test_drawn_systems_move_as_scipy_says(kind):
             ends = np.concatenate([run.q_end, run.v_end])
             assert ends == pytest.approx(found.y, abs=error * size)
             assert run.monodromy == pytest.approx(found.tangent, abs=error * size**2)
-            assert run.n_contacts == found.n_contacts
+            if kind != "tanh":
+                assert run.n_contacts == found.n_contacts
             assert np.linalg.det(run.monodromy) == pytest.approx(
                 math.exp(-found.shrunk), abs=error * size**2
             )
+
+
+@BOTH
+@pytest.mark.parametrize("damping", [0.0, 0.2])
+def test_a_response_between_walls_that_overlap_is_that_of_two_contacts(damping, engine):
+    """Without separation it is linear; with it the oracle has a wall on each side."""
+    k, j, omega, named = (2.0, 2.6), (0.1, 0.15), 1.5, {"damping": damping, "pulls": True}
+    law = gs.Piecewise(k[0], gs.Gap(-j[0], -j[1]), K_ratio=k[1] / k[0], **named)
+    found = gs.respond(oscillator(0.001), law, omega / TURN, engine=engine, rtol=1e-10)
+    centre, spring = (k[1] * j[0] - k[0] * j[1]) / (1.0 + sum(k)), 1.0 + sum(k) - omega**2
+    reach = 0.001 / math.hypot(spring, (0.05 + 2.0 * damping) * omega)
+    assert found.x_max - centre == pytest.approx(reach, rel=1e-6)
+    assert (found.contact_share, found.contacts_per_period) == (1.0, 0.0)
+    if not damping:
+        assert found.force_max == pytest.approx(k[0] * (found.x_max + j[1]), rel=1e-9)
+
+    found = gs.respond(oscillator(0.3), law, omega / TURN, engine=engine, rtol=1e-10)
+    walls = [Wall([1.0], -j[1], k[0], damping), Wall([-1.0], -j[0], k[1], damping)]
+    one = np.eye(1)
+    oracle = Lossy(one, 0.05 * one, one, [0.3], omega, walls)
+    y = np.array([found.x_end, found.v_end])
+    for _ in range(2):  # Newton's method
+        ended = oracle.run(y, TURN / omega)
+        y = y - np.linalg.solve(ended.tangent - np.eye(2), ended.y - y)
+    assert y == pytest.approx([found.x_end, found.v_end], rel=1e-7)
+    assert np.sort_complex(found.multipliers) == pytest.approx(
+        np.sort_complex(np.linalg.eigvals(ended.tangent)), rel=1e-6
+    )
+    assert found.contacts_per_period == 0.5 * ended.n_contacts
+    assert found.force_max == pytest.approx(ended.largest, rel=1e-6)  # at samples
+    assert ended.worked == pytest.approx(ended.lost, rel=1e-9)
+
+
+def test_a_mass_at_rest_between_walls_that_overlap_is_held_by_both():
+    one = np.eye(1)
+    free = gs.System(mass=one, stiffness=one, damping=0.1 * one, contacts={"x": [1.0]})
+    laws = {"x": gs.Piecewise(2.0, gs.Gap(-0.1, -0.3))}
+    found = gs.respond(free, laws, q_0=0.5)
+    assert found.response_class == gs.ResponseClass.EQUILIBRIUM
+    assert found.x_max == pytest.approx((2.0 * 0.1 - 2.0 * 0.3) / 5.0, rel=1e-9)
+    assert found.contact_share == 1.0
+
+
+@pytest.mark.parametrize("pulls", [True, False])
+def test_gradients_and_branches_know_walls_that_overlap(pulls):
+    def at(j_1=-0.1, damping=0.0):
+        return gs.Piecewise(2.0, gs.Gap(j_1, -0.15), K_ratio=1.3, damping=damping, pulls=pulls)
+
+    o, omega, h = oscillator(0.3), 1.5 / TURN, 1e-6
+    found = gs.gradient(o, at(), ["j_1"], omega=omega)["gradient"].isel(parameter=0)
+    above, below = (gs.respond(o, at(-0.1 + by), omega, rtol=1e-12) for by in (h, -h))
+    for name in ("x_max", "x_min", "force_max"):
+        slope = (getattr(above, name) - getattr(below, name)) / (2.0 * h)
+        assert found.sel(quantity=name).item() == pytest.approx(slope, rel=1e-6), name
+    assert found.sel(quantity="contact_share").item() == 0.0
+    branch = gs.branches(o, at(damping=0.2), "omega", (0.8 / TURN, 2.5 / TURN))
+    names = np.array(branch["special"].attrs["flag_meanings"].split())
+    # where the mass begins to leave a wall, and ceases to
+    assert (names[branch["special"].values] == "grazing").sum() == 2
 
 
 @pytest.mark.parametrize(("pulls", "fold"), [(True, 1.259531780516715), (False, 1.263345037548026)])
@@ -382,7 +475,24 @@ def refused(**named):
     return lambda: gs.simulate(oscillator(), stop(), 0.2, t_end=1.0, **named)
 
 
+def of_two(law, other):
+    """A motion of two masses, with a law each."""
+    system = gs.System(
+        mass=np.eye(2), stiffness=np.eye(2), contacts={"a": [1.0, 0.0], "b": [0.0, 1.0]},
+        forcing=[gs.Harmonic(amplitude=[1.0, 0.0])],
+    )  # fmt: skip
+    return lambda: gs.simulate(system, {"a": law, "b": other}, 0.2, t_end=1.0)
+
+
+FREE = gs.law(lambda x, v: x + v, 1.0, gs.Gap(0.1, 0.1))
+
 REFUSED = [
+    (of_two(FREE, stop()), r"f\(x, v\) not with damping = 1.2"),
+    (of_two(FREE, gs.Tanh(1.0, gs.Gap(0.1, 0.1), 1e3)), r"located for all contacts or none"),
+    (
+        lambda: gs.simulate(oscillator(), FREE, 0.2, t_end=1.0, restart=True),
+        r"a force f\(x, v\): not with restart",
+    ),
     (lambda: stop(damping=-1.0), r"damping = -1.*>= 0"),
     (lambda: stop(damping=math.inf), r"damping = inf.*finite"),
     (lambda: stop(located=False), r"damping = 1\.2.*located=False"),
@@ -394,7 +504,9 @@ REFUSED = [
     (lambda: gs.HuntCrossley(1.0, gs.Gap(0.1, 0.1)), "missing.*chi"),
     (lambda: gs.HuntCrossley(1.0, gs.Gap(0.1, 0.1), chi=1.0, damping=2.0), "damping"),
     (lambda: gs.contact_law("huntcrossley-x", 1.0, gs.Gap(0.1, 0.1)), "huntcrossley-x.*>= 0"),
-    (lambda: gs.Tanh(1.0, gs.Gap(0.1, 0.1), 1e3, damping=1.0), "damping.*Piecewise"),
+    (lambda: gs.Tanh(1.0, gs.Gap(0.1, 0.1), 1e3, damping=-1.0), r"damping = -1: must be >= 0"),
+    (lambda: gs.Polynomial(1.0, gs.Gap(0.1, 0.1), 5, damping=1.0), "damping.*Piecewise"),
+    (lambda: gs.contact_law("poly-5", 1.0, gs.Gap(0.1, 0.1), damping=1.0), "poly-5 has none.*tanh"),
     (lambda: rigid(1.2), r"restitution = 1\.2: must be in 0\.\.1"),
     (lambda: rigid(-0.2), r"restitution = -0\.2: must be in 0\.\.1"),
     (lambda: rigid(math.nan), "restitution = nan"),
@@ -425,10 +537,10 @@ def test_damping_that_cannot_be_is_refused_in_one_line(call, said):
     assert "\n" not in str(raised.value)
 
 
-def study(**block):
+def study(of_study=None, **block):
     """A study of the damped orbit."""
     tables = {
-        "study": {"name": "damped"},
+        "study": {"name": "damped", **(of_study or {})},
         "oscillator": {"zeta": 0.025, "omega_n": 1.0 / TURN, "mass": 1.0, "forcing": 0.03},
         "sweep": [
             {
@@ -457,11 +569,68 @@ def test_damping_is_an_axis_of_studies():
     assert label
 
 
-def test_studies_refuse_damping_of_smooth_laws():
-    with pytest.raises(StudyError, match="damping: tanh-1e3 has none"):
-        study(damping=[0.0, 1.2], representation=["piecewise", "tanh-1e3"])
-    with pytest.raises(gs.ModelError, match="damping = 2: tanh-1e3 has no damping"):
-        gs.contact_law("tanh-1e3", 1.0, gs.Gap(0.1, 0.1), damping=2.0)
+def test_studies_damp_all_laws_that_can_be_and_refuse_others():
+    both = {"damping": [0.0, 1.2], "representation": ["piecewise", "tanh-1e3"]}
+    found = study({"pulls": True}, **both)
+    laws = [law for _, table in found.points(np.arange(4)) for law in laws_of(table)]
+    exact = [law.exact for law in laws]
+    assert sorted(law.damping for law in laws) == [0.0, 0.0, 1.2, 1.2]
+    assert {law.losses.never_pulls for law in exact} == {False}
+    with pytest.raises(StudyError, match=r"walls of tanh-1e3 pull; write pulls = true"):
+        study(**both)
+    with pytest.raises(StudyError, match="damping: poly-5 has none"):
+        study(damping=[0.0, 1.2], representation=["piecewise", "poly-5"])
+    with pytest.raises(StudyError, match="damping: piecewise-noevents has none"):
+        study(damping=[0.0, 1.2], representation=["piecewise-noevents"])
+
+
+def laws_of(table):
+    (_, models), refused = table.models()
+    assert not refused
+    return [law for laws in models.laws for law in laws]
+
+
+OWN = {"k": 20.0, "c": 1.2, "low": -1e3, "high": 0.1745}
+
+
+@pytest.mark.parametrize("engine", ["scipy", pytest.param("compiled", marks=pytest.mark.extended)])
+def test_a_function_of_displacement_and_velocity_is_the_damper_that_it_writes(engine):
+    """Its walls are located: the tangent jumps there, and the determinant is exact."""
+    law = gs.law(damper, 20.0, gs.Gap(0.0, 0.1745), K_ratio=0.0, **OWN)
+    found = gs.respond(oscillator(), law, 0.95 / TURN, 0.1, 0.1, rtol=1e-11, engine=engine)
+    expected = gs.respond(oscillator(), stop(pulls=True), 0.95 / TURN, 0.1, 0.1, rtol=1e-11)
+    x_max, determinant, multiplier = ORBITS[True]
+    assert found.x_max == pytest.approx(x_max, rel=1e-9)
+    assert max(found.multipliers, key=lambda one: one.imag) == pytest.approx(multiplier, rel=1e-8)
+    assert np.prod(found.multipliers).real == pytest.approx(determinant, rel=1e-9)
+    assert found.contact_share == pytest.approx(expected.contact_share, rel=1e-9)
+    assert found.force_max == pytest.approx(expected.force_max, rel=1e-6)  # at samples
+
+
+@pytest.mark.extended  # a kernel of smooth damped contacts
+def test_damped_tanh_becomes_the_damper_that_pulls():
+    """With the square of the layer's width, in amplitude, multipliers and force."""
+    missed = []
+    for epsilon in (1e3, 1e4, 1e5):
+        law = gs.Tanh(20.0, gs.Gap(0.0, 0.1745), epsilon, K_ratio=0.0, damping=1.2)
+        found = gs.respond(oscillator(), law, 0.95 / TURN, 0.1, 0.1, rtol=1e-10)
+        x_max, determinant, multiplier = ORBITS[True]
+        largest = max(found.multipliers, key=lambda one: one.imag)
+        errors = found.x_max - x_max, np.prod(found.multipliers).real - determinant
+        missed.append([*errors, abs(largest - multiplier)])
+    assert np.abs(missed[-1]) == pytest.approx([0.0] * 3, abs=2e-7)
+    assert missed[1][0] / missed[0][0] == pytest.approx(0.01, rel=0.05)
+    assert missed[2][0] / missed[1][0] == pytest.approx(0.01, rel=0.05)
+
+
+@BOTH
+def test_a_function_that_raises_or_returns_nan_ends_a_motion(engine):
+    def hole(x, v):
+        return math.sqrt(0.05 - x) - math.sqrt(0.05) + v
+
+    law = gs.law(hole, 0.0, gs.Gap(0.0, 0.0))
+    run = gs.simulate(oscillator(0.5), law, 0.2, t_end=20.0, engine=engine)
+    assert run.status.label == "model_invalid"
 
 
 def test_a_label_has_the_chi_of_hunt_crossley():

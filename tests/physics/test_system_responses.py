@@ -465,6 +465,22 @@ def test_basins_of_an_unforced_system_are_over_its_states():
     assert (found["attractor"] >= 0).all()
 
 
+def test_a_mass_without_contact_does_not_change_the_smallest_disturbance():
+    """Searched in four dimensions; the second mass moves, but the first one does not feel it."""
+    pair = gs.System(
+        mass=np.eye(2), stiffness=np.diag([1.0, 1.7]), damping=np.diag([0.05, 0.2]),
+        contacts={"stop": [1.0, 0.0]}, forcing=[gs.Harmonic(amplitude=[0.03, 0.01], k=1)],
+    )  # fmt: skip
+    one = gs.Oscillator(mass=1.0, omega_n=0.5 / math.pi, zeta=0.025, forcing=0.03)
+    law, omega, axis = gs.Piecewise(2.0, gs.Gap(0.1745, 0.1745)), 0.65 / math.pi, [-1.0, 0.0, 1.0]
+    found = gs.basins(pair, law, omega, x=("q_1", axis), v=("v_q_1", axis), rays=16)
+    expected = gs.basins(one, law, omega, x=axis, v=axis, rays=16)
+    np.testing.assert_allclose(found["disturbance"], expected["disturbance"], rtol=1e-6)
+    single = found["single_up_v"].sel(coordinate="q_1")
+    np.testing.assert_allclose(single, expected["single_up_v"], rtol=1e-7)
+    assert np.isnan(found["single_up_x"].sel(coordinate="q_2")).all()
+
+
 @pytest.mark.parametrize(
     ("given", "words"),
     [

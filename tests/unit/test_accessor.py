@@ -202,6 +202,34 @@ def test_attractors_over_frequency_are_as_large_as_their_basins(attractors, ax):
     assert_allclose(np.unique(areas), np.unique(4.0 + 20.0 * shares[np.isfinite(shares)]))
 
 
+def test_attractors_keep_their_track_where_their_numbers_change(ax):
+    """A branch from 0.5 m down, one from 0.1 m up: they cross in the order of peaks."""
+    peaks = [[0.1, 0.5], [0.12, 0.4], [0.15, 0.25], [np.nan, 0.2], [0.25, 0.9]]
+    shares = [[0.2, 0.8], [0.3, 0.7], [0.4, 0.6], [np.nan, 1.0], [0.9, 0.1]]
+    dims = ("omega", "attractor")
+    mm = {"units": "m"}
+    found = xr.Dataset(
+        {
+            "x_max": (dims, peaks, mm),
+            "x_min": (dims, -np.array(peaks), mm),
+            "period_multiple": (dims, np.ones((5, 2), int)),
+            "basin_share": (dims, shares),
+            "basin_share_error": (dims, np.full((5, 2), 0.05)),
+        },
+        {"omega": [1.0, 2.0, 3.0, 4.0, 5.0], "representation": "piecewise"},
+    )
+    found["x_max"].loc[{"omega": 4.0}] = [np.nan, 0.22]
+    track = found.gapsweep.with_tracks()["track"].values.tolist()
+    assert track == [[0, 1], [0, 1], [0, 1], [-1, 1], [1, 2]]
+    found.gapsweep.basin_shares(ax=ax)
+    lines = {line.get_label(): line for line in ax.lines if not line.get_label().startswith("_")}
+    assert_allclose(lines["P1, peak 500 mm"].get_ydata(), [0.8, 0.7, 0.6, 1.0, 0.9])
+    assert_allclose(lines["P1, peak 100 mm"].get_xdata(), [1.0, 2.0, 3.0])
+    ends = np.concatenate([line.get_ydata() for line in ax.lines if line.get_linewidth() == 3.0])
+    assert_allclose(np.nanmin(ends), 0.1 - 1.96 * 0.05)
+    assert np.nanmax(ends) == 1.0
+
+
 def test_attractors_at_one_frequency_are_sections(attractors, ax):
     attractors.gapsweep.attractors(ax=ax, representation="tanh-1e4", omega=7.0)
     one = attractors.sel(representation="tanh-1e4", omega=7.0)

@@ -3,6 +3,7 @@
 import json
 import math
 import pickle
+from dataclasses import replace
 from inspect import signature
 from pathlib import Path
 
@@ -21,6 +22,7 @@ from gapsweep.model.contact import FIT_RANGE
 from gapsweep.model.fit import Fit, best_pole_free, poles, rational_candidates, unit_force
 from gapsweep.model.labels import EXAMPLES, Representation
 from gapsweep.model.laws.fitted import Fitted, in_blocks
+from gapsweep.model.parameters import numbers_of, with_numbers
 
 SOFT = 1.4e4
 SYMMETRIC = gs.Gap(0.4e-3, 0.4e-3)
@@ -173,6 +175,28 @@ def test_formulas_of_the_compiled_engine_give_force_and_slope(label, gap):
         assert_allclose(found, expected, rtol=1e-9, atol=1e-12 * np.abs(expected).max())
 
 
+@pytest.mark.parametrize("label", ["tanh-1e4", "arctan-1e4", "logarctan-1e4"])
+def test_damping_acts_by_the_switch_of_a_law(label):
+    """The derivative by the speed is c beyond the walls and falls to 0 between; by two hands."""
+    law = gs.contact_law(label, SOFT, ASYMMETRIC, K_ratio=0.4, damping=2.0)
+    x, v, h = np.linspace(-1.3e-3, 1.7e-3, 61), 0.3, 1e-9
+    elastic, rate = replace(law, damping=0.0).force(x), law.derivative_by_speed(x, v)
+    assert_allclose(law.force(x, v), elastic + rate * v, rtol=1e-12)
+    slope = (law.force(x + h, v) - law.force(x - h, v)) / (2.0 * h)
+    assert_allclose(law.derivative(x, v), slope, rtol=1e-5)
+    given = numbers(law)
+    for formula, expected in (
+        (law.formulas.switch, rate),
+        (law.formulas.switch_slope, law.derivative(x, 1.0) - law.derivative(x, 0.0)),
+    ):
+        names = [*signature(formula).parameters][1:]
+        found = [2.0 * formula(at, *(given[name] for name in names)) for at in x.tolist()]
+        assert_allclose(found, expected, rtol=1e-9, atol=1e-9 * np.abs(expected).max())
+    far = law.derivative_by_speed([-0.5, 0.5 * (law.walls[0] + law.walls[1]), 0.5], v)
+    assert far == pytest.approx([2.0, 0.0, 2.0], abs=0.5)
+    assert law.exact.losses.damping == 2.0
+
+
 def test_every_law_in_the_folder_is_registered():
     files = {path.stem for path in Path(laws.__file__).parent.glob("*.py")}
     registered = {law.__module__.rpartition(".")[2] for law in laws.LAWS}
@@ -270,7 +294,10 @@ def test_a_steep_continuous_force_is_taken(force, gap):
 @pytest.mark.parametrize(
     ("build", "message"),
     [
-        (lambda: gs.Gap(-1e-3, 0.0), r"j_1 = -0.001: must be >= 0"),
+        (lambda: gs.contact_law("logarctan-1e4", SOFT, (-1e-4, 4e-4)), r"-0.0001: .*at x = 0"),
+        (lambda: gs.contact_law("poly-13", SOFT, (-2e-4, 1e-4)), r"-0.0002, 0.0001: .*overlap"),
+        (lambda: gs.law(lambda x: x, SOFT, (-2e-4, 1e-4)), r"overlap"),
+        (lambda: gs.ForceTable([-1.0, 1.0], [-1.0, 1.0], gap=(-0.2, 0.1)), r"overlap"),
         (lambda: gs.Gap(0.0, math.nan), r"j_2 = nan: must be finite"),
         (lambda: gs.Piecewise(-1.0, SYMMETRIC), r"K_c = -1: must be >= 0"),
         (lambda: gs.Tanh(SOFT, SYMMETRIC, 0.0), r"epsilon = 0: must be > 0"),
@@ -294,10 +321,11 @@ def test_a_steep_continuous_force_is_taken(force, gap):
         (lambda: gs.law(lambda x: 1 / x, SOFT, SYMMETRIC), r"raised ZeroDivisionError"),
         (lambda: gs.law(lambda x: "12", SOFT, SYMMETRIC), r"must return a number, not '12'"),
         (lambda: gs.law(lambda x: x > 1.0, SOFT, SYMMETRIC), r"must return a number, not False"),
-        (lambda: gs.law(lambda x, v: x, SOFT, SYMMETRIC), r"\(x, v\).*loses energy"),
-        (lambda: gs.law(lambda x, v=0.0: x, SOFT, SYMMETRIC), r"\(x, v\).*loses energy"),
-        (lambda: gs.law(lambda x, *, v: x, SOFT, SYMMETRIC), r"\(x, v\).*loses energy"),
-        (lambda: gs.law(soft_spring, SOFT, SYMMETRIC, damping=2.0), r"damping.*loses energy"),
+        (lambda: gs.law(lambda x, v, a: x, SOFT, SYMMETRIC), r"\(x, v, a\).*velocity v"),
+        (lambda: gs.law(lambda x, a, v: x, SOFT, SYMMETRIC), r"\(x, a, v\).*velocity v"),
+        (lambda: gs.law(lambda x, *, v: x, SOFT, SYMMETRIC), r"raised TypeError"),
+        (lambda: gs.law(lambda x, v: math.nan, SOFT, SYMMETRIC), r"nan: must be finite"),
+        (lambda: gs.law(soft_spring, SOFT, SYMMETRIC, damping=2.0), r"damping.*velocity v"),
         (lambda: gs.Piecewise(SOFT, SYMMETRIC, friction=0.3), r"'friction'.*loses energy"),
         (lambda: gs.Tanh(SOFT, SYMMETRIC, 1e4, restitution=0.3), r"'restitution'.*loses energy"),
         (lambda: gs.law(hertz, SOFT, SYMMETRIC, n="1.5"), r"n = '1.5': must be a number"),
@@ -416,3 +444,18 @@ def test_only_an_oscillator_of_the_paper_has_its_numbers():
     paper = gs.systems.paper_oscillator(zeta=0.1)
     stated = {"zeta": 0.1, "omega_n": 5.0, "mass": 3.0, "alpha": 7e8, "forcing": 4.0}
     assert paper == gs.Oscillator(**stated)
+
+
+def test_numbers_are_read_and_set_by_name():
+    oscillator = gs.Oscillator(mass=3.0, omega_n=5.0, zeta=0.03, forcing=4.0)
+    law = gs.Piecewise(1e4, gs.Gap(4e-4, np.inf))
+    assert numbers_of(oscillator).items() >= {"mass": 3.0, "zeta": 0.03, "alpha": 0.0}.items()
+    known = {"K_c": 1e4, "K_ratio": 1.0, "damping": 0.0, "j_1": 4e-4}
+    assert numbers_of(law) == known, "no distance of a wall that is missing"
+    found = with_numbers(law, {"gap": 1e-4, "K_c": 2e4, "zeta": 0.1})
+    assert found == gs.Piecewise(2e4, gs.Gap(1e-4, np.inf))
+    assert with_numbers(law, {"j_2": 2e-4}) == gs.Piecewise(1e4, gs.Gap(4e-4, 2e-4))
+    assert with_numbers(oscillator, {"gap": 1e-4, "K_c": 2e4}) is oscillator
+    spring = gs.UserLaw(1e4, law.gap, lambda x, k: k * x, {"k": 3.0})
+    found = with_numbers(spring, {"k": 5.0, "gap": 2e-4})
+    assert (found.parameters, found.gap) == ({"k": 5.0}, law.gap), "its walls push nothing"

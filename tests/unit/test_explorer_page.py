@@ -435,6 +435,8 @@ def test_damping_of_contacts_has_a_slider_and_pulls_is_kept():
     stop, between = asked(question, moved).laws(EXACT)
     assert stop == replace(laws["stop"], damping=4.0)
     assert between == replace(laws["between"], chi=0.5)
+    stop, _ = asked(question, moved).laws("huntcrossley-2")  # in place of the damper
+    assert stop == gs.HuntCrossley(100.0, gs.Gap(0.05, 0.06), chi=2.0)
     assert [dial.value for dial in dials(of_model(LINEAR, FREE)) if dial.name == "damping"] == [0.0]
 
 
@@ -468,6 +470,18 @@ def test_a_wall_on_one_side_has_one_slider():
     mixed = study | {"sweep": [{**block, "gap": [[np.inf, 4e-4], [4e-4, 4e-4]]}]}
     with pytest.raises(ModelError, match="j_1 = inf next to other values"):
         of_study(gs.Study.from_dict(mixed))
+
+
+def test_a_prestressed_wall_has_a_slider_of_both_signs(monkeypatch):
+    monkeypatch.setattr(shown, "N_OMEGA", 3)
+    pressed = gs.Piecewise(1.4e4, gs.Gap(-1e-4, 4e-4))
+    question = of_model(LINEAR, pressed, approximations=[])
+    (dial,) = (dial for dial in dials(question) if dial.name == "j_1")
+    assert dial.low < dial.value < 0.0 < dial.high
+    omega = shown.frequencies(question)
+    settings = {"rtol": shown.RTOL, "atol": shown._atol(question.model)}
+    found = gs.respond(LINEAR, pressed, omega, steady=shown.settled(question.model), **settings)
+    np.testing.assert_array_equal(from_rest(question, EXACT).x_max, found.x_max)
 
 
 def test_a_study_with_damping_has_its_range():

@@ -93,6 +93,10 @@ REFUSED = {
     "misspelt end": (lambda: simulated(tend=1.0), r"'tend'; .*t_end.*write gs\.simulate\("),
     "misspelt criterion": (lambda: gs.Steady(n_period=3), r"'n_period'; .*write gs\.Steady\("),
     "label without numbers": (lambda: gs.contact_law("tanh-1e4"), r"'K_c'; .*gs\.contact_law\("),
+    "basins with half a ray": (
+        lambda: gs.basins(OSCILLATOR, LAW, 9.0, x=[0.0], v=[0.0], rays=0.5),
+        r"rays = 0\.5: must be a whole number in 0\.\.4096",
+    ),
     "basins without starts": (lambda: gs.basins(OSCILLATOR, LAW, 9.0), r"'x'; .*gs\.basins\("),
     "branches of no law": (lambda: gs.branches(OSCILLATOR), r"^law: missing .*law=gs\.Piecewise\("),
     "curve of nothing": (lambda: gs.special_curve(OSCILLATOR), r"'point'; .*gs\.special_curve\("),
@@ -333,8 +337,8 @@ BOTH = {
     "K_c in words": (*contact(K_c="14 kN"), " = '14 kN': must be a number"),
     "infinite K_c": (*contact(K_c=INF), " = inf: must be finite"),
     "negative ratio": (*contact(K_ratio=-1.0), "must be >= 0"),
-    "negative gap": (*contact(gap=(-4e-4, 4e-4)), " = -0.0004: must be >= 0"),
-    "infinite gap": (*contact(gap=(4e-4, INF)), " = inf: must be finite"),
+    "gap without walls": (*contact(gap=(INF, INF)), "no wall on either side"),
+    "gap that is no number": (*contact(gap=(math.nan, 4e-4)), " = nan: must be "),
     "unknown law": (
         *contact("tan-1e4"),
         "unknown representation 'tan-1e4': did you mean tanh-1e4?",

@@ -208,3 +208,24 @@ def test_a_file_that_is_no_toml_shows_the_line(written, line):
     text = re.sub(rf"^{name} = .*$", written, STUDY, flags=re.M)
     with pytest.raises(gs.StudyError, match=re.escape(line) + "$"):
         parse(text)
+
+
+@pytest.mark.parametrize(
+    "call",
+    [
+        lambda model: gs.explore(model),
+        lambda model: gs.branches(model, LAW, "k", (1.0, 2.0), omega=0.1),
+    ],
+    ids=["explore", "branches"],
+)
+def test_a_function_that_returns_no_model_or_raises_is_named_in_one_line(call):
+    def broken(k=1.0):
+        raise KeyError(f"no spring {k}")
+
+    for model, said in ((broken, r"broken\(k=1.0\) raised KeyError"), (lambda k=1.0: k, "System")):
+        with pytest.raises(gs.ModelError, match=said) as raised:
+            call(model)
+        assert "\n" not in str(raised.value)
+
+
+LAW = gs.Piecewise(1.4e4, gs.Gap(4e-4, 4e-4))

@@ -235,6 +235,27 @@ def test_parameters_of_systems_are_uncertain():
     np.testing.assert_array_equal(models.systems[models.system[3]].stiffness, expected.stiffness)
 
 
+def test_models_of_samples_are_those_of_single_rows():
+    """Also where one of them is invalid, which is refused without the others."""
+    uncertain = UNCERTAIN | {"forcing": {"normal": 4.0, "sd": 0.1}, "K_ratio": {"uniform": [0, 2]}}
+    labels = ["piecewise", "tanh-1e4", "poly-13"]
+    found = study(small_study(), uncertain, sweep__0__omega=9.0, sweep__0__representation=labels)
+    for _, rows in found.points(np.arange(48)):
+        (_, models), refused = rows.models()
+        assert not refused
+        for k in range(16):
+            (_, one), _ = rows.take([k]).models()
+            assert models.systems[models.system[k]] == one.systems[0]
+            assert models.laws[models.law[k]] == one.laws[0]
+        damaged = rows.numbers.copy()
+        damaged[3, rows.kind.numbers.index("mass")] = -1.0
+        damaged[5, rows.kind.numbers.index("K_c")] = np.nan
+        (kept, models), refused = type(rows)(rows.kind, damaged).models()
+        assert sorted(refused) == [3, 5]
+        assert "mass = -1" in str(refused[3])
+        assert len(models) == len(kept) == 14
+
+
 def test_missing_values_are_medians():
     tables = changed(small_study(), sweep__0__gap=None, oscillator__forcing=None)
     uncertain = UNCERTAIN | {"forcing": {"triangular": [1.0, 2.0, 5.0]}}
@@ -346,6 +367,17 @@ def test_figures_show_the_dataset():
     np.testing.assert_allclose(np.reshape(shown["total"].x, (2, 3))[:, 1], np.sort(total))
     with pytest.raises(gs.DatasetError, match="probability"):
         found.drop_vars("probability").gapsweep.risk("large")
+
+
+def test_a_tornado_has_the_number_of_points_left_out():
+    of, settings = of_ratio(0.05, 0.1), {"indices": True, "repeats": 2}
+    kind = np.zeros(2 * 4 * 256, int)
+    kind[[3, 3 + 256, 700]] = gs.ResponseClass.UNRESOLVED  # twice the point 3, and point 188
+    found = risk(of, of_switch, response_class=kind, **settings)
+    assert found["n_left_out"] == found["quantity_n_left_out"] == 2
+    assert "2 Sobol points" in found.gapsweep.tornado("large").get_xlabel()
+    whole = risk(of, of_switch, **settings)
+    assert "left out" not in whole.gapsweep.tornado("large").get_xlabel()
 
 
 def test_safe_values_are_judged_by_whole_intervals():

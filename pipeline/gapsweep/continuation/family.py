@@ -4,7 +4,7 @@ import inspect
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -15,7 +15,7 @@ from gapsweep.integrate.problem import Model, Models
 from gapsweep.integrate.simulate import AnyLaw
 from gapsweep.model.contact import ContactLaw, checked_law
 from gapsweep.model.oscillator import Oscillator, checked
-from gapsweep.model.parameters import GAP, numbers_of, with_numbers
+from gapsweep.model.parameters import GAP, made_model, numbers_of, with_numbers
 from gapsweep.model.structure import general_form
 from gapsweep.model.system import System
 from gapsweep.model.user_law import UserLaw
@@ -204,10 +204,7 @@ class Family:
         model = self.model
         if callable(model):
             known = {name: value for name, value in values.items() if name in self._arguments}
-            made = model(**known)
-            if not isinstance(made, Oscillator | System):
-                raise ModelError(f"oscillator: {made!r}: must return a gapsweep.System")
-            return made
+            return made_model(model, known)
         if not isinstance(model, Oscillator | System):
             raise ModelError(
                 f"oscillator = {model!r}: must be a gapsweep.Oscillator(...), a gapsweep.System(), "
@@ -219,6 +216,12 @@ class Family:
         if AMPLITUDE in self.names and not found.is_loaded:
             return replace(general_form(found), forcing=())
         return found
+
+    def at(self, values: Mapping[str, float]) -> tuple[Any, dict[str, ContactLaw]]:
+        """The model, or its function with some arguments set, and the laws by contact."""
+        known = {name: value for name, value in values.items() if name in self._arguments}
+        model = partial(self.model, **known) if callable(self.model) else self.model_at(values)
+        return model, dict(zip(self.example.contacts, self.laws_at(values), strict=True))
 
     def laws_at(self, values: Mapping[str, float]) -> tuple[ContactLaw, ...]:
         """The laws of all contacts, in the model's order, at parameter values.

@@ -24,7 +24,7 @@ from gapsweep.design.measured import Sweep, ranges, sweeps
 from gapsweep.errors import ModelError
 from gapsweep.integrate.problem import Model
 from gapsweep.integrate.simulate import AnyLaw
-from gapsweep.model.oscillator import called_as, checked
+from gapsweep.model.oscillator import Oscillator, called_as, checked
 from gapsweep.quantities import UNITS, without_units, written
 from gapsweep.response.result import RESPONSE, Responses
 from gapsweep.status import Status
@@ -102,6 +102,12 @@ class Fit:
     oscillator: Any = field(compare=False)
     law: Any = field(compare=False)
 
+    @property
+    def units(self) -> dict[str, str]:
+        """Units of the parameters; empty text for those of a System."""
+        known = UNITS if isinstance(self.oscillator, Oscillator) else {}
+        return {name: known.get(name, "") for name in self.values}
+
     def plot(self) -> Any:
         """Return the figure of `gapsweep.plot`: measured points over branches, and residuals."""
         from gapsweep import plot
@@ -111,7 +117,7 @@ class Fit:
     def __repr__(self) -> str:
         lines = [f"<gapsweep.Fit of {self.quantity} at {len(self.omega)} points>"]
         for name, value in self.values.items():
-            unit = written(UNITS.get(name, ""))
+            unit = written(self.units[name])
             lines.append(f"  {name} = {value:.6g} ± {self.errors[name]:.2g} {unit}".rstrip())
         return "\n".join([*lines, *(f"  {note}" for note in self.notes)])
 

@@ -109,7 +109,7 @@ class Machine:
         m = len(values)
         states = [np.zeros((m, self.n_states)) for _ in frequencies]
         found: list[list[Responses]] = [[] for _ in frequencies]
-        for k in range(max(map(len, frequencies))):
+        for k in range(max(map(len, frequencies), default=0)):
             left = [s for s, omega in enumerate(frequencies) if k < len(omega)]
             omega = np.repeat([frequencies[s][k] for s in left], m)
             batch = self.respond(

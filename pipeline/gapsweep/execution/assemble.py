@@ -11,24 +11,38 @@ import math
 from collections import deque
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import netCDF4
 import numpy as np
 from numpy.typing import NDArray
 
 from gapsweep.errors import StoreError
-from gapsweep.execution.layout import Arrays, Layout, Piece, define, define_attractors, set_flags
+from gapsweep.execution.layout import (
+    PIECE,
+    Arrays,
+    Layout,
+    Piece,
+    define,
+    define_attractors,
+    set_flags,
+)
 from gapsweep.execution.plan import ABSENT, Plan
 from gapsweep.model.table import ForceTable
 from gapsweep.response.attractors import NONE, Attractors, Grouping
+from gapsweep.response.disturbances import smallest_disturbances
 from gapsweep.response.result import ResponseClass, Responses
 from gapsweep.status import Status
 from gapsweep.store.cache import Found
 from gapsweep.store.netcdf import LOCK, writing
 from gapsweep.study.grid import Grid, Selection
+from gapsweep.study.points import Points
 from gapsweep.study.study import Study
 from gapsweep.user_code.package_digest import numerics_fingerprint
 from gapsweep.variables import EXTREMUM, MULTIPLIER, SECTION_POINT
+
+# Function of tables of points that returns their responses.
+Respond = Callable[[list[Points]], list[Responses]]
 
 _LOOKED_AT = 256  # pieces of the grid in search of one that is complete
 
@@ -39,11 +53,13 @@ def export(
     attractors: Path,
     *,
     made_from: Callable[[], str] = str,
+    respond: Respond | None = None,
 ) -> Iterator[bool]:
     """Write ``responses.nc`` and ``attractors.nc`` from the cache, while points are computed.
 
     Each step writes a piece of the grid if all its points are stored. The files take their places
-    at the end; if the iteration is left before, nothing remains of them.
+    at the end; if the iteration is left before, nothing remains of them. A study that asks for
+    disturbances has its first piece written when all points are stored: the workers are free then.
 
     Parameters
     ----------
@@ -51,6 +67,9 @@ def export(
         Results that are stored meanwhile are entered in it.
     made_from : callable
         Returns the value of the files' attribute `made_from`; called when all points are stored.
+    respond : callable, optional
+        Returns the responses of tables of points from their fixed initial states. With it,
+        attractors have the smallest disturbances that leave them.
 
     Yields
     ------
@@ -64,7 +83,7 @@ def export(
     """
     attributes = attributes_of(plan.study)
     with writing(attractors, attributes) as others, writing(responses, attributes) as dataset:
-        filling = _Filling(dataset, others, plan)
+        filling = _Filling(dataset, others, plan, respond=respond)
         while filling.pieces:
             yield filling.step()
         digests = made_from()
@@ -104,14 +123,17 @@ class _Filling:
         others: netCDF4.Dataset,
         plan: Plan,
         selection: Selection | None = None,
+        respond: Respond | None = None,
     ) -> None:
-        self.dataset, self.others = dataset, others
+        self.dataset, self.others, self.respond = dataset, others, respond
         self.plan, self.selection, study = plan, selection, plan.study
         grid = study.grid if selection is None else study.grid.cut(selection)
         laws = {label: study.own_law(label) for label in grid.representations}
         uneven = [label for label, own in laws.items() if own is not None and not own.is_odd]
         mean_load = study.spec.model.get("mean_load", 0.0)
-        self.layout = Layout.of(grid, study.steady, uneven=uneven, mean_load=mean_load)
+        symmetry: dict[str, Any] = {"uneven": uneven, "mean_load": mean_load}
+        has_disturbances = respond is not None
+        self.layout = Layout.of(grid, study.steady, **symmetry, has_disturbances=has_disturbances)
         self.hosts: list[str] = []
         self.versions: set[str] = set()
         with LOCK:
@@ -121,6 +143,8 @@ class _Filling:
 
     def step(self) -> bool:
         """Write the next piece whose points are all stored; False if there is none among a few."""
+        if self.layout.has_disturbances and self.plan.n_missing:
+            return False
         for _ in range(min(len(self.pieces), _LOOKED_AT)):
             piece = self.pieces.popleft()
             numbers = _numbers(self.plan, self.layout.grid, self.selection, piece)
@@ -142,8 +166,12 @@ class _Filling:
             return
         stored = _PieceResults(self.plan, numbers)
         units, directions = _sections(self.plan.study, layout, piece, stored, requested)
-        attractors, ids = _grouped(layout, piece, stored, units)
-        of_scenes = _attractor_arrays(layout, attractors, requested.shape[:-1], directions)
+        attractors, ids, cells = _grouped(layout, piece, stored, units)
+        left = {}
+        if layout.has_disturbances:
+            first = numbers.flat[cells[attractors.first]]
+            left = self._disturbances(first, attractors.leaders, units[:, attractors.scene])
+        of_scenes = _attractor_arrays(layout, attractors, left, requested.shape[:-1], directions)
         _write(self.others, piece[:-1], of_scenes)
         for starts in layout.starts():
             found, at = stored.of(starts)
@@ -153,6 +181,30 @@ class _Filling:
             values = _point_arrays(layout, requested[..., starts], found, at, hosts, directions)
             values["attractor"] = ids[..., starts]
             _write(self.dataset, (*piece[:-1], starts), values)
+
+    def _disturbances(
+        self, first: NDArray[np.int64], leaders: Responses, unit: NDArray[np.float64]
+    ) -> Arrays:
+        """Smallest disturbances that leave attractors; `first` are the points of the leaders."""
+        study, respond = self.plan.study, self.respond
+        assert respond is not None
+        assert study.spec.attractors is not None
+        tables = study.points(study.grid.cells(first))
+
+        def answer(of: NDArray[np.intp], states: NDArray[np.float64]) -> Responses:
+            order, parts = [], []
+            for numbers, points in tables:
+                here = np.flatnonzero(np.isin(of, numbers))
+                for some in np.split(here, range(PIECE, len(here), PIECE)):
+                    rows = np.searchsorted(numbers, of[some])
+                    parts.append(points.take(rows).from_states(states[some]))
+                    order.append(some)
+            found = Responses.concatenated(respond(parts))
+            return found.take(np.argsort(np.concatenate(order)))
+
+        starts = self.layout.grid.starts.states
+        found = smallest_disturbances(leaders, unit, starts, study.spec.attractors.rays, answer)
+        return found.arrays(study.structure.n)
 
 
 def attributes_of(study: Study) -> dict[str, str]:
@@ -255,8 +307,8 @@ def _point_arrays(
 
 def _grouped(
     layout: Layout, piece: Piece, stored: _PieceResults, units: NDArray[np.float64]
-) -> tuple[Attractors, NDArray[np.int32]]:
-    """The attractors of a piece, and the number of the attractor of every point."""
+) -> tuple[Attractors, NDArray[np.int32], NDArray[np.intp]]:
+    """The attractors of a piece, the number of each point's attractor, and the responses' cells."""
     shape = tuple(part.stop - part.start for part in piece)
     grouping, cells = Grouping(units), []
     for starts in layout.starts():
@@ -265,19 +317,23 @@ def _grouped(
         cells.append(scene * shape[-1] + start)
         grouping.add(found.responses, scene, layout.grid.starts.is_fixed[start])
     attractors = grouping.attractors(layout.is_symmetric(piece))
-    ids = np.full(shape, NONE, np.int32)
-    ids.flat[np.concatenate(cells)] = attractors.numbers
-    return attractors, ids
+    ids, of_responses = np.full(shape, NONE, np.int32), np.concatenate(cells)
+    ids.flat[of_responses] = attractors.numbers
+    return attractors, ids, of_responses
 
 
 def _attractor_arrays(
-    layout: Layout, found: Attractors, shape: tuple[int, ...], directions: NDArray[np.float64]
+    layout: Layout,
+    found: Attractors,
+    left: Arrays,
+    shape: tuple[int, ...],
+    directions: NDArray[np.float64],
 ) -> Arrays:
-    """Values of all variables of `attractors.nc` in a piece of the grid."""
+    """Values of all variables of `attractors.nc` in a piece of the grid; `left`: disturbances."""
     leaders, most = found.leaders, int(found.number.max(initial=0)) + 1
     place = (*np.unravel_index(found.scene, shape), found.number)
     sizes = {**_sizes(layout, leaders), EXTREMUM: 0}
-    arrays, values = leaders.arrays(sizes, directions[found.scene]), {}
+    arrays, values = leaders.arrays(sizes, directions[found.scene]) | left, {}
     for name, variable in layout.attractor_variables.items():
         within = [sizes[dim] for dim in layout.within(variable)]
         values[name] = np.full((*shape, most, *within), variable.missing, variable.dtype)

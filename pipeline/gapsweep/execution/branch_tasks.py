@@ -88,7 +88,8 @@ def model_of(
     n = len(kind.contacts) * len(OF_CONTACT)
     walls, omega, numbers = np.split(point.numbers[0, : -kind.n_states], [n, n + 1])
     example = system() if system else kind.structure.system(numbers)
-    laws = dict(zip(example.contacts, kind.laws(walls), strict=True))
+    (several,) = kind.laws(walls[None])
+    laws = dict(zip(example.contacts, several, strict=True))
     return system or example, laws, float(omega[0]) or None
 
 

@@ -11,6 +11,7 @@ import netCDF4
 import numpy as np
 from numpy.typing import NDArray
 
+from gapsweep.response.disturbances import DISTURBANCES
 from gapsweep.response.result import Steady, exists, sizes_of
 from gapsweep.store.netcdf import create_texts
 from gapsweep.study.grid import START, Grid
@@ -23,7 +24,7 @@ from gapsweep.study.schema import (
     Found,
     coordinates,
 )
-from gapsweep.variables import EXTREMUM, MULTIPLIER, SECTION_POINT, Variable
+from gapsweep.variables import EXTREMUM, LAG, MULTIPLIER, SECTION_POINT, Variable
 
 Arrays = dict[str, NDArray[Any]]
 
@@ -52,17 +53,20 @@ class Layout:
         Labels of user tables with a force that is not odd in the displacement.
     mean_load : float
         Mean load [N] of the model if it is not swept.
+    has_disturbances : bool
+        Whether attractors have the smallest disturbances that leave them.
     """
 
     grid: Grid
     sizes: dict[str, int]
     uneven: Collection[str] = ()
     mean_load: float = 0.0
+    has_disturbances: bool = False
 
     @classmethod
-    def of(cls, grid: Grid, steady: Steady, **symmetry: Any) -> "Layout":
-        """The layout of a grid; `symmetry` holds `uneven` and `mean_load`."""
-        return cls(grid, sizes_of(grid.structure, steady), **symmetry)
+    def of(cls, grid: Grid, steady: Steady, **others: Any) -> "Layout":
+        """The layout of a grid; `others` are further attributes."""
+        return cls(grid, sizes_of(grid.structure, steady), **others)
 
     @property
     def variables(self) -> dict[str, Variable]:
@@ -72,7 +76,8 @@ class Layout:
     @property
     def attractor_variables(self) -> dict[str, Variable]:
         """Variables of `attractors.nc` over its attractors."""
-        return self._described(ATTRACTOR_VARIABLES)
+        left_out = () if self.has_disturbances else DISTURBANCES
+        return self._described({n: v for n, v in ATTRACTOR_VARIABLES.items() if n not in left_out})
 
     def coordinates(self, dims: Collection[str]) -> Found:
         """The coordinates of a dataset with these dimensions."""
@@ -86,7 +91,7 @@ class Layout:
         return {
             name: variable.in_units(self.grid.units)
             for name, variable in variables.items()
-            if exists(name, structure)
+            if exists(name, structure) and (structure.m or LAG not in variable.dims)
         }
 
     def within(self, variable: Variable) -> dict[str, int]:

@@ -21,7 +21,8 @@ _RECENT_SECONDS = 60.0
 _FEW = np.array([256, 16])  # points of each kind with a weight equal to the mean of other kinds
 # Before any cost is known: a compiled kernel wants its lanes filled, scipy takes seconds a point.
 _FIRST_BATCH = {"compiled": 16, "scipy": 1}
-# A long sweep is computed in parts, so that a kill loses one part and not the whole sweep.
+# A long sweep is computed in parts, so that a kill loses one part and not the whole sweep; parts
+# are longer if few sweeps fill a task.
 SWEEP_PART = 16
 
 # Numbers of points in a block, ascending.
@@ -39,7 +40,7 @@ def cut(rows: Rows, follows: NDArray[np.bool_], room: int) -> tuple[Rows, Rows, 
     is_first = is_first_of_sweep(rows, follows)
     sweep = np.cumsum(is_first) - 1
     firsts = np.flatnonzero(is_first)
-    is_late = np.arange(len(rows)) - firsts[sweep] >= SWEEP_PART
+    is_late = np.arange(len(rows)) - firsts[sweep] >= max(SWEEP_PART, room // len(firsts))
     size = np.cumsum(np.bincount(sweep[~is_late]))
     n_sweeps = max(int(np.searchsorted(size, room, side="right")), 1)
     is_drawn = sweep < n_sweeps

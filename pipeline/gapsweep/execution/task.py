@@ -226,6 +226,11 @@ def respond_to(tile: Tile, ask: Ask | None = None) -> Responses:
     return Responses.concatenated(parts).take(np.argsort(np.concatenate(order)))
 
 
+def respond_fixed(points: Points) -> Responses:
+    """Steady responses of points from their fixed initial states."""
+    return _together(points, points.starts)
+
+
 def _together(points: Points, states: States) -> Responses:
     """Responses of independent points, all in one call; refused models give failures."""
     (rows, models), refused = points.models()

@@ -4,7 +4,7 @@ import inspect
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -16,6 +16,7 @@ from gapsweep.integrate.simulate import AnyLaw
 from gapsweep.model.contact import FIT_RANGE, OF_WALLS, ContactLaw, Piecewise
 from gapsweep.model.labels import EXACT, Representation, canonical_label, contact_law
 from gapsweep.model.oscillator import Gap, Oscillator, checked, is_number
+from gapsweep.model.parameters import made_model
 from gapsweep.model.system import System
 from gapsweep.model.systems import paper_oscillator
 from gapsweep.study.study import Study
@@ -229,7 +230,10 @@ class Question:
             if law == EXACT and exact is not None:
                 found.append(replace(exact, **of_walls))
                 continue
-            of_walls.pop(_CHI, None)
+            # A law with losses in its label has no damper in addition.
+            loses = law != EXACT and Representation(law).is_located
+            others = {_CHI, "damping"} if loses else {_CHI}
+            of_walls = {name: of_walls[name] for name in of_walls.keys() - others}
             found.append(contact_law(law, fit_range=self.fit_range, **of_walls))
         return tuple(found)
 
@@ -447,7 +451,8 @@ def _machine(
     factor = 10.0 ** (3 * round(math.log10(widest) / 3)) if widest else 1.0
     if isinstance(model, System):
         return SliderModel(lambda _: model, {}, walls, *several, factor)
-    return SliderModel(lambda values: model(**values), _defaults(model), walls, *several, factor)
+    made = partial(made_model, model)
+    return SliderModel(made, _defaults(model), walls, *several, factor)
 
 
 def _defaults(function: Any) -> dict[str, float]:
@@ -484,9 +489,9 @@ def of_model(
     if not (isinstance(typed, Sequence) and all(isinstance(each, str) for each in typed)):
         raise ModelError(f"approximations = {typed!r:.80}: must be labels, as ['tanh-1e4']")
     model = paper_oscillator() if oscillator is None else oscillator
-    example = model if isinstance(model, Oscillator | System) else model(**_defaults(model))
+    example = model
     if not isinstance(example, Oscillator | System):
-        raise ModelError(f"oscillator = {model!r:.80}: must return a gapsweep.System")
+        example = made_model(example, _defaults(example))
     if not (example.is_forced and example.contacts):
         raise ModelError(f"oscillator = {model!r:.80}: {_NOT_SHOWN}")
     law = Piecewise(K_c=1.4e4, gap=Gap(0.4e-3, 0.4e-3)) if law is None else law

@@ -14,6 +14,7 @@ from gapsweep.integrate.lanes.method import Method
 from gapsweep.integrate.lanes.scene_table import SceneTable, scenes
 from gapsweep.integrate.lanes.system_rows import Walls, system_scenes
 from gapsweep.integrate.motions import Events, Motions
+from gapsweep.integrate.overlap import apart
 from gapsweep.integrate.problem import Integrate, Models, Problems, Shifts, Solver
 from gapsweep.integrate.runge_kutta import representations
 from gapsweep.integrate.runge_kutta.smooth_scenes import runge_kutta_scenes
@@ -36,6 +37,7 @@ _THICK_LAYERS_UP_TO = 1e-5
 _LONGEST = 200  # characters of numba's message
 
 
+@apart
 def prepared(models: Models, solver: Solver, shifts: Shifts | None = None) -> Integrate:
     """Return the integrator of some models; no result depends on the other rows of a call.
 
@@ -44,7 +46,7 @@ def prepared(models: Models, solver: Solver, shifts: Shifts | None = None) -> In
     is_taylor = _by_taylor(models, solver)
     scenes = _scenes(models, solver, is_taylor)
     method: Method = Taylor()
-    is_located = is_taylor and (scenes.at.is_tanh or _is_located(models))
+    is_located = is_taylor and (scenes.at.is_tanh or _is_exact(models))
     mass = models.of_systems(attrgetter("mass")) if _is_oscillator(models) else None
     if shifts is not None:
         scenes = _with_columns(scenes, models, solver, shifts)
@@ -59,22 +61,8 @@ def prepared(models: Models, solver: Solver, shifts: Shifts | None = None) -> In
             scenes, method = runge_kutta_scenes(scenes, laws, mass, solver)
 
     def integrate(problems: Problems) -> Motions:
-        run = batch.run(
-            scenes,
-            method,
-            problems.which,
-            problems.start,
-            problems.t_0,
-            problems.t_end,
-            problems.record_from,
-            queue=_queue(problems),
-            follows=problems.follows,
-            section_only=problems.section_only,
-            tangent=problems.tangent,
-            dense_output=problems.dense_output,
-            sampled=problems.sampled,
-            contacts=problems.contacts or (problems.contact_time and not is_located),
-        )
+        records_contacts = problems.contacts or (problems.contact_time and not is_located)
+        run = batch.run(scenes, method, problems, _queue(problems), contacts=records_contacts)
 
         def events() -> Events:
             return _events(len(problems), run)
@@ -109,7 +97,7 @@ def _forces(found: Array | None, mass: Array | None, which: NDArray[np.intp]) ->
 def _with_columns(scenes: SceneTable, models: Models, solver: Solver, shifts: Shifts) -> SceneTable:
     """Return a table with a column for every parameter; refuse what has none."""
     at = scenes.at
-    if not _is_located(models) or at.is_tanh or at.has_chi or at.has_impacts:
+    if not _is_exact(models) or at.is_tanh or at.has_chi or at.has_impacts:
         raise ModelError(
             f"law = {models.laws[0][0]}: gradients need located contacts, as gs.Piecewise(1.4e4, "
             "gs.Gap(4e-4, 4e-4))"
@@ -147,7 +135,11 @@ def _by_taylor(models: Models, solver: Solver) -> bool:
     models.check_losses(solver)
     if solver.controller != "native" or (n_located and solver.runge_kutta_setting):
         return not laws
-    if _is_located(models) or _crosses_layers(models, solver):
+    if _is_exact(models):
+        return True
+    if models.is_lossy:  # their velocities are in the formulas of Runge-Kutta steps only
+        return False
+    if _crosses_layers(models, solver):
         return True
     # Measured (decision 50): series of tanh, and of fits at several contacts, cost more than
     # Runge-Kutta steps.
@@ -155,9 +147,9 @@ def _by_taylor(models: Models, solver: Solver) -> bool:
     return all(isinstance(law, by_series) for law in laws)
 
 
-def _is_located(models: Models) -> bool:
-    """Whether all contacts are located."""
-    return models.n_located == len(models.laws[0])
+def _is_exact(models: Models) -> bool:
+    """Whether all contacts are located ones of this package."""
+    return all(law.is_located and not isinstance(law, UserLaw) for law in models.laws[0])
 
 
 def _crosses_layers(models: Models, solver: Solver) -> bool:
@@ -210,10 +202,12 @@ def _scenes(models: Models, solver: Solver, is_taylor: bool) -> SceneTable:
     if not models.is_lossy:
         return found
     losses = np.moveaxis(models.of_laws(attrgetter("losses")), -1, 0)
-    damping, never_pulls, chi, is_rigid, restitution = losses
+    damping, never_pulls, chi, by_function, is_rigid, restitution = losses
     mass = models.of_systems(attrgetter("mass"))[:, None] if _is_oscillator(models) else 1.0
     impacts = restitution, models.of_laws(lambda law: law.losses.of_impact)
-    return with_losses(found, damping / mass, never_pulls > 0.0, chi, is_rigid > 0.0, impacts)
+    is_damped = bool(np.any([damping, chi, by_function]))
+    rows = damping / mass, never_pulls > 0.0, chi, is_rigid > 0.0, impacts
+    return with_losses(found, *rows, is_damped=is_damped)
 
 
 def _events(n: int, run: batch.Batch) -> Events:
@@ -261,7 +255,13 @@ def _kernel_law(models: Models, contact: int) -> Any:
         case UserLaw():
             named = [[*each.values()] for each in column("parameters")]
             try:
-                return representations.user(law.function, gaps["j_1"], gaps["j_2"], named)
+                return representations.user(
+                    law.function,
+                    gaps["j_1"],
+                    gaps["j_2"],
+                    named,
+                    is_of_speed=law.is_of_speed,
+                )
             except NumbaError as error:
                 raise ModelError(
                     f"{law}: numba cannot compile it ({_reason(error)}); use arithmetic and "

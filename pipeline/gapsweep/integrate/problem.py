@@ -17,7 +17,7 @@ from gapsweep.integrate.motions import Motions
 from gapsweep.model.contact import ContactLaw, Piecewise, checked_law
 from gapsweep.model.laws.tanh import Tanh
 from gapsweep.model.oscillator import Oscillator, checked
-from gapsweep.model.structure import general_form
+from gapsweep.model.structure import general_form, with_walls_apart
 from gapsweep.model.system import System
 from gapsweep.model.table import ForceTable
 from gapsweep.model.user_law import UserLaw
@@ -59,6 +59,8 @@ class Models:
         Forcing frequency [Hz]; 0 for unforced systems.
     start : ndarray, shape (n, n_states), optional
         Initial states of the whole motions; a default `atol` may depend on them.
+    size : ndarray, shape (n,), optional
+        Length of each problem [m] to which a default `atol` relates; None: computed.
     """
 
     systems: Sequence[Any]
@@ -67,17 +69,18 @@ class Models:
     law: Numbers
     omega: Array
     start: Array | None = None
+    size: Array | None = None
 
     def __post_init__(self) -> None:
-        for system in self.systems:
+        # One object of each type: there may be as many objects as rows.
+        for system in {type(system): system for system in self.systems}.values():
             if not isinstance(system, Oscillator | System):
                 raise ModelError(
                     f"oscillator = {system!r}: must be a gapsweep.Oscillator(...) or a "
                     "gapsweep.System()"
                 )
-        for laws in self.laws:
-            for each in laws:
-                checked_law(each)
+        for law in {type(law): law for laws in self.laws for law in laws}.values():
+            checked_law(law)
         object.__setattr__(self, "systems", [_integrated(system) for system in self.systems])
 
     @classmethod
@@ -109,6 +112,7 @@ class Models:
             law=law,
             omega=self.omega[rows],
             start=None if self.start is None else self.start[rows],
+            size=None if self.size is None else self.size[rows],
         )
 
     def by_kind(self) -> list[tuple[Numbers, "Models"]]:
@@ -126,7 +130,7 @@ class Models:
     @property
     def n_located(self) -> int:
         """Number of contacts that are located, of the first row as of all."""
-        return sum(isinstance(law, Piecewise) and law.located for law in self.laws[0])
+        return sum(law.is_located for law in self.laws[0])
 
     @property
     def is_lossy(self) -> bool:
@@ -150,6 +154,15 @@ class Models:
         """
         if solver.atol is not None:
             return np.full(len(self), solver.atol)
+        return np.asarray(solver.rtol * (self._length if self.size is None else self.size))
+
+    def sized(self) -> "Models":
+        """Return the models with their `size`, so that it is computed once."""
+        return replace(self, size=self._length)
+
+    @property
+    def _length(self) -> Array:
+        """Length [m] of each problem, as in `absolute`."""
         farther = self.of_laws(_farther).max(axis=1, initial=0.0)
         softer = self.of_laws(_stiffness).max(axis=1, initial=0.0)
         spring = self.of_systems(_spring)
@@ -166,11 +179,11 @@ class Models:
                     walls += (stiffest if law.losses.is_rigid else _stiffness(law)) * np.outer(b, b)
                 length[rows] = np.minimum(length[rows], system.held(walls) + farther[rows])
         for number, laws in enumerate(self.laws):
-            if len(laws) == 1 and isinstance(laws[0], UserLaw | ForceTable):
+            if len(laws) == 1 and isinstance(law := laws[0], UserLaw | ForceTable):
                 rows = np.flatnonzero((self.law == number) & np.isfinite(spring) & (length > 0.0))
                 x, load = length[rows], spring[rows] * length[rows]
                 with np.errstate(all="ignore"):  # far outside the range of the law
-                    force = np.minimum(abs(laws[0].force(x)), abs(laws[0].force(-x)))
+                    force = np.minimum(abs(law.force(x)), abs(law.force(-x)))
                     length[rows] = np.where(np.isfinite(force), x * load / (load + force), x)
         if not length.all():
             rate = [2.0 * math.pi * (one.slowest or one.fastest or 1.0) for one in self.systems]
@@ -178,23 +191,35 @@ class Models:
             start = np.zeros(1) if self.start is None else self.start / units[self.system]
             for other in (np.abs(start).max(axis=-1), farther):
                 length = np.where(length > 0.0, length, other)
-        return np.asarray(solver.rtol * np.where(length > 0.0, length, _NO_LENGTH))
+        return np.where(length > 0.0, length, _NO_LENGTH)
+
+    def with_walls_apart(self) -> "Models":
+        """Return the models of one kind with the walls of pairs that overlap as two contacts."""
+        pairs = [with_walls_apart(system, self.laws[0]) for system in self.systems]
+        several = [with_walls_apart(self.systems[0], laws) for laws in self.laws]
+        systems, laws = [system for system, _ in pairs], [laws for _, laws in several]
+        return replace(self.sized(), systems=systems, laws=laws)
 
     def check_losses(self, solver: "Solver") -> None:
         """Raise a `ModelError` if contacts lose energy in a way that the solver cannot integrate.
 
         Steps that pass a wall before they are cut there would see the jump of the force.
         """
-        losses = [law.losses for laws in self.laws for law in laws if law.losses]
+        lossy = [law for laws in self.laws for law in laws if law.losses and law.has_modes]
+        losses = [law.losses for law in lossy]
         if not losses:
             return
+        own = [law for law in lossy if law.losses.by_function]
+        if own and len(own) < len(lossy):
+            others = next(each for each in losses if not each.by_function)
+            raise ModelError(f"{own[0]}: f(x, v) not with {others} in one system; use f for both")
         setting = solver.runge_kutta_setting
         if setting and (solver.engine == "compiled" or solver.contact_force == "as_written"):
             raise ModelError(f"{losses[0]}: not with {setting}; leave that setting out")
         for system, law in {*zip(self.system.tolist(), self.law.tolist(), strict=True)}:
             modulated, laws = self.systems[system].is_modulated, self.laws[law]
             for each in [law.losses for law, m in zip(laws, modulated, strict=True) if m]:
-                if each.never_pulls or each.chi or each.is_rigid:
+                if each.never_pulls or each.chi or each.by_function or each.is_rigid:
                     raise ModelError(
                         f"{each}: a contact with periodic stiffness must be a damper that pulls; "
                         "write gs.Piecewise(K_c, gap, damping=60.0, pulls=True)"
@@ -220,7 +245,7 @@ def _stiffness(law: ContactLaw) -> float:
 def _farther(law: ContactLaw) -> float:
     """Distance [m] of the farther wall that has stiffness."""
     lower = law.gap.j_1 if law.K_ratio else 0.0
-    return max(j if j < math.inf else 0.0 for j in (lower, law.gap.j_2))
+    return max(abs(j) if j < math.inf else 0.0 for j in (lower, law.gap.j_2))
 
 
 def _integrated(system: Model) -> Model:
@@ -256,7 +281,8 @@ def law_kind(law: ContactLaw) -> Hashable:
         return law.function
     if checked_law(law).is_numbers:
         is_thin = isinstance(law, Tanh) and law.has_thin_layers
-        return type(law), is_thin, isinstance(law, Piecewise) and law.located, law.losses.kind
+        kind = law.is_located, law.losses.kind, law.gap.width < 0.0
+        return type(law), is_thin, *kind
     return law
 
 
@@ -476,13 +502,13 @@ class Solver:
         ):
             raise ModelError(
                 f"{self.runge_kutta_setting}: needs an Oscillator with omega_n > 0, "
-                "mean_load = 0, base_damping = 1 and no force by pieces; otherwise use "
-                "engine='scipy', or located=False (piecewise-noevents)"
+                "mean_load = 0, base_damping = 1, no force by pieces and j_1 + j_2 >= 0; "
+                "otherwise use engine='scipy', or located=False (piecewise-noevents)"
             )
         if 0 < n_located < n_contacts:
             raise ModelError(
-                f"{Piecewise.family}: contacts are located for all contacts or none; use "
-                "located=False (piecewise-noevents)"
+                f"{Piecewise.family}: contacts are located for all contacts or none, as those of "
+                "own functions f(x, v) are; use located=False (piecewise-noevents)"
             )
 
     def with_rtol(self, rtol: float) -> "Solver":

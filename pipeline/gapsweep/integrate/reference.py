@@ -26,6 +26,7 @@ from scipy.interpolate import PPoly
 from scipy.optimize import brentq
 
 from gapsweep.integrate.motions import COUNTS, SCALARS, Events, Motions
+from gapsweep.integrate.overlap import apart
 from gapsweep.integrate.problem import Integrate, Models, Problems, Solver
 from gapsweep.integrate.reference_impacts import (
     Meeting,
@@ -48,6 +49,7 @@ from gapsweep.integrate.reference_motion import (
     turning,
 )
 from gapsweep.integrate.reference_scenes import (
+    Force,
     Modes,
     Pressure,
     ReferenceScene,
@@ -55,7 +57,7 @@ from gapsweep.integrate.reference_scenes import (
     Watched,
     scene_of,
 )
-from gapsweep.model.contact_modes import HOLD, MODES, ON
+from gapsweep.model.contact_modes import HOLD, MODES
 from gapsweep.model.user_law import UserLaw
 from gapsweep.status import DIVERGED_AT, Status
 
@@ -65,6 +67,9 @@ Event = Callable[[float, Sequence[float]], float]
 # Fields of `Events` that are lists of events; the others are their lengths.
 _EVENTS = [each.name for each in fields(Events) if not each.name.startswith("n_")]
 _MAX_STALLED = 100
+# Parts of a step at which a force is sampled; nodes and weights of Gauss's rule on [-1, 1].
+_SAMPLES = np.linspace(0.0, 1.0, 17)
+_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(8)
 _NEAR = 1e-9  # of a gap: how far rounding puts a contact from the wall that it has just passed
 
 # solve_ivp does not report rejected steps; they follow from its evaluation count.
@@ -137,6 +142,7 @@ class _Record:
         self.n_rejected += (nfev - _START_NFEV) // _STEP_NFEV[method] - n_steps
 
 
+@apart
 def prepared(models: Models, solver: Solver) -> Integrate:
     """Return the function that integrates these models with scipy, one motion after the other.
 
@@ -145,6 +151,7 @@ def prepared(models: Models, solver: Solver) -> Integrate:
     solver.check_located(models.n_located, len(models.laws[0]), is_oscillator=False)
     models.check_losses(solver)
     is_lossy = models.is_lossy
+    has_modes = is_lossy and models.n_located > 0
     atol = models.absolute(solver)
 
     def integrate(problems: Problems) -> Motions:
@@ -173,7 +180,7 @@ def prepared(models: Models, solver: Solver) -> Integrate:
             sampler=sampler,
             monodromy=monodromy,
             contact_loss=np.array([run.loss for run in runs]),
-            contact_time=np.array([run.time for run in runs]) if is_lossy else None,
+            contact_time=np.array([run.time for run in runs]) if has_modes else None,
             contact_force=np.array([run.force for run in runs]) if is_lossy else None,
             **columns,
         )
@@ -346,6 +353,7 @@ def _plain(
         for wall in law.walls:
             run.contacts += [(t, contact) for t in roots(gap, 0, wall).tolist()]
     run.contacts.sort()
+    _add_losses(scene, run, None, segment)
     run.pieces.append(segment.motion)
     return segment.t, segment.y
 
@@ -372,7 +380,11 @@ def _located(
         found = _solve(scene, run, modes, t, y, t_end, passed)
         segment = _cut_at_missed_contact(scene, modes, found)
         run.pieces.append(segment.motion)
-        _add_losses(scene, run, modes, segment, segment.t - t)
+        for contact, mode in enumerate(modes):
+            run.time[contact] += (segment.t - t) * MODES[abs(mode)].acts
+            if abs(mode) == HOLD:
+                run.holds.append((contact, t, segment.t))
+        _add_losses(scene, run, modes, segment)
         stalled = stalled + 1 if segment.t <= t + 16.0 * np.spacing(t) else 0
         t, y = segment.t, segment.y
         if segment.hit is None:
@@ -414,25 +426,38 @@ def _n_changes(before: int, after: int) -> int:
     return 2 if all(acts) and before != after else int(acts[0] != acts[1])
 
 
-def _add_losses(
-    scene: ReferenceScene, run: _Record, modes: tuple[int, ...], segment: _Segment, lasted: float
-) -> None:
-    """Add a segment's part of `Motions.contact_loss`, contact times and largest forces."""
-    for contact, mode in enumerate(modes):
-        run.time[contact] += lasted * MODES[abs(mode)].acts
-        if abs(mode) == HOLD:
-            run.holds.append((contact, segment.t - lasted, segment.t))
-        if not (abs(mode) == ON and scene.laws[contact].losses):
+def _add_losses(scene: ReferenceScene, run: _Record, modes: Modes, segment: _Segment) -> None:
+    """Add a segment's part of `Motions.contact_loss`, and keep the largest forces."""
+    steps = np.diff(segment.motion.x)
+    for contact, law in enumerate(scene.laws):
+        if not law.losses:
             continue
-        gap, damper = gap_of(scene, segment.motion, contact), scene.pressure(contact, mode)
-        # of a derivative by the speed that is linear in the gap
-        at_wall, slope = damper.damping, damper.stiffness * damper.chi
-        moved = float(gap.integrate(*gap.x[[0, -1]])[0]) - damper.wall * lasted if slope else 0.0
-        run.loss += float(scene.compliance[contact]) * (at_wall * lasted + slope * moved)
-        force = _force_motion(gap, damper)
-        ends = force(segment.motion.x[[0, -1]])[:, 0]
-        seen = np.abs(np.append(ends, extrema_of(force)[1]))
-        run.force[contact] = max(run.force[contact], float(seen.max()))
+        gap, force = gap_of(scene, segment.motion, contact), scene.force(contact, modes)
+        damping = scene.damping(contact, modes)
+        rates = _sampled(gap, 0.5 + 0.5 * _NODES, damping) @ _WEIGHTS
+        run.loss += float(scene.compliance[contact] * (0.5 * steps @ rates))
+        if isinstance(force, Pressure):
+            along = _force_motion(gap, force)
+            seen = np.append(along(gap.x[[0, -1]])[:, 0], extrema_of(along)[1])
+        else:
+            seen = _with_vertices(_sampled(gap, _SAMPLES, force))
+        run.force[contact] = max(run.force[contact], float(np.abs(seen).max()))
+
+
+def _sampled(gap: PPoly, parts: Array, function: Force) -> Array:
+    """Values of a function of gap and speed after parts of each step; shape (n_steps, n_parts)."""
+    times = gap.x[:-1, None] + np.diff(gap.x)[:, None] * parts
+    states = gap(times).reshape(-1, 2).tolist()
+    return np.reshape([function(*state) for state in states], times.shape)
+
+
+def _with_vertices(sampled: Array) -> Array:
+    """Values at equal distances along the last axis, and vertices of the parabolas through them."""
+    before, middle, after = sampled[:, :-2], sampled[:, 1:-1], sampled[:, 2:]
+    is_turn = (middle - before) * (middle - after) > 0.0
+    bend = np.where(is_turn, 2.0 * middle - before - after, 1.0)
+    vertices = middle + np.where(is_turn, (before - after) ** 2 / (8.0 * bend), 0.0)
+    return np.concatenate([sampled, vertices], axis=1)
 
 
 def _solve(

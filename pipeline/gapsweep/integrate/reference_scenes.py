@@ -3,16 +3,17 @@
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from functools import reduce
+from functools import partial, reduce
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from gapsweep.model.contact import ContactLaw, Piecewise
+from gapsweep.model.contact import ContactLaw
 from gapsweep.model.contact_modes import MODES, ON, SLACK
 from gapsweep.model.oscillator import Oscillator
 from gapsweep.model.system import first_order
+from gapsweep.model.user_law import UserLaw
 from gapsweep.model.waves import Wave
 
 Array = NDArray[np.float64]
@@ -51,7 +52,7 @@ class ReferenceScene:
 
     @property
     def located(self) -> bool:
-        return all(isinstance(law, Piecewise) and law.located for law in self.laws)
+        return all(law.is_located for law in self.laws)
 
     @property
     def directions(self) -> Array:
@@ -84,13 +85,22 @@ class ReferenceScene:
         return self.laws[contact].walls[side > 0]
 
     def force(self, contact: int, modes: Modes) -> Force:
-        """Return the contact force: the law itself, or the branch of the exact law in a mode."""
+        """Return the contact force: the law itself, or the branch of a located law in a mode."""
         law = self.laws[contact]
-        if modes is None or self.contact_force == "as_written":
+        if modes is None or self.contact_force == "as_written" or not law.has_modes:
             return lambda x, v: float(law.force(x, v))
+        if isinstance(law, UserLaw):
+            return self._in_mode(law.continued.force, contact, modes[contact])
         if abs(modes[contact]) != ON:
             return lambda x, v: 0.0
         return self.pressure(contact, modes[contact])
+
+    def _in_mode(self, function: Callable[..., float], contact: int, mode: int) -> Force:
+        """Return a function of `Continued` in the interval of the gap that a mode allows."""
+        low, high = self.laws[contact].walls
+        if mode:
+            low, high = (high, math.inf) if mode > 0 else (-math.inf, low)
+        return partial(function, low=low, high=high)
 
     def pressure(self, contact: int, mode: int) -> "Pressure":
         """Force of the exact law at the wall of a mode, as if the contact pulled."""
@@ -99,12 +109,19 @@ class ReferenceScene:
         chi = math.copysign(law.losses.chi, mode)
         return Pressure(stiffness, self.wall(contact, mode), law.losses.damping, chi)
 
-    def damping(self, contact: int, modes: Modes) -> "Pressure":
-        """Return the force of a contact that loses energy in its mode; without, no force."""
-        is_on = modes is not None and abs(modes[contact]) == ON
-        if modes is None or not (is_on and self.laws[contact].losses):
-            return Pressure(0.0, 0.0, 0.0, 0.0)
-        return self.pressure(contact, modes[contact])
+    def damping(self, contact: int, modes: Modes) -> Force:
+        """Return the derivative by the speed of the contact force that `force` returns [N s/m]."""
+        law = self.laws[contact]
+        if not law.losses:
+            return lambda x, v: 0.0
+        if modes is None or not law.has_modes:
+            return lambda x, v: float(law.derivative_by_speed(x, v))
+        if isinstance(law, UserLaw):
+            return self._in_mode(law.continued.damping, contact, modes[contact])
+        if abs(modes[contact]) != ON:
+            return lambda x, v: 0.0
+        pressure = self.pressure(contact, modes[contact])
+        return lambda x, v: pressure.of_speed(x)
 
     def watched(self, contact: int, mode: int) -> "list[Watched]":
         """Return what may end a mode: the gap at a wall, or the force at zero."""
@@ -134,8 +151,11 @@ class ReferenceScene:
         n, found = self.n, np.array(y)
         images = found[self.n_states :].reshape(self.n_states, self.n_states)  # a view
         for k, b in enumerate(self.directions):
-            change = self.damping(k, modes).damping - self.damping(k, before).damping
-            images[:, n : 2 * n] -= change * np.outer(images[:, :n] @ b, self.pull[:, k])
+            gap, speed = self.gap(k, y), self.gap(k, y[n:])
+            jump = self.force(k, modes)(gap, speed) - self.force(k, before)(gap, speed)
+            if modes[k] != before[k] and speed:
+                along = images[:, :n] @ b
+                images[:, n : 2 * n] -= jump / speed * np.outer(along, self.pull[:, k])
         return tuple(found.tolist())
 
     @property
@@ -151,9 +171,11 @@ class ReferenceScene:
     def slope(self, contact: int, modes: Modes) -> Force:
         """Return the slope of the contact force that `force` returns."""
         law = self.laws[contact]
-        if modes is None or self.contact_force == "as_written":
-            return lambda x, v: float(law.derivative(x))
+        if modes is None or self.contact_force == "as_written" or not law.has_modes:
+            return lambda x, v: float(law.derivative(x, v))
         mode = modes[contact]
+        if isinstance(law, UserLaw):
+            return self._in_mode(law.continued.slope, contact, mode)
         stiffness = law.stiffnesses[mode > 0]
         stiffness = stiffness if abs(mode) == ON else 0.0
         if not (chi := math.copysign(law.losses.chi, mode)):
@@ -282,7 +304,7 @@ class OscillatorScene(ReferenceScene):
         def with_tangent(t: float, y: Array) -> State:
             x, v, *tangent = y.tolist()
             slope = stiffness + 3.0 * cubic * x * x + contact_slope(x, v) / mass
-            damped = damping + damper.of_speed(x) / mass
+            damped = damping + damper(x, v) / mass
             (a, a_dot), (b, b_dot) = tangent[:2], tangent[2:]
             images = a_dot, -damped * a_dot - slope * a, b_dot, -damped * b_dot - slope * b
             return (*f(t, y[:2]), *images)
@@ -375,7 +397,7 @@ class SystemScene(ReferenceScene):
                 along = np.outer(pull[:, k], directions[k])
                 jacobian[n : 2 * n, :n] -= rate * slopes[k](gap, speed) * along
                 if lossy[k]:
-                    jacobian[n : 2 * n, n : 2 * n] -= dampers[k].of_speed(gap) * along
+                    jacobian[n : 2 * n, n : 2 * n] -= dampers[k](gap, speed) * along
             images = y[n_states:].reshape(n_states, n_states)
             return np.concatenate([found, (images @ jacobian.T).ravel()])
 

@@ -11,7 +11,7 @@ compiled engine uses.
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields, replace
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
@@ -20,8 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 from gapsweep.errors import ModelError
 from gapsweep.model.arithmetic import select
 from gapsweep.model.arrays import numbers
-from gapsweep.model.contact_modes import Losses
-from gapsweep.model.fit import unit_force
+from gapsweep.model.contact_modes import NO_LOSSES, Losses
 from gapsweep.model.oscillator import LARGEST, Gap, called_as, checked, share
 from gapsweep.status import DIVERGED_AT
 
@@ -51,6 +50,9 @@ class Formulas(NamedTuple):
     slope: Callable[..., Any]
     # Positive where the law is valid.
     denominator: Callable[..., Any] | None = None
+    # Share of the walls' damping that acts [-], and its slope [1/m], of laws that take damping.
+    switch: Callable[..., Any] | None = None
+    switch_slope: Callable[..., Any] | None = None
 
 
 @dataclass(frozen=True)
@@ -78,6 +80,8 @@ class ContactLaw:
     family: ClassVar[str] = ""
     # Whether laws of the family differ only in numbers, so that one compiled form takes them all.
     is_numbers: ClassVar[bool] = False
+    # Whether the force is the sum of the forces of both walls, which then may overlap.
+    adds_walls: ClassVar[bool] = True
     # Whether the law has a convergence parameter: the larger, the closer to the exact law.
     is_sharpened: ClassVar[bool] = False
     # Name of the field that the label holds, if the law errs less the larger it is.
@@ -131,21 +135,36 @@ class ContactLaw:
         """Return the law with a stiffness [N/m], a gap and other parameters by name."""
         return cls(K_c, gap, **numbers)
 
+    @classmethod
+    def takes(cls, name: str) -> bool:
+        """Whether the law has a parameter, as ``"damping"``."""
+        return any(each.name == name and each.init for each in fields(cls))
+
     @property
     def exact(self) -> "Piecewise":
-        """The exact law with the same walls and stiffnesses."""
+        """The exact law with the same walls and stiffnesses; of a smooth law with its damping."""
         return Piecewise(self.K_c, self.gap, K_ratio=self.K_ratio)
 
     @property
     def losses(self) -> Losses:
         """Energy losses of the contact; none of an elastic contact."""
-        return Losses()
+        return NO_LOSSES
+
+    @property
+    def has_modes(self) -> bool:
+        """Whether the force has a kink or a jump at the walls, between the modes of a contact."""
+        return False
+
+    @property
+    def is_located(self) -> bool:
+        """Whether the times at which walls are passed are located."""
+        return False
 
     @property
     def stiffnesses(self) -> tuple[float, float]:
         """Stiffnesses of the lower and the upper wall [N/m]; 0 without a wall."""
-        has_lower, has_upper = (j < math.inf for j in (self.gap.j_1, self.gap.j_2))
-        return self.K_ratio * self.K_c * has_lower, self.K_c * has_upper
+        gap, K_c = self.gap, self.K_c
+        return self.K_ratio * K_c * (gap.j_1 < math.inf), K_c * (gap.j_2 < math.inf)
 
     @property
     def scale(self) -> tuple[float, float]:
@@ -179,6 +198,19 @@ class ContactLaw:
         for name in ("K_c", "K_ratio"):
             object.__setattr__(self, name, checked(name, getattr(self, name), low=0.0))
         object.__setattr__(self, "gap", checked_gap(self.gap))
+        if self.gap.width < 0.0 and not self.adds_walls:
+            raise ModelError(
+                f"gap = {self.gap.j_1:g}, {self.gap.j_2:g}: the walls overlap (j_1 + j_2 < 0), "
+                f"which {type(self).__name__} does not cover; use gs.Piecewise or gs.Tanh"
+            )
+
+    @property
+    def of_walls(self) -> "tuple[ContactLaw, ...]":
+        """The law; for walls that overlap the laws of the upper and of the lower wall."""
+        if self.gap.width >= 0.0:
+            return (self,)
+        walls = Gap(math.inf, self.gap.j_2), Gap(self.gap.j_1, math.inf)
+        return tuple(replace(self, gap=gap) for gap in walls)
 
     @property
     def valid_range(self) -> tuple[float, float]:
@@ -192,9 +224,13 @@ class ContactLaw:
         """
         raise NotImplementedError
 
-    def derivative(self, x: ArrayLike) -> Array:
-        """Return the slope dF_c/dx [N/m] at displacements `x` [m], of their shape."""
+    def derivative(self, x: ArrayLike, v: ArrayLike = 0.0) -> Array:
+        """Return the slope dF_c/dx [N/m] at displacements `x` [m] and velocities `v` [m/s]."""
         raise NotImplementedError
+
+    def derivative_by_speed(self, x: ArrayLike, v: ArrayLike = 0.0) -> Array:
+        """Return dF_c/dv [N s/m] at displacements `x` [m] and velocities `v` [m/s]."""
+        return np.zeros(np.broadcast_shapes(np.shape(x), np.shape(v)))
 
 
 def _piecewise_force(x: Any, stiffness: Any, low: Any, high: Any, ratio: Any) -> Any:
@@ -258,7 +294,15 @@ class Piecewise(ContactLaw):
 
     @property
     def losses(self) -> Losses:
-        return Losses(self.damping, bool(self.damping) and not self.pulls)
+        return Losses(self.damping, not self.pulls) if self.damping else NO_LOSSES
+
+    @property
+    def has_modes(self) -> bool:
+        return True
+
+    @property
+    def is_located(self) -> bool:
+        return self.located
 
     @classmethod
     def canonical(cls, label: str, parameter: str) -> str:
@@ -275,18 +319,36 @@ class Piecewise(ContactLaw):
         return ()
 
     def force(self, x: ArrayLike, v: ArrayLike = 0.0) -> Array:
-        x = numbers("x", x)
-        force = np.asarray(self.K_c * unit_force(x, self.gap, self.K_ratio))
-        if not self.damping:
-            return force
-        side = np.where(x > self.gap.j_2, 1.0, np.where(x < -self.gap.j_1, -1.0, 0.0))
-        pressure = side * force + np.abs(side) * self.damping * side * numbers("v", v)
-        return np.asarray(side * (pressure if self.pulls else np.maximum(pressure, 0.0)))
+        x, v = numbers("x", x), numbers("v", v)
+        above = self._pressure(x - self.gap.j_2, v, 1.0)
+        return np.asarray(above - self._pressure(-self.gap.j_1 - x, -v, self.K_ratio))
 
-    def derivative(self, x: ArrayLike) -> Array:
-        x = numbers("x", x)
-        below = np.where(x < -self.gap.j_1, self.K_ratio * self.K_c, 0.0)
-        return np.where(x > self.gap.j_2, self.K_c, below)
+    def _pressure(self, depth: Array, speed: Array, ratio: float) -> Array:
+        """Force of a wall [N], ``ratio`` times as stiff as the upper one, at a depth [m]."""
+        spring = self.K_c * (ratio * np.maximum(depth, 0.0))
+        if not self.damping:
+            return spring
+        damper = np.where(depth > 0.0, self.damping * speed, 0.0)
+        return spring + damper if self.pulls else np.maximum(spring + damper, 0.0)
+
+    def derivative(self, x: ArrayLike, v: ArrayLike = 0.0) -> Array:
+        return self._both(x, v, 0)
+
+    def derivative_by_speed(self, x: ArrayLike, v: ArrayLike = 0.0) -> Array:
+        return self._both(x, v, 1)
+
+    def _both(self, x: ArrayLike, v: ArrayLike, which: int) -> Array:
+        """One of the `_slopes`, summed over both walls."""
+        x, v = numbers("x", x), numbers("v", v)
+        above = self._slopes(x - self.gap.j_2, v, 1.0)[which]
+        return np.asarray(above + self._slopes(-self.gap.j_1 - x, -v, self.K_ratio)[which])
+
+    def _slopes(self, depth: Array, speed: Array, ratio: float) -> tuple[Array, Array]:
+        """Derivatives of `_pressure` by depth [N/m] and by speed [N s/m]."""
+        acts = depth + 0.0 * speed > 0.0
+        if self.losses.never_pulls:
+            acts = acts & (self._pressure(depth, speed, ratio) > 0.0)
+        return np.where(acts, ratio * self.K_c, 0.0), np.where(acts, self.damping, 0.0)
 
 
 @called_as("gs.HuntCrossley(1.4e4, gs.Gap(4e-4, 4e-4), chi=0.3), in N/m, m and s/m")
@@ -343,10 +405,15 @@ class HuntCrossley(Piecewise):
     def of_label(cls, parameter: str, fit_range: float) -> dict[str, Any]:
         return {"chi": float(parameter)}
 
-    def force(self, x: ArrayLike, v: ArrayLike = 0.0) -> Array:
-        x = numbers("x", x)
-        side = np.where(x > self.gap.j_2, 1.0, np.where(x < -self.gap.j_1, -1.0, 0.0))
-        return np.asarray(super().force(x) * (1.0 + self.chi * side * numbers("v", v)))
+    def _pressure(self, depth: Array, speed: Array, ratio: float) -> Array:
+        return super()._pressure(depth, speed, ratio) * (1.0 + self.chi * speed)
+
+    def _slopes(self, depth: Array, speed: Array, ratio: float) -> tuple[Array, Array]:
+        spring, stiffness = (
+            super()._pressure(depth, speed, ratio),
+            super()._slopes(depth, speed, ratio),
+        )
+        return stiffness[0] * (1.0 + self.chi * speed), self.chi * spring
 
 
 @called_as("gs.Rigid(gs.Gap(4e-4, 4e-4), restitution=0.8), in m")
@@ -389,7 +456,7 @@ class Rigid(Piecewise):
     def __post_init__(self) -> None:
         super().__post_init__()
         object.__setattr__(self, "restitution", share("restitution", self.restitution))
-        if self.walls[0] == self.walls[1]:
+        if self.walls[0] >= self.walls[1]:
             raise ModelError(
                 f"gap = {self.gap.j_1:g}/{self.gap.j_2:g}: no motion fits between rigid walls "
                 "without a gap; write gs.Rigid(gs.Gap(4e-4, 4e-4), restitution=0.8)"
@@ -435,7 +502,7 @@ class Rigid(Piecewise):
         x, (low, high) = numbers("x", x), self.walls
         return np.where(x >= high, math.inf, np.where(x <= low, -math.inf, 0.0))
 
-    def derivative(self, x: ArrayLike) -> Array:
+    def derivative(self, x: ArrayLike, v: ArrayLike = 0.0) -> Array:
         return np.abs(self.force(x))
 
 

@@ -52,6 +52,8 @@ class Losses(NamedTuple):
         Whether the force is never less than zero, so that the contact has the mode `SLACK`.
     chi : float
         Relative increase of the spring's force over the speed of penetration [s/m].
+    by_function : bool
+        Whether the force is a user's function of displacement and velocity.
     is_rigid : bool
         Whether the walls are rigid: a contact is an impact.
     restitution : float
@@ -61,6 +63,7 @@ class Losses(NamedTuple):
     damping: float = 0.0
     never_pulls: bool = False
     chi: float = 0.0
+    by_function: bool = False
     is_rigid: bool = False
     restitution: float = 1.0
 
@@ -77,10 +80,15 @@ class Losses(NamedTuple):
 
     def __bool__(self) -> bool:
         """Whether energy may be lost."""
-        return self.damping > 0.0 or self.chi > 0.0 or self.is_rigid
+        return self.damping > 0.0 or self.chi > 0.0 or self.by_function or self.is_rigid
 
     def __str__(self) -> str:
         """The number that loses energy, as ``damping = 60``."""
+        if self.by_function:
+            return "a force f(x, v)"
         if self.is_rigid:
             return f"restitution = {self.restitution:g}"
         return f"chi = {self.chi:g}" if self.chi else f"damping = {self.damping:g}"
+
+
+NO_LOSSES = Losses()  # of all elastic contacts

@@ -26,6 +26,8 @@ from gapsweep.model.user_law import UserLaw
 FUNCTION = re.compile(r"[A-Za-z_][\w.]*:[A-Za-z_]\w*")
 
 
+NO_DAMPING = "has none; piecewise, tanh, arctan and logarctan have, and own functions f(x, v)"
+
 # Every law that a label names, by its family, in the order of the user guide. Contacts that lose
 # energy are located: they have no compiled formulas of `LAWS`.
 _EVERY: tuple[type[ContactLaw], ...] = (*LAWS, HuntCrossley, Rigid)
@@ -97,6 +99,12 @@ class Representation(str):
         return kind is not None and issubclass(kind, Piecewise) and self.law != NOT_LOCATED
 
     @property
+    def takes_damping(self) -> bool:
+        """Whether the law has a parameter for the damping of its walls."""
+        kind = self.law_type
+        return kind is not None and kind.takes("damping") and self.law != NOT_LOCATED
+
+    @property
     def is_fitted(self) -> bool:
         """Whether the law is fitted over a range."""
         return self.law_type is not None and issubclass(self.law_type, Fitted)
@@ -151,6 +159,7 @@ def contact_law(
     *,
     K_ratio: float = 1.0,
     damping: float = 0.0,
+    pulls: bool = False,
 ) -> ContactLaw:
     """Return the contact law of a label.
 
@@ -167,7 +176,10 @@ def contact_law(
     K_ratio : float
         Stiffness of the lower wall over the stiffness of the upper wall [-], ``>= 0``.
     damping : float
-        Damping of both walls [N s/m], ``>= 0``; only for ``piecewise``, see `Piecewise`.
+        Damping of both walls [N s/m], ``>= 0``, for ``piecewise``, ``tanh``, ``arctan`` and
+        ``logarctan``.
+    pulls : bool
+        Whether walls with damping pull, for ``piecewise``; those of the other three always do.
 
     Examples
     --------
@@ -178,15 +190,15 @@ def contact_law(
     law = Representation(canonical_label(label))
     if law.is_auto:
         raise ModelError("'auto' is for studies only; write a representation, as 'piecewise'")
-    if damping and law.law_type is not Piecewise:
-        raise ModelError(
-            f"damping = {damping:g}: {law} has no damping; write damping = 0, or 'piecewise'"
-        )
+    if damping and not law.takes_damping:
+        raise ModelError(f"damping = {damping:g}: {law} {NO_DAMPING}")
     if law.law_type is None:
         return OwnLaw.of(law, [Path.cwd()]).law(K_c, gap, K_ratio)
     numbers = law.law_type.of_label(law.parameter, fit_range)
     if damping:
         numbers["damping"] = damping
+        if law.law_type.takes("pulls"):
+            numbers["pulls"] = bool(pulls)
     return law.law_type.made(K_c, gap, K_ratio=K_ratio, **numbers)
 
 
@@ -201,8 +213,8 @@ def law(
 ) -> UserLaw:
     """Return a user law: a function from displacement [m] to restoring force [N].
 
-    `parameters` are values of its other arguments, 4 at most: the function is compiled once for all
-    values.
+    A second argument with the name ``v`` is the velocity [m/s]. `parameters` are values of its
+    other arguments, 4 at most: the function is compiled once for all values.
 
     Examples
     --------

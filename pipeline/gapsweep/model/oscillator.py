@@ -12,6 +12,7 @@ has a wave in place of the cosine of p.
 
 import math
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import wraps
 from inspect import signature
@@ -36,8 +37,8 @@ C = TypeVar("C", bound=Callable[..., Any])
 
 _LOSSES = frozenset(("damping", "restitution", "friction"))
 NO_LOSS = (
-    "contacts that lose energy are gs.Piecewise(K_c, gap, damping=60.0), gs.HuntCrossley and "
-    "gs.Rigid(gap, restitution=0.8); friction is not covered"
+    "a contact that loses energy is gs.Piecewise or gs.Tanh with damping=60.0, gs.HuntCrossley, "
+    "gs.Rigid(gap, restitution=0.8) or an own function f(x, v); friction is not covered"
 )
 
 
@@ -87,15 +88,7 @@ def checked(name: str, value: float, *, low: float = -math.inf, strict: bool = F
     A strictly positive number (``low=0.0, strict=True``) must be at least `SMALLEST`, and no number
     may be larger than `LARGEST`.
     """
-    value = without_units(name, value)
-    try:
-        number = float(value) if is_number(value) else None
-    except (TypeError, ValueError, OverflowError):
-        number = None
-    if number is None:
-        is_load = name == "forcing" and value is not None
-        remedy = ", or a force as gs.PeriodicForce.from_csv('force.csv', period=0.02)"
-        raise ModelError(f"{name} = {shown(value)}: must be a number{remedy if is_load else ''}")
+    number = value if type(value) is float else _number(name, value)
     if not math.isfinite(number):
         raise ModelError(f"{name} = {number}: must be finite")
     if number < low or (strict and number == low):
@@ -108,10 +101,21 @@ def checked(name: str, value: float, *, low: float = -math.inf, strict: bool = F
 
 
 def checked_distance(name: str, value: float | None) -> float:
-    """Return the distance of a wall [m] as a float ``>= 0``; infinity for None, no wall."""
+    """Return the distance of a wall [m] as a float; infinity for None, no wall."""
     value = without_units(name, value)
     is_none = value is None or (is_number(value) and value == math.inf)
-    return math.inf if is_none else checked(name, value, low=0.0)
+    return math.inf if is_none else checked(name, value)
+
+
+def _number(name: str, value: Any) -> float:
+    """Return a value or a quantity as a float; raise a `ModelError` that names it otherwise."""
+    value = without_units(name, value)
+    with suppress(TypeError, ValueError, OverflowError):
+        if is_number(value):
+            return float(value)
+    is_load = name == "forcing" and value is not None
+    remedy = ", or a force as gs.PeriodicForce.from_csv('force.csv', period=0.02)"
+    raise ModelError(f"{name} = {shown(value)}: must be a number{remedy if is_load else ''}")
 
 
 def share(name: str, value: float) -> float:
@@ -345,11 +349,14 @@ class Oscillator:
 class Gap:
     """Distances of the walls: there is no contact while ``-j_1 <= x <= j_2``.
 
+    A negative distance is prestress: that wall presses on the mass at the origin. If the walls
+    overlap, ``j_1 + j_2 < 0``, both act between ``j_2`` and ``-j_1``, and one of them beyond.
+
     Parameters
     ----------
     j_1, j_2 : float or None
-        Distances of the lower and the upper wall from the origin [m], ``>= 0``. None, kept as
-        ``inf``: no wall on that side.
+        Distances of the lower and the upper wall from the origin [m]. None, kept as ``inf``: no
+        wall on that side.
 
     Raises
     ------
@@ -388,13 +395,13 @@ class Gap:
 
     @property
     def width(self) -> float:
-        """Distance between the walls [m]; infinite for a wall on one side."""
+        """Distance between the walls [m]; infinite for one wall, negative if they overlap."""
         return self.j_1 + self.j_2
 
     @property
     def size(self) -> float:
-        """Sum of the distances of the walls that exist [m], to which rounding errors relate."""
-        return sum(self.distances)
+        """Sum of the walls' distances without sign [m], to which rounding errors relate."""
+        return sum(map(abs, self.distances))
 
     @property
     def is_symmetric(self) -> bool:

@@ -6,16 +6,39 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
-from gapsweep.errors import ModelError
+from gapsweep.errors import ModelError, described
 from gapsweep.model.contact import ContactLaw
 from gapsweep.model.oscillator import OSCILLATOR, Oscillator
 from gapsweep.model.system import System
 from gapsweep.model.user_law import UserLaw
 from gapsweep.model.waves import ForceByPieces
+from gapsweep.user_code.load import blame, plain
 
 WALLS = ("j_1", "j_2")
 GAP = ("gap", *WALLS)
 _OF_CONTACT = re.compile(r"(\w+)\[(.+)\]")
+
+
+def made_model(function: Callable[..., Any], values: Mapping[str, float]) -> Oscillator | System:
+    """Return the model that a user's function makes of parameter values.
+
+    Raises
+    ------
+    ModelError
+        If the function raises, or returns no model.
+    """
+    try:
+        made = function(**values)
+    except ModelError:
+        raise
+    except Exception as error:  # a user's function may raise any type
+        given = ", ".join(f"{name}={value!r}" for name, value in values.items())
+        name = plain(str(getattr(function, "__qualname__", function)))
+        message = f"oscillator: {name}({given}) raised {described(error)}"
+        raise ModelError(blame(None, error, message)) from error
+    if not isinstance(made, Oscillator | System):
+        raise ModelError(f"oscillator: {made!r:.80}: must return a gapsweep.System")
+    return made
 
 
 @dataclass(frozen=True, slots=True)

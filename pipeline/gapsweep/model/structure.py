@@ -5,20 +5,22 @@ and coordinates ``q_1``, ``q_2``, ...
 """
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
-from itertools import accumulate, pairwise
-from typing import Any, ClassVar, TypeAlias
+from itertools import accumulate, pairwise, repeat
+from typing import Any, ClassVar, TypeAlias, TypeVar, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
+from gapsweep.model.contact import ContactLaw
 from gapsweep.model.oscillator import OSCILLATOR, Oscillator
 from gapsweep.model.system import LATE, Cubic, Harmonic, Lags, Modulation, System
 from gapsweep.model.waves import ForceByPieces, Wave
 
 Array = NDArray[np.float64]
+T = TypeVar("T")
 AnyStructure: TypeAlias = "Structure | OscillatorStructure"
 
 
@@ -46,6 +48,44 @@ def general_form(oscillator: Oscillator) -> System:
         ],
         coordinates=o.coordinates,
     )
+
+
+def with_walls_apart(
+    model: Oscillator | System, laws: tuple[ContactLaw, ...]
+) -> tuple[Oscillator | System, tuple[ContactLaw, ...]]:
+    """Return a model in which each wall of a pair that overlaps is a contact, and its laws."""
+    apart = [law.of_walls for law in laws]
+    if len(laws) == sum(map(len, apart)):
+        return model, laws
+    system = general_form(model) if isinstance(model, Oscillator) else model
+    names = [name for name, several in zip(system.contacts, apart, strict=True) for _ in several]
+    terms = system.modulation
+    modulation = {str(i): terms[name] for i, name in enumerate(names) if name in terms}
+    contacts = {str(i): system.contacts[name] for i, name in enumerate(names)}
+    system = replace(system, contacts=contacts, modulation=modulation, units={})
+    return system, tuple(law for several in apart for law in several)
+
+
+def extremes(rows: Array) -> Iterator[Array]:
+    """Yield the smallest, the smallest positive and the largest numbers of all rows, as rows.
+
+    Where each number has a separate range, all rows are valid if these are.
+    """
+    smallest, largest = rows.min(axis=0), rows.max(axis=0)
+    positive = np.min(rows, axis=0, where=rows > 0.0, initial=math.inf)
+    yield from (smallest, np.where(np.isinf(positive), largest, positive), largest)
+
+
+def copies(example: T, columns: Mapping[str, Sequence[Any]]) -> list[T]:
+    """Return copies of a frozen dataclass with other values of some fields, not checked."""
+    (size,) = {len(column) for column in columns.values()}
+    found = [object.__new__(type(example)) for _ in range(size)]
+    put = object.__setattr__
+    for field in fields(cast(Any, example)):
+        values = columns.get(field.name, repeat(getattr(example, field.name)))
+        for one, value in zip(found, values, strict=False):  # a repeated value has no end
+            put(one, field.name, value)
+    return found
 
 
 def read_structure(fields: Mapping[str, Any]) -> AnyStructure:
@@ -99,6 +139,11 @@ class OscillatorStructure:
     def system(self, row: Array) -> Oscillator:
         """Return the oscillator of a row."""
         return Oscillator(**dict(zip(OSCILLATOR, row.tolist(), strict=True)), wave=self.wave)
+
+    def systems(self, rows: Array) -> list[Oscillator]:
+        """Return the oscillators of many rows, each a tenth as expensive as from its row."""
+        example, *_ = map(self.system, extremes(rows))
+        return copies(example, dict(zip(OSCILLATOR, rows.T.tolist(), strict=True)))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -203,6 +248,10 @@ class Structure:
         )
         # Adding zero turns -0.0 into 0.0, the same number.
         return np.concatenate([np.ravel(np.asarray(part, float)) for part in parts]) + 0.0
+
+    def systems(self, rows: Array) -> list[System]:
+        """Return the systems of many rows."""
+        return [self.system(row) for row in rows]
 
     def system(self, row: Array) -> System:
         """Return the system of a row."""

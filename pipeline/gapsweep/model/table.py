@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from functools import cached_property
 from os import PathLike
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -64,6 +64,8 @@ class ForceTable(ContactLaw):
     >>> law.gap.label, law.force(1e-3).item()
     ('0.4/0.4', 8.0)
     """
+
+    adds_walls: ClassVar[bool] = False
 
     x: tuple[float, ...]
     F: tuple[float, ...]
@@ -164,7 +166,7 @@ class ForceTable(ContactLaw):
         d, c_3, c_2, c_1, c_0 = self._piece(x)
         return np.asarray(((c_3 * d + c_2) * d + c_1) * d + c_0)
 
-    def derivative(self, x: ArrayLike) -> Array:
+    def derivative(self, x: ArrayLike, v: ArrayLike = 0.0) -> Array:
         d, c_3, c_2, c_1, _ = self._piece(x)
         return np.asarray((3.0 * c_3 * d + 2.0 * c_2) * d + c_1)
 

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, Concatenate, ParamSpec
 import numpy as np
 import xarray as xr
 
+from gapsweep.analysis.datasets.tracks import with_tracks
 from gapsweep.analysis.dimensions import selected
 from gapsweep.errors import DatasetError
 from gapsweep.report import backdrop, contacts, drawing, dynamics, maps, marks, risk_figures
@@ -83,6 +84,21 @@ class GapsweepAccessor:
         """
         return with_losses(self._dataset)
 
+    def with_tracks(self, along: str | None = None) -> xr.Dataset:
+        """The attractors of ``attractors.nc`` with `track`: the number of each along an axis.
+
+        A track follows an attractor from value to value, while peaks and troughs at neighbouring
+        values differ by at most half of the larger modulus.
+
+        Parameters
+        ----------
+        along : str, optional
+            As for `frequency_response`.
+        """
+        if "basin_share" not in self._dataset:
+            raise DatasetError(missing_variable(self._dataset, "basin_share"))
+        return with_tracks(self._dataset, axis_of(self._dataset, along, {}))
+
     def to_dataframe(self) -> Any:
         """The sweep points as a `pandas.DataFrame`, a row each, without extrema and sections.
 
@@ -144,6 +160,7 @@ class GapsweepAccessor:
 
     bifurcation = _figure(dynamics.bifurcation)
     lyapunov = _figure(dynamics.lyapunov)
+    basin_shares = _figure(dynamics.basin_shares)
     poincare = _figure(dynamics.poincare)
     waterfall = _figure(dynamics.waterfall)
     impacts = _figure(contacts.impacts)
@@ -174,7 +191,8 @@ class GapsweepAccessor:
 
         Each branch has its colour, or each representation where there are several. Special points
         are marked: LP fold, PD period doubling, NS Neimark–Sacker, BP branch point, SB
-        symmetry breaking, GR graze, H Hopf, CP cusp; their symbols stand where there is room.
+        symmetry breaking, GR graze, BLP border fold, BPD border flip, H Hopf, CP cusp; their
+        symbols stand where there is room.
 
         Parameters
         ----------

@@ -78,7 +78,7 @@ def _impacts(run: Trajectory, shown: xr.Dataset) -> Array:
         return np.empty(0)
     along = weights(run, shown, "contact_section_x")
     x, v = (each.reshape(len(times), -1) @ along for each in run.sample(times)[:2])
-    is_upper = x > 0.5 * (law.gap.j_2 - law.gap.j_1)
+    is_upper = (x > 0.5 * (law.gap.j_2 - law.gap.j_1)) == (law.gap.width >= 0.0)
     return np.asarray(np.abs(v[np.where(is_upper, v > 0.0, (v < 0.0) & (law.K_ratio > 0.0))]))
 
 

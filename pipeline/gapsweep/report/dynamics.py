@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import xarray as xr
 
+from gapsweep.analysis.datasets.tracks import with_tracks
 from gapsweep.analysis.dimensions import Array
 from gapsweep.analysis.spectra import N_PERIODS, SAMPLES_PER_PERIOD, spectrum
 from gapsweep.errors import DatasetError
@@ -24,6 +25,7 @@ from gapsweep.report.style import GREY, NOT_PERIODIC, NUMBERED, colour, looks
 from gapsweep.response.result import ResponseClass
 from gapsweep.study.axis_selection import listed
 from gapsweep.study.grid import START
+from gapsweep.study.schema import ATTRACTOR
 from gapsweep.variables import EXTREMUM, SECTION_POINT
 
 if TYPE_CHECKING:
@@ -156,6 +158,49 @@ def lyapunov(
             marks.put(axes, [marks.points(x=at, y=y, size=size, face=face, entry=series, **look)])
     marks.put(axes, backdrop.unresolved(shown, along))
     axes.set_ylabel(axis_label(shown["lyapunov"]))
+    return finished(axes, shown, along)
+
+
+def basin_shares(
+    dataset: xr.Dataset,
+    /,
+    *,
+    along: str | None = None,
+    ax: "Axes | None" = None,
+    **wanted: Any,
+) -> "Axes":
+    """Share of the initial conditions that lead to each attractor, a line per attractor.
+
+    Attractors are continued along the axis (`with_tracks`). Bars are 1.96 standard errors; an
+    attractor that only sweeps reach has no share.
+
+    Parameters
+    ----------
+    dataset : Dataset
+        ``attractors.nc``, or a part of it.
+    along, ax, **wanted
+        As for `GapsweepAccessor.frequency_response`; one representation must be left.
+    """
+    along = axis_of(dataset, along, wanted)
+    names = ("x_max", "x_min", "period_multiple", "basin_share", "basin_share_error")
+    shown = scene_along(dataset, along, dict.fromkeys(names, (ATTRACTOR,)), wanted)
+    shown, axes = with_tracks(shown, along), axes_of(ax)
+    track = shown["track"].values
+    for number in range(int(track.max(initial=-1)) + 1):
+        values, places_of = np.nonzero(track == number)
+        at = {along: xr.DataArray(values), ATTRACTOR: xr.DataArray(places_of)}
+        one = shown.isel(at)
+        x, share = drawn(shown[along])[values], one["basin_share"].values
+        half = 1.96 * one["basin_share_error"].values
+        (entry,) = drawing.attractor_names(one["period_multiple"][:1], one["x_max"][:1])
+        look = {"colour": NUMBERED[number % len(NUMBERED)], "series": f"{number}: {entry}"}
+        ends = np.clip(share - half, 0.0, 1.0), np.clip(share + half, 0.0, 1.0)
+        gaps = np.flatnonzero(np.diff(values) > 1) + 1
+        line = (np.insert(each, gaps, np.nan) for each in (x, share))
+        curve = dict(zip("xy", line, strict=True)) | {"size": 1.2, "dots": 3.0, "entry": entry}
+        interval = marks.bars(x, *ends, size=3.0, opacity=0.4, zorder=1.5, **look)
+        marks.put(axes, [interval, marks.line(**curve, **look)])
+    axes.set(ylabel="share of the initial conditions", ylim=(-0.02, 1.02))
     return finished(axes, shown, along)
 
 

@@ -55,7 +55,8 @@ def energy_lost(run: Trajectory, contact: int, start: float = 0.0) -> float:
         b = np.reshape(model.directions, (-1, model.n))[contact]
         compliance = b @ np.linalg.solve(np.atleast_2d(model.mass), b)
         before = np.maximum(times[times > start] - _APART / _rate(run), start)
-        u = _moved(run, contact, before)[1]
+        earlier = np.maximum(before - _APART / _rate(run), start)
+        u = 2.0 * _moved(run, contact, before)[1] - _moved(run, contact, earlier)[1]
         return float(0.5 * (1.0 - law.losses.restitution**2) * (u @ u) / compliance)
     t, weights = _gauss(
         [start, *np.concatenate(times_of(run)), run.t_end], 1.0 / (_PANELS * _rate(run))

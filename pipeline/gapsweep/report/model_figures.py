@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from gapsweep.continuation.family import Family
 from gapsweep.continuation.follow import branches as continued
+from gapsweep.design.machine import Machine
 from gapsweep.errors import ModelError
 from gapsweep.integrate.problem import TIME_LIMIT, Model, Models, Solver, within
 from gapsweep.integrate.simulate import AnyLaw
@@ -101,14 +102,19 @@ def frequency_response(
         raise ModelError(f"omega = {omega!r:.80}: must be at least two frequencies > 0 Hz")
     if isinstance(sweeps, str) or set(sweeps) - set(_DIRECTIONS):
         raise ModelError(f"sweeps = {sweeps!r}: must be a list of 'up', 'down', both or none")
-    family = Family(oscillator, {} if law is None else law, None, ("omega",), {"omega": 1.0})
+    family = Family(oscillator, {} if law is None else law, float(frequencies[0]), (), {})
     model, laws = family.example, family.laws_at({})
     names = getattr(model, "coordinates", ("x",))
     coordinate = names[0] if coordinate is None else coordinate
     if coordinate not in names:
         raise ModelError(f"coordinate = {coordinate!r}: must be one of {', '.join(names)}")
-    computed = _swept(family, frequencies, sweeps, Solver.of(rtol=rtol), steady, time_limit)
-    x_max = [_part("x_max", found, model, coordinate) for found in computed.values()]
+    steady = Steady() if steady is None else steady
+    check_steady(steady)
+    warn_of(doubts([model], [laws], frequencies, np.zeros((1, model.n_states))))
+    orders = [frequencies[:: _DIRECTIONS[each]] for each in sweeps]
+    with within(time_limit):
+        found = Machine(family, Solver.of(rtol=rtol), steady).sweeps(np.zeros((1, 0)), orders)
+    x_max = [_part("x_max", each, model, coordinate) for each in found]
     lines = None
     if branches:
         ends = float(frequencies[0]), float(frequencies[-1])
@@ -120,9 +126,8 @@ def frequency_response(
         axes = figure.subplots()
         if lines is not None:
             marks.put(axes, branch_lines.orbits(lines, "omega", ["x_max"], _ORBITS))
-        for (direction, found), values in zip(computed.items(), x_max, strict=True):
-            x = frequencies[:: _DIRECTIONS[direction]]
-            _dots(axes, x, drawn(values), found, f"sweep {direction}")
+        for direction, omega, swept, values in zip(sweeps, orders, found, x_max, strict=True):
+            _dots(axes, omega, drawn(values), swept, f"sweep {direction}")
         described = lines["x_max"] if lines is not None else x_max[0]
         axes.set(xlabel="forcing frequency [Hz]", ylabel=axis_label(described, "peak"))
         axes.set_xlim(frequencies[0], frequencies[-1])
@@ -131,33 +136,6 @@ def frequency_response(
             branch_lines.name_points(axes, lines, "omega", "x_max")
         axes.legend(fontsize=8)
     return figure
-
-
-def _swept(
-    family: Family,
-    frequencies: Array,
-    sweeps: Sequence[str],
-    solver: Solver,
-    steady: Steady | None,
-    time_limit: float,
-) -> dict[str, Responses]:
-    """Responses of each sweep, in its order; the sweeps advance together."""
-    steady = Steady() if steady is None else steady
-    check_steady(steady)
-    model, laws = family.example, family.laws_at({})
-    states = np.zeros((len(sweeps), model.n_states))
-    warn_of(doubts([model], [laws], frequencies, states[:1]))
-    if not sweeps:
-        return {}
-    orders = np.stack([frequencies[:: _DIRECTIONS[each]] for each in sweeps])
-    found = []
-    with within(time_limit):
-        for omega in orders.T:
-            found.append(respond_models(Models.of([model], [laws], omega), solver, states, steady))
-            has_end = found[-1].has_end[:, None]
-            states = np.where(has_end, found[-1].ends, states)
-    whole, n = Responses.concatenated(found), len(sweeps)
-    return {each: whole.take(np.arange(k, len(whole), n)) for k, each in enumerate(sweeps)}
 
 
 def _dots(axes: Axes, x: Array, y: Array, found: Responses, name: str) -> None:

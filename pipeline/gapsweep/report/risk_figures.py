@@ -111,7 +111,8 @@ def tornado(
     """Sobol indices of the uncertain numbers, the most important one at the top.
 
     A wide pale bar is the total index, a narrow one inside it the first index, a line the 95 %
-    interval of the total index.
+    interval of the total index. Sobol points with an undecided sample are left out; the label of
+    the axis has their number.
 
     Parameters
     ----------
@@ -129,7 +130,8 @@ def tornado(
     names = [f"{prefix}{name}" for name in ("first_order", "total", "total_error")]
     if names[0] not in dataset:
         raise DatasetError(f"{missing_variable(dataset, names[0])}; write indices = true")
-    shown = scene(dataset, dict.fromkeys(names, (NUMBER,)), wanted)
+    left_out = f"{prefix}n_left_out"
+    shown = scene(dataset, dict.fromkeys(names, (NUMBER,)) | {left_out: ()}, wanted)
     first, total, error = (shown[name].values for name in names)
     order = np.argsort(np.nan_to_num(total))
     labels, axes = shown[NUMBER].values[order], axes_of(ax)
@@ -142,7 +144,9 @@ def tornado(
     look = {"colour": GREY, "size": 1.0, "series": words, "entry": words}
     marks.put(axes, [marks.flat_bars(*ends, y, **look)])
     axes.set_yticks(y, labels)
-    axes.set(xlabel="share of the variance (Sobol index)", ylim=(-0.6, len(order) - 0.4))
+    n = int(shown[left_out])
+    words = f"\n{n} Sobol points with an undecided sample are left out" if n else ""
+    axes.set(xlabel=f"share of the variance (Sobol index){words}", ylim=(-0.6, len(order) - 0.4))
     axes.set_xlim(left=0.0)
     return titled(axes, shown)
 

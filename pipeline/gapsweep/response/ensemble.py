@@ -6,6 +6,7 @@ No result depends on the other motions of a call.
 import math
 import time
 from copy import copy
+from dataclasses import replace
 from operator import attrgetter
 from typing import Any
 
@@ -86,9 +87,15 @@ class Ensemble:
     is_chained = True
 
     def __init__(self, models: Models, solver: Solver) -> None:
-        self.models, self.solver, self.atol = models, solver, models.absolute(solver)
+        self.models, self.solver = models.sized() if solver.atol is None else models, solver
+        models, self.atol = self.models, self.models.absolute(solver)
         n, n_contacts, system = len(models), len(models.laws[0]), models.systems[0]
-        for each in models.systems:
+        # Systems for what all oscillators have in common: one stands for all of them.
+        self._alike = models
+        if isinstance(system, Oscillator):
+            one = np.zeros_like(models.system)
+            self._alike = replace(models, systems=[system], system=one)
+        for each in self._alike.systems:
             check_periodic(each)
         self.structure = structure_of(system)
         self.n_coordinates = system.n
@@ -102,8 +109,8 @@ class Ensemble:
         self.valid_range, self.walls, self.felt_walls = (
             models.of_laws(_places).reshape(n, n_contacts, 3, 2).transpose(2, 3, 1, 0)
         )
-        self._directions: Array = models.of_systems(attrgetter("directions"))
-        self.is_modulated = models.of_systems(attrgetter("is_modulated")).T
+        self._directions: Array = self._alike.of_systems(attrgetter("directions"))
+        self.is_modulated = self._alike.of_systems(attrgetter("is_modulated")).T
         forces = Forces(models.laws[0], solver)
         self.has_own_tangent, self.is_noisy = forces.has_own_tangent, forces.is_noisy
         self._integrate = prepared(models, solver)
@@ -147,8 +154,8 @@ class Ensemble:
             )
         self.omega, rate = omega, 2.0 * math.pi * omega
         self.unit = np.empty((self.models.systems[0].n_states, len(omega)))
-        for i, system in enumerate(self.models.systems):
-            here = self.models.system == i
+        for i, system in enumerate(self._alike.systems):
+            here = self._alike.system == i
             self.unit[:, here] = system.unit(rate[here])
         self._pace = _UNKNOWN / omega  # steps that a period took last
 
@@ -370,5 +377,5 @@ def _begun(problems: Problems, found: Motions) -> NDArray[np.bool_]:
 
 def _places(law: ContactLaw) -> tuple[tuple[float, float], ...]:
     """Valid range of a law, its walls, and the walls at which the stiffness changes, else NaN."""
-    is_felt = law.gap.width > 0.0 or law.K_ratio != 1.0
-    return law.valid_range, law.walls, law.walls if is_felt else (math.nan, math.nan)
+    is_felt, walls = law.gap.width != 0.0 or law.K_ratio != 1.0, law.walls
+    return law.valid_range, walls, walls if is_felt else (math.nan, math.nan)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from gapsweep.integrate.problem import Models
 from gapsweep.integrate.reference_scenes import scene_of
-from gapsweep.model.contact import Piecewise
+from gapsweep.model.structure import with_walls_apart
 from gapsweep.model.system import first_order
 from gapsweep.response.ensemble import Ensemble
 from gapsweep.response.section import norm
@@ -70,14 +70,14 @@ def _sides(ensemble: Ensemble, scene: int, y: Array) -> Iterator[Any]:
     """Yield the contact modes on all sides of the walls that a state lies on; None: the modes of
     the state.
     """
-    system, laws, swing = ensemble.system(scene), ensemble.laws(scene), ensemble.swing[scene]
+    (system, laws), swing = _apart(ensemble, scene), ensemble.swing[scene]
     choices = []
-    for gap, law in zip(system.directions @ y[: system.n], laws, strict=True):
+    for gap, law in zip(np.asarray(system.directions) @ y[: system.n], laws, strict=True):
         near = _ON_WALL * (law.gap.size + abs(gap)) + REST * swing
         low, high = law.walls
         modes = {int(gap > high) - int(gap < low)}
         for wall, mode in ((high, 1), (low, -1)):
-            if isinstance(law, Piecewise) and abs(gap - wall) <= near:
+            if law.has_modes and abs(gap - wall) <= near:
                 modes |= {0, mode}
         # With zero gap there is no free mode between the walls.
         choices.append(sorted(modes - {0} if low == high and len(modes) > 1 else modes))
@@ -85,7 +85,7 @@ def _sides(ensemble: Ensemble, scene: int, y: Array) -> Iterator[Any]:
         # The modes have the damping of contacts, too.
         is_lossy = any(law.losses for law in laws)
         yield tuple(mode for (mode,) in choices) if is_lossy else None
-    elif all(isinstance(law, Piecewise) for law in laws):
+    elif all(law.has_modes for law in laws):
         yield from product(*choices)
     else:
         yield from (None, None)  # with other laws: only this side, and no exponent
@@ -100,9 +100,14 @@ def _right_side(
     ensemble: Ensemble, scene: int, *, tangent: bool, modes: Any = None
 ) -> Callable[[float, Array], Any]:
     """Return the right-hand side, with the laws as they are or, if exact, in contact `modes`."""
-    system, solver = ensemble.system(scene), ensemble.solver
+    (system, laws), solver = _apart(ensemble, scene), ensemble.solver
     given = float(ensemble.models.omega[scene]), 0.0, solver.rtol, float(ensemble.atol[scene])
-    return scene_of(system)(system, ensemble.laws(scene), *given, tangent=tangent).rhs(modes)
+    return scene_of(system)(system, laws, *given, tangent=tangent).rhs(modes)
+
+
+def _apart(ensemble: Ensemble, scene: int) -> tuple[Any, Any]:
+    """Model and laws of a case, each wall of a pair that overlaps as a contact."""
+    return with_walls_apart(ensemble.system(scene), ensemble.laws(scene))
 
 
 class Rates:

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gapsweep.model.contact import ContactLaw
+from gapsweep.model.contact import ContactLaw, Piecewise
 from gapsweep.model.equilibria import search_points, sign_changes
 from gapsweep.model.user_law import UserLaw
 from gapsweep.response.ensemble import Ensemble
@@ -26,7 +26,7 @@ _ON_WALL = 1e-9
 
 
 def largest_forces(laws: Sequence[ContactLaw], x_min: Array, x_max: Array) -> Array:
-    """Largest magnitudes [N] of contact forces between two displacements.
+    """Largest magnitudes [N] of contact forces, of a wall, between two displacements.
 
     The maximum is at an end, or at an extremum of the force between the ends.
 
@@ -40,15 +40,28 @@ def largest_forces(laws: Sequence[ContactLaw], x_min: Array, x_max: Array) -> Ar
     # Searched up to the next power of two of each motion: results do not depend on other points.
     _, powers = np.frexp(np.maximum(np.abs(x_min), np.abs(x_max)))
     for row, (law, power) in enumerate(zip(laws, powers.tolist(), strict=True)):
-        # By identity: the laws stay alive, and some hash slowly.
-        rows.setdefault((id(law), power if law.turns is None else 0), []).append(row)
+        # By identity: the laws stay alive, and some hash slowly. Exact laws have one formula.
+        which = 0 if isinstance(law, Piecewise) else id(law)
+        rows.setdefault((which, power if law.turns is None else 0), []).append(row)
     found = np.empty(len(laws))
     for (_, power), here in rows.items():
         law, low, high = laws[here[0]], x_min[here], x_max[here]
+        if isinstance(law, Piecewise):
+            found[here] = _largest_of_exact([laws[row] for row in here], low, high)
+            continue
         turns = _searched_turns(law, 2.0**power) if law.turns is None else law.turns
         x = np.array([low, high, *(np.clip(turn, low, high) for turn in turns)])
-        found[here] = np.fmax.reduce(np.abs(_values(law, law.force, x)))
+        forces = [_values(each, each.force, x) for each in law.of_walls]
+        found[here] = np.fmax.reduce(np.abs(np.concatenate(forces)))
     return found
+
+
+def _largest_of_exact(laws: Sequence[ContactLaw], x_min: Array, x_max: Array) -> Array:
+    """Largest magnitudes [N] of the springs' forces, as `largest_forces`, of all laws at once."""
+    numbers = [(law.K_c, law.K_ratio, law.gap.j_1, law.gap.j_2) for law in laws]
+    K_c, ratio, j_1, j_2 = np.array(numbers).T
+    above, below = np.maximum(x_max - j_2, 0.0), ratio * np.maximum(-j_1 - x_min, 0.0)
+    return np.asarray(np.fmax(K_c * above, K_c * below))
 
 
 @lru_cache(maxsize=256)
@@ -81,6 +94,8 @@ def contact_shares(
 ) -> Array:
     """Shares [-] of their time that motions spend beyond the walls of each contact.
 
+    A motion is always beyond one of two walls that overlap.
+
     Parameters
     ----------
     ensemble : Ensemble
@@ -103,7 +118,8 @@ def contact_shares(
         shares = np.minimum(call.contact_time.T / call.t_end, 1.0)
         # A motion that stays on a wall does not press on it.
         stays = [(end == walls[0]) | (end == walls[1]) for end in ends]
-        return np.where(stays[0] & stays[1] & (call.n_contacts == 0), 0.0, shares)
+        shares = np.where(stays[0] & stays[1] & (call.n_contacts == 0), 0.0, shares)
+        return np.where(walls[0] > walls[1], 1.0, shares)
     events = call.events
     found = []
     for k in range(walls.shape[1]):
@@ -118,7 +134,7 @@ def contact_shares(
         found.append(
             _shares(passings, (*turns.T, n_turns), call.t_end, gap_ends, walls[:, k], closed)
         )
-    return np.array(found).reshape(walls.shape[1:])
+    return np.where(walls[0] > walls[1], 1.0, np.reshape(found, walls.shape[1:]))
 
 
 def _of_one(values: Array, owners: Counts, counts: Counts, which: int) -> tuple[Array, Counts]:

@@ -376,6 +376,10 @@ class _Reading:
         start = self.orbits.y[:, :n] @ b
         time += np.where((start < low) | (start > high), 1.0, 0.0)[:, None] * self.longer
         time[low == high] = np.nan
+        share, time = (
+            np.where(low > high, 1.0, share),
+            np.where((low > high)[:, None], self.longer, time),
+        )
         if any(laws[contact].losses.never_pulls for laws in self.orbits.models.laws):
             time[:] = np.nan  # it ends where its force is zero, at no wall
         return share, (time - share[:, None] * self.longer) / period[:, None]

@@ -45,7 +45,7 @@ class Forces:
     def is_located(self) -> bool:
         """Whether all contacts are located, and no step passes a kink before it is cut there."""
         is_by_mode = self.solver.contact_force == "by_mode"
-        return is_by_mode and all(isinstance(law, Piecewise) and law.located for law in self.laws)
+        return is_by_mode and all(law.is_located for law in self.laws)
 
     @property
     def has_kinks(self) -> bool:

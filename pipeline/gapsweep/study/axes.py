@@ -36,6 +36,8 @@ def _bounded(value: float) -> float:
 
 def _distance(value: float) -> float:
     """Return the distance of a wall; infinity: no wall."""
+    if math.isnan(value):
+        raise ValueError("must be a number; inf: no wall")
     return value if value == math.inf else _bounded(value)
 
 
@@ -54,7 +56,7 @@ def _has_wall(pair: list[float]) -> list[float]:
 Number = Annotated[float, AfterValidator(_bounded)]
 Positive = Annotated[float, Field(gt=0), AfterValidator(_bounded), AfterValidator(_not_tiny)]
 NonNegative = Annotated[float, Field(ge=0), AfterValidator(_bounded)]
-Wall = Annotated[float, Field(ge=0, allow_inf_nan=True), AfterValidator(_distance)]
+Wall = Annotated[float, Field(allow_inf_nan=True), AfterValidator(_distance)]
 Count = Annotated[int, Field(ge=1, le=MAX_VALUES)]
 Range = Annotated[list[Number], Field(min_length=2, max_length=2)]
 Pair = Annotated[list[Wall], Field(min_length=2, max_length=2), AfterValidator(_has_wall)]

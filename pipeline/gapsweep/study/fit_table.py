@@ -8,6 +8,7 @@ from pydantic import Field
 
 from gapsweep.design.measured import ranges, sweeps
 from gapsweep.errors import ModelError, StudyError
+from gapsweep.model.contact import OF_WALLS
 from gapsweep.quantities import without_units, written
 from gapsweep.response.result import RESPONSE
 from gapsweep.study.axes import MAX_VALUES, Number, Positive, Range, TomlTable
@@ -43,11 +44,15 @@ class FitTable(TomlTable):
         if first.protocol or first.is_auto:
             yield f"fit: {first}: is fitted as the first representation; begin with 'piecewise'"
         walls = {"gap", "j_1", "j_2"}
+        kind = first.law_type
+        is_fixed = kind is None or not kind.is_numbers  # each of its walls is another law
         for name in self.free:
             if name not in known:
                 yield f"fit.free.{name}: must be one of {', '.join(known)}"
             elif name in own or (name in walls and own & walls):
                 yield f"fit.free.{name}: must be set in [[sweep]], not in [contact]"
+            elif is_fixed and name in (*walls, "K_c", *OF_WALLS):
+                yield f"fit.free.{name}: cannot vary with {first}; begin with 'piecewise'"
         for name, values in axes.items():
             is_free = name in self.free or (name in walls and walls & {*self.free})
             if len(values) > 1 and name not in _NO_NUMBERS and not is_free:

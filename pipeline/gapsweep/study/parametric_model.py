@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from gapsweep.errors import ModelError, StudyError
 from gapsweep.model.contact import OF_WALLS
-from gapsweep.model.labels import EXACT, Representation
+from gapsweep.model.labels import EXACT, NO_DAMPING, Representation
 from gapsweep.model.oscillator import Oscillator
 from gapsweep.model.structure import AnyStructure, structure_of
 from gapsweep.model.system import System
@@ -300,8 +300,12 @@ class ParametricModel:
         for contact in self.contacts:
             damping, own = self._own(contact, "damping"), self._own(contact, "representation")
             for one in block.representation if own is None else [own]:
-                if (swept if damping is None else damping) > 0.0 and one.law != EXACT:
-                    yield f"damping: {one} has none; write damping in a [[sweep]] of 'piecewise'"
+                if not (swept if damping is None else damping):
+                    continue
+                if not one.takes_damping:
+                    yield f"damping: {one} {NO_DAMPING}"
+                elif one.law != EXACT and not self.spec.study.pulls:
+                    yield f"damping: walls of {one} pull; write pulls = true in [study], for all"
 
     def _own(self, contact: str, name: str) -> Any:
         table = self.spec.contact.get(contact)

@@ -2,8 +2,8 @@
 
 import hashlib
 import json
-from collections.abc import Callable
-from dataclasses import asdict, dataclass, field, replace
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, field, fields, replace
 from functools import cache, lru_cache
 from typing import Any, TypeVar
 
@@ -16,7 +16,13 @@ from gapsweep.model.contact import FIT_RANGE, OF_WALLS, ContactLaw
 from gapsweep.model.labels import Representation, contact_law
 from gapsweep.model.oscillator import Gap
 from gapsweep.model.own_law import OwnLaw
-from gapsweep.model.structure import AnyStructure, OscillatorStructure, read_structure
+from gapsweep.model.structure import (
+    AnyStructure,
+    OscillatorStructure,
+    copies,
+    extremes,
+    read_structure,
+)
 from gapsweep.response.result import Steady
 from gapsweep.study.software import deciding, versions
 from gapsweep.user_code.package_digest import numerics_fingerprint
@@ -45,6 +51,7 @@ class Kind:
     solver: Solver
     steady: Steady
     fit_range: float = FIT_RANGE  # half-width [m] of the range of fitted laws
+    pulls: bool = False  # whether exact walls with damping pull
     # ``"fixed"``, or ``"sweep_up"`` or ``"sweep_down"``: a point starts in the end state of the one
     # before, the first one in the state of the table.
     start: str = FIXED
@@ -71,12 +78,12 @@ class Kind:
         """Whether a point starts in the end state of the one before it."""
         return self.start != FIXED
 
-    def laws(self, walls: NDArray[np.float64]) -> tuple[ContactLaw, ...]:
-        """Return the laws of all contacts.
+    def laws(self, walls: NDArray[np.float64]) -> list[tuple[ContactLaw, ...]]:
+        """Return the laws of all contacts for each of n rows.
 
         Parameters
         ----------
-        walls : ndarray, shape (n_contacts * number of columns,)
+        walls : ndarray, shape (n, n_contacts * number of columns)
             Columns `OF_CONTACT` of every contact.
 
         Raises
@@ -84,14 +91,27 @@ class Kind:
         ModelError
             If a law cannot be built.
         """
-        several = walls.reshape(-1, len(OF_CONTACT)).tolist()
-        return tuple(self._law(*each) for each in zip(self.contacts, several, strict=True))
+        several = np.split(walls, len(self.contacts), axis=1) if self.contacts else []
+        pairs = zip(self.contacts, several, strict=True)
+        laws = [self._laws(one, rows) for one, rows in pairs]
+        return list(zip(*laws, strict=True)) if laws else [()] * len(walls)
+
+    def _laws(self, one: Representation, rows: NDArray[np.float64]) -> list[ContactLaw]:
+        """Return the laws of one contact; laws of a family that differ in numbers as copies."""
+        if one.law_type is None or not one.law_type.is_numbers:
+            return [self._law(one, row) for row in rows.tolist()]
+        example, *_ = (self._law(one, row.tolist()) for row in extremes(rows))
+        columns = dict(zip(OF_CONTACT, rows.T.tolist(), strict=True))
+        gaps = copies(example.gap, {name: columns.pop(name) for name in ("j_1", "j_2")})
+        own = {field.name for field in fields(example) if field.init}
+        known = {name: column for name, column in columns.items() if name in own}
+        return copies(example, known | {"gap": gaps})
 
     def _law(self, one: Representation, walls: list[float]) -> ContactLaw:
         K_c, j_1, j_2, *others = walls
         gap, of_walls = Gap(j_1, j_2), dict(zip(OF_WALLS, others, strict=True))
         if not one.is_own:
-            return contact_law(one, K_c, gap, self.fit_range, **of_walls)
+            return contact_law(one, K_c, gap, self.fit_range, **of_walls, pulls=self.pulls)
         if self.own is None:
             raise ModelError(f"{one}: the code of this user law is not stored")
         return self.own.law(K_c, gap, of_walls["K_ratio"])
@@ -163,6 +183,11 @@ class Points:
         """Return some of the points."""
         return Points(self.kind, self.numbers[rows])
 
+    def from_states(self, states: NDArray[np.float64]) -> "Points":
+        """Return the points with other fixed initial states, shape (n, n_states)."""
+        kind = replace(self.kind, start=FIXED, start_jitter=0.0)
+        return Points(kind, np.hstack([self.numbers[:, : -self.kind.n_states], states]))
+
     @property
     def starts(self) -> NDArray[np.float64]:
         """Fixed initial states, shape (n, n_states), shifted by the jitter of the protocol."""
@@ -175,7 +200,7 @@ class Points:
         kind = self.kind
         n = len(kind.contacts) * len(OF_CONTACT)
         walls, omega, others = np.split(self.numbers[:, : -kind.n_states], [n, n + 1], axis=1)
-        systems, its_system, no_system = _made(kind.structure.system, others)
+        systems, its_system, no_system = _made(kind.structure.systems, others)
         several, its_laws, no_laws = _made(kind.laws, walls)
         refused = no_system | no_laws
         rows = np.array([row for row in range(len(self)) if row not in refused], np.intp)
@@ -235,7 +260,7 @@ def columns_of(structure: AnyStructure) -> tuple[str, ...]:
 
 
 def _made(
-    make: Callable[[NDArray[np.float64]], Made], rows: NDArray[np.float64]
+    make: Callable[[NDArray[np.float64]], Sequence[Made]], rows: NDArray[np.float64]
 ) -> tuple[list[Made], Numbers, dict[int, ModelError]]:
     """Objects made of the distinct rows, the number of its object for every row, and errors.
 
@@ -243,15 +268,19 @@ def _made(
     """
     some = rows if rows.shape[1] else np.zeros((len(rows), 1))
     _, first, which = np.unique(some, axis=0, return_index=True, return_inverse=True)
-    made: list[Made] = []
-    number, errors = np.full(len(first), -1), dict[int, ModelError]()
-    for i, row in enumerate(rows[first]):
+    which, distinct, errors = which.reshape(-1), rows[first], dict[int, ModelError]()
+    if not len(first):
+        return [], which, {}
+    try:
+        return [*make(distinct)], which, {}
+    except ModelError:
+        made, number = list[Made](), np.full(len(first), -1)
+    for i in range(len(first)):
         try:
-            made.append(make(row))
+            made += make(distinct[[i]])
             number[i] = len(made) - 1
         except ModelError as error:
             errors[i] = error
-    which = which.reshape(-1)
     refused = {row: errors[i] for row, i in enumerate(which.tolist()) if i in errors}
     return made, number[which], refused
 

@@ -7,6 +7,7 @@ from collections.abc import Collection
 
 from gapsweep.model.structure import AnyStructure
 from gapsweep.quantities import UNITS
+from gapsweep.response.disturbances import DISTURBANCES
 from gapsweep.response.result import RESPONSE, exists, part_sizes
 from gapsweep.study.grid import START
 from gapsweep.study.samples import DRAWN, SAMPLE
@@ -154,6 +155,7 @@ ATTRACTOR_VARIABLES: dict[str, Variable] = {
     ),
     "basin_share_error": Variable("f8", "1", "standard error of the share"),
     "mirror_of": Variable("i4", "1", "number of the mirror-image attractor, -1: none", -1),
+    **DISTURBANCES,
 }
 N_ATTRACTORS = Variable("i4", "1", "number of attractors found", 0)
 

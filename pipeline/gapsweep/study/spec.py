@@ -71,6 +71,7 @@ class StudyTable(TomlTable):
     title: Text = ""
     creator: Text = ""
     license: Text = ""
+    pulls: bool = False  # whether exact walls with damping pull
 
 
 class SweepTable(TomlTable):
@@ -203,6 +204,12 @@ class AutoTable(TomlTable):
     error: Annotated[float, Field(ge=SMALLEST_ERROR, le=LARGEST_ERROR)] = DEFAULT_ERROR
 
 
+class AttractorsTable(TomlTable):
+    """Rays from every attractor on which the smallest disturbance that leaves it is searched."""
+
+    rays: Annotated[int, Field(ge=1, le=4096)]
+
+
 def _python_file(path: str) -> str:
     if not (path.endswith(".py") and PurePath(path).stem.isidentifier()):
         raise ValueError("must be the path of a Python file, as 'claims.py'")
@@ -308,6 +315,7 @@ class StudySpec(TomlTable):
     auto: AutoTable = AutoTable()
     history: list[HistoryTable] = Field([])
     bench: BenchTable | None = None
+    attractors: AttractorsTable | None = None
     branches: BranchesTable | None = None
     uncertain: UncertainTable | None = None
     fit: FitTable | None = None
@@ -414,6 +422,8 @@ class StudySpec(TomlTable):
             several = [name for name in ("branches", "fit", "gradients") if getattr(self, name)]
             said = "not together with [uncertain]; write a separate study"
             wrong += [f"{name}: {said}" for name in several]
+        if self.attractors and any(one.is_own for one in self.representations):
+            wrong.append("attractors: not with user laws; call gs.basins(..., rays=32)")
         if any(one.is_auto for table in self.history for one in table.representation):
             wrong.append("history: 'auto' is not allowed; write a representation, as 'piecewise'")
         if any(method.label.is_auto for method in methods):

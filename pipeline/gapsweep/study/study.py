@@ -21,7 +21,7 @@ from gapsweep.model.contact import OF_WALLS, ContactLaw, Piecewise
 from gapsweep.model.labels import EXACT, Representation, contact_law
 from gapsweep.model.oscillator import Gap, Oscillator
 from gapsweep.model.own_law import OwnLaw, checked
-from gapsweep.model.parameters import Parameter
+from gapsweep.model.parameters import Parameter, with_numbers
 from gapsweep.model.structure import AnyStructure
 from gapsweep.response.result import Steady
 from gapsweep.study.axes import MAX_POINTS, MAX_VALUES, forms
@@ -208,17 +208,9 @@ class Study:
         """Values of ranges of numbers that no model can have."""
         for name, value in ((name, value) for name, ends in ranges.items() for value in ends):
             try:
-                match name:
-                    case "gap" | "j_1" | "j_2":
-                        Gap(value, value)
-                    case "K_c":
-                        Piecewise(value, Gap(0.0, 0.0))
-                    case "K_ratio":
-                        Piecewise(1.0, Gap(0.0, 0.0), K_ratio=value)
-                    case "damping":
-                        Piecewise(1.0, Gap(0.0, 0.0), damping=value)
-                    case _ if self.model.is_oscillator and name in self.spec.model:
-                        replace(self.oscillator, **{name: value})
+                with_numbers(Piecewise(1.0, Gap(0.0, 0.0)), {name: value})
+                if self.model.is_oscillator and name in self.spec.model:
+                    with_numbers(self.oscillator, {name: value})
             except ModelError as error:
                 yield f"{where}: {error}"
 
@@ -357,7 +349,8 @@ class Study:
             return own.law(K_c, gap, K_ratio)
         law = Representation(label).law
         of_walls = {"K_ratio": K_ratio, "damping": damping}
-        return contact_law(law, K_c, gap, self.spec.approximation.range, **of_walls)
+        pulls = self.spec.study.pulls
+        return contact_law(law, K_c, gap, self.spec.approximation.range, **of_walls, pulls=pulls)
 
     @property
     def own_laws(self) -> tuple[Representation, ...]:
@@ -590,6 +583,7 @@ class Study:
             solver=self.solver(one),
             steady=self.steady,
             fit_range=self.spec.approximation.range,
+            pulls=self.spec.study.pulls,
             start=start,
             start_jitter=self.start_jitter(one),
             law_code=None if own is None else own.key,

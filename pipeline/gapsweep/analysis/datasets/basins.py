@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import xarray as xr
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from gapsweep.analysis.dimensions import Array
 from gapsweep.errors import ModelError
@@ -17,15 +17,17 @@ from gapsweep.integrate.problem import DEFAULT_ENGINE, Model, Models, Solver
 from gapsweep.integrate.simulate import AnyLaw, cases
 from gapsweep.model.arrays import numbers
 from gapsweep.model.doubts import doubts, warn_of
-from gapsweep.model.oscillator import Oscillator, called_as
+from gapsweep.model.oscillator import Oscillator, called_as, whole
 from gapsweep.model.system import System
 from gapsweep.model.user_law import UserLaw
 from gapsweep.response.attractors import Attractors, Grouping
+from gapsweep.response.disturbances import DISTURBANCES, smallest_disturbances
 from gapsweep.response.respond import check_steady, respond_models
 from gapsweep.response.result import Responses, Steady
-from gapsweep.variables import COORDINATE, INPUTS, Variable
+from gapsweep.variables import COORDINATE, INPUTS, LAG, Variable
 
 _MAX_STARTS = 10**6
+_MAX_RAYS = 4096
 _PART = 4096  # initial conditions computed in one call
 _NUMBER = "attractor_number"
 _ATTRIBUTES = {
@@ -52,9 +54,10 @@ def basins(
     rtol: float | None = None,
     atol: float | None = None,
     steady: Steady | None = None,
+    rays: int = 0,
     client: Any = None,
 ) -> xr.Dataset:
-    """Return the attractors over a grid of initial states.
+    """Return the attractors over a grid of initial states, and the disturbances that leave them.
 
     Parameters
     ----------
@@ -69,6 +72,10 @@ def basins(
         for its velocity, ``"z_1"`` for a first-order state. The other states are 0.
     engine, rtol, atol, steady
         As in `gapsweep.respond`.
+    rays : int
+        Rays from every attractor on which the smallest disturbance of the state that leaves it is
+        searched, 0 to 4096; 0, the default: no search. 32 are many for an oscillator, systems with
+        more states need more. Disturbances are searched up to the farthest of the initial states.
     client : distributed.Client, optional
         Dask cluster to use; None computes in this process. Not for user laws, since workers may
         have other code; use a study with a grid of initial conditions instead.
@@ -78,7 +85,13 @@ def basins(
     Dataset
         ``attractor(v_0, x_0)``, the number of the attractor of each initial condition (-1: none),
         and properties of the attractors over ``attractor_number``. States given by name have
-        dimensions of that name.
+        dimensions of that name. With `rays`, ``disturbance`` is the norm of the smallest
+        disturbance found [m], an upper bound: the root of the sum of squares of its parts, each
+        divided by its value for a motion of one metre. These are 1 for a displacement and the
+        angular frequency for a velocity of an oscillator, `System.unit` for a system.
+        ``disturbed_x`` and ``disturbed_v`` are the state that is disturbed, at forcing phase zero,
+        ``disturbance_x`` and ``disturbance_v`` the changes; ``single_up_v`` is the smallest
+        increase of the velocity that leaves without another change. NaN: none was found.
 
     Raises
     ------
@@ -107,6 +120,7 @@ def basins(
     if math.prod(shape) > _MAX_STARTS:
         size = " x ".join(map(str, shape[::-1]))
         raise ModelError(f"{size} initial conditions: must be <= {_MAX_STARTS}")
+    rays = whole("rays", rays, 0, _MAX_RAYS)
     states = np.zeros((*shape, oscillator.n_states))
     for number, values in zip(axes, np.meshgrid(*axes.values(), indexing="ij"), strict=True):
         states[..., number] = values
@@ -120,16 +134,25 @@ def basins(
                 "client: not allowed with user laws; leave it out, or name the law in a study file"
             )
     warn_of(doubts([oscillator], [laws], models.omega[0], start))
-    parts = np.split(np.arange(len(start)), range(_PART, len(start), _PART))
     settings = Solver.of(engine, rtol, atol), steady
     rate = 2.0 * np.pi * np.array([models.omega[0] or oscillator.slowest or 1.0])
-    grouping = Grouping(np.array(oscillator.unit(rate)))
-    for answer in _answers([(models.take(i), start[i]) for i in parts], settings, client):
+    unit = np.array(oscillator.unit(rate))
+    grouping = Grouping(unit)
+    for answer in _answers(models, start, settings, client):
         grouping.add(answer, np.zeros(len(answer), int))
     is_odd = isinstance(oscillator, Oscillator) and oscillator.mean_load == 0.0
     found = grouping.attractors(is_odd and laws[0].is_symmetric)
     named = {names[number]: values for number, values in axes.items()}
-    dataset = _dataset(found, oscillator, named)
+    left: dict[str, Array] = {}
+    if rays:
+
+        def respond_all(of: NDArray[np.intp], states: Array) -> Responses:
+            some = models.take(np.zeros_like(of))
+            return Responses.concatenated([*_answers(some, states, settings, client)])
+
+        of_all = found.leaders, np.repeat(unit, len(found.leaders), axis=1)
+        left = smallest_disturbances(*of_all, start, rays, respond_all).arrays(oscillator.n)
+    dataset = _dataset(found, left, oscillator, named)
     if isinstance(oscillator, Oscillator):
         of = laws[0]
         dataset.attrs |= {"K_c": of.K_c, "K_ratio": of.K_ratio, "gap": of.gap.label}
@@ -153,30 +176,35 @@ def arguments(model: Model, states: Array) -> dict[str, Any]:
     return {"x_0": 0.0, "q_0": q, "v_0": v, "z_0": z if z.size else 0.0}
 
 
-def _dataset(found: Attractors, model: Model, axes: Mapping[str, Array]) -> xr.Dataset:
-    """The dataset that `basins` returns, from the grouped attractors."""
-    columns, shape = found.leaders.columns, tuple(map(len, axes.values()))
+def _dataset(
+    found: Attractors, left: dict[str, Array], model: Model, axes: Mapping[str, Array]
+) -> xr.Dataset:
+    """The dataset that `basins` returns, from the grouped attractors and their disturbances."""
+    columns, shape = found.leaders.columns | left, tuple(map(len, axes.values()))
     is_system = isinstance(model, System)
     data: dict[str, Any] = {"attractor": ((*axes,), found.numbers.reshape(shape))}
-    for name in [*_ATTRIBUTES][1:]:
+    variables = _ATTRIBUTES | {name: DISTURBANCES[name] for name in left}
+    for name in [*variables][1:]:
         values = columns[name] if name in columns else getattr(found, name)
-        data[name] = ((_NUMBER, COORDINATE)[: values.ndim], values)
+        part = LAG if LAG in variables[name].dims else COORDINATE
+        data[name] = ((_NUMBER, part)[: values.ndim], values)
     dataset = xr.Dataset(data)
-    for name, variable in _ATTRIBUTES.items():
+    for name, variable in variables.items():
         described = variable.in_units(model.part_units)
         dataset[name].attrs.update(described.attributes)
     for name, values in axes.items():
         known = {"long_name": f"initial {name}"} if is_system else INPUTS[name].attributes
         dataset = dataset.assign_coords({name: (name, values, known)})
-    if COORDINATE in dataset.dims:
-        dataset = dataset.assign_coords({COORDINATE: [*model.parts[COORDINATE]]})
-    return dataset
+    names = {dim: [*labels] for dim, labels in model.parts.items() if dim in dataset.dims}
+    return dataset.assign_coords(names)
 
 
 def _answers(
-    parts: list[tuple[Models, Array]], settings: tuple[Solver, Steady], client: Any
+    models: Models, start: Array, settings: tuple[Solver, Steady], client: Any
 ) -> Iterator[Responses]:
-    """Responses of all parts in order; each is released when the next is requested."""
+    """Responses in order, in parts; each is released when the next is requested."""
+    rows = np.split(np.arange(len(start)), range(_PART, len(start), _PART))
+    parts = [(models.take(some), start[some]) for some in rows]
     if client is None:
         yield from (_answer(part, *settings) for part in parts)
         return

@@ -49,8 +49,13 @@ def in_gap(gap: Gap, x_max: float) -> tuple[float, float]:
 
 
 def largest_in_gap(law: ContactLaw, x_max: float) -> float:
-    """Largest magnitude of the force between the walls [N]; zero for the exact law."""
+    """Largest magnitude of the force between the walls [N]; zero for the exact law.
+
+    NaN without a gap, for walls that overlap.
+    """
     low, high = in_gap(law.gap, x_max)
+    if low > high:
+        return math.nan
     points = search_points(law, x_max)
     points = points[(points >= low) & (points <= high)]
     peaks, _ = sign_changes(law.derivative, points)
@@ -196,7 +201,7 @@ def expected_range(
         p * max(math.sqrt(m / stiffness) / c, 1.0 / stiffness)
         + 2.0 * abs(oscillator.mean_load) / stiffness
     )
-    far = 1.01 * far + (0.0 if k else j_1 + j_2)
+    far = 1.01 * far + (0.0 if k else exact.gap.size)
     x = np.linspace(-far, far, _N_BALANCE)
     energy = potential(x)
 

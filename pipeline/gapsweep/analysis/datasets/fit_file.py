@@ -11,7 +11,6 @@ from gapsweep.design.fit import Fit, fit
 from gapsweep.errors import ModelError, StudyError
 from gapsweep.execution.branch_tasks import model_of
 from gapsweep.integrate.problem import DEFAULT_ENGINE
-from gapsweep.quantities import UNITS
 from gapsweep.response.result import RESPONSE
 from gapsweep.study.study import Study
 from gapsweep.user_code.package_digest import numerics_fingerprint
@@ -101,7 +100,7 @@ def dataset(fitted: Fit) -> xr.Dataset:
     coords = {
         PARAMETER: names,
         OTHER: names,
-        f"{PARAMETER}_units": (PARAMETER, [UNITS.get(name, "") for name in names]),
+        f"{PARAMETER}_units": (PARAMETER, [*fitted.units.values()]),
     }
     made = xr.Dataset(found, coords)
     if (orbits := _orbits(fitted)) is not None:

@@ -5,7 +5,6 @@
 
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
-from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -26,7 +25,8 @@ from gapsweep.errors import ModelError, StudyError
 from gapsweep.model.contact import ContactLaw, Piecewise
 from gapsweep.model.labels import Representation, canonical_label, contact_law
 from gapsweep.model.laws import LAWS
-from gapsweep.model.oscillator import OSCILLATOR, Gap, Oscillator
+from gapsweep.model.oscillator import Gap, Oscillator
+from gapsweep.model.parameters import with_numbers
 from gapsweep.study.grid import CONTACT, START
 from gapsweep.study.least_model import Model
 from gapsweep.study.schema import coordinates
@@ -139,8 +139,7 @@ def _screened(study: Study, share: float) -> tuple[list[str], dict[str, Any]]:
         axes = {name: grid.axes[name][i] for name, i in here.items()}
         gap = axes["gap"] if "gap" in axes else Gap(axes["j_1"], axes["j_2"])
         walls = axes["K_c"], gap, axes.get("K_ratio", 1.0)
-        oscillator = replace(study.oscillator, **{n: axes[n] for n in OSCILLATOR if n in axes})
-        oscillator = at_resonance(oscillator, grid.omega)
+        oscillator = at_resonance(with_numbers(study.oscillator, axes), grid.omega)
         forcing = abs(oscillator.forcing)
         placed = partial(_placed, oscillator, *walls, study.spec.approximation.range)
         labels = []

@@ -6,6 +6,7 @@
 
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -15,13 +16,14 @@ from scipy.special import betaincinv, ndtri, stdtrit
 
 from gapsweep.analysis.dimensions import REPRESENTATION, of_study
 from gapsweep.continuation.family import Family
+from gapsweep.design.chance import Chance
 from gapsweep.errors import ModelError
 from gapsweep.integrate.problem import DEFAULT_ENGINE, Model, Models, Solver
 from gapsweep.integrate.simulate import AnyLaw
 from gapsweep.model.arrays import numbers
 from gapsweep.model.contact import ContactLaw
 from gapsweep.model.doubts import doubts, warn_of
-from gapsweep.model.oscillator import Oscillator, checked
+from gapsweep.model.oscillator import Oscillator, called_as, checked
 from gapsweep.model.structure import structure_of
 from gapsweep.response.respond import check_steady, respond_models
 from gapsweep.response.result import RESPONSE, ResponseClass, Steady
@@ -66,11 +68,17 @@ _OF_NUMBERS = {
     "total": "total Sobol index: share of the variance with the number's interactions",
     "total_error": "half-width of the 95 % interval of the total index",
 }
+_OF_WHAT = (("", EVENT), ("quantity_", QUANTITY))
 # Those of a study or call that asks for Sobol indices: of events, and of quantities.
 INDICES = {
     f"{prefix}{name}": Variable("f8", "1", text, dims=(dim, NUMBER))
-    for prefix, dim in (("", EVENT), ("quantity_", QUANTITY))
+    for prefix, dim in _OF_WHAT
     for name, text in _OF_NUMBERS.items()
+} | {
+    f"{prefix}n_left_out": Variable(
+        "f8", "1", "Sobol points left out of the indices: a sample is undecided", dims=(dim,)
+    )
+    for prefix, dim in _OF_WHAT
 }
 AXES = {
     EVENT: Variable("str", "1", "event"),
@@ -281,7 +289,7 @@ def _indices(values: Array, unknown: Bools) -> dict[str, Array]:
         mean = of_ab.sum(axis=(-3, -2, -1)) / (2.0 * n_all[..., 0])
         variance = (of_ab**2).sum(axis=(-3, -2, -1)) / (2.0 * n_all[..., 0]) - mean**2
         variance = np.where(variance > 0.0, variance, np.nan)[..., None]
-        found = dict[str, Array]()
+        found = {"n_left_out": (~known).sum(axis=(-3, -2, -1)).astype(float)}
         for name, sums in (
             ("first_order", (b * (mixed - a)).sum(axis=-1)),
             ("total", 0.5 * ((a - mixed) ** 2).sum(axis=-1)),
@@ -357,11 +365,8 @@ def risk_of_call(
             raise ModelError("omega = []: must be at least one frequency, as omega=9.0, in Hz")
     first = None if omega is None else rates[0]
     of_model = [name for name in uncertain if not STATE.fullmatch(name)]
-    columns = [found.numbers[name].tolist() for name in of_model]
-    rows = [
-        {name: of[i] for name, of in zip(of_model, columns, strict=True)} for i in range(len(found))
-    ]
-    family = Family(oscillator, {} if law is None else law, first, tuple(of_model), rows[0])
+    at_first = {name: float(found.numbers[name][0]) for name in of_model}
+    family = Family(oscillator, {} if law is None else law, first, tuple(of_model), at_first)
     model = family.example
     structure = structure_of(model)
     problems = [
@@ -377,15 +382,94 @@ def risk_of_call(
         if name not in names:
             raise ModelError(f"{name}: must be an initial state: {', '.join(names)}")
         start[:, names.index(name)] = found.numbers[name]
-    warn_of(doubts([model], [family.laws_at(rows[0])], np.array(rates), start[:1]))
+    warn_of(doubts([model], [family.laws_at(family.values)], np.array(rates), start[:1]))
     bases = {one.partition("[")[0] for one in table.all_quantities}
     wanted = ["status", "response_class", *sorted(bases)]
-    values = _columns(family, rows, start, rates, (solver, steady), wanted)
+    values = _columns(family, found, start, rates, (solver, steady), wanted)
     of = _dataset(values, found, rates, model)
     made = risk_of(of, table).isel({START: 0} if first else {START: 0, "omega": 0}, drop=True)
     if isinstance(law, ContactLaw):  # plots have the style of its family
         return made.assign_coords({REPRESENTATION: law.family})
     return made
+
+
+@called_as("gs.probability({'quantity': 'amplitude', 'above': 5e-4}, 0.01, "
+           "{'forcing': scipy.stats.norm(2.0, 0.1)})")  # fmt: skip
+def probability(
+    event: Mapping[str, Any],
+    at_most: float,
+    uncertain: Mapping[str, Distribution],
+    *,
+    samples: int = 128,
+    repeats: int = 8,
+    seed: int = 1,
+    **initial: ArrayLike,
+) -> Chance:
+    """Return the demand that an event has at most some probability, for `gapsweep.choose`.
+
+    Parameters
+    ----------
+    event : mapping
+        As in `gapsweep.risk`: ``{"quantity": "amplitude", "above": 1e-3}``, or
+        ``{"response_class": "chaotic"}``.
+    at_most : float
+        Largest probability, between 0 and 1.
+    uncertain : mapping of str to distribution
+        As in `gapsweep.risk`; that of the parameter which is chosen is of the deviation from its
+        value, as ``{"gap": scipy.stats.norm(0.0, 2e-5)}``; so are those of ``"j_1"`` and ``"j_2"``
+        if ``"gap"`` is chosen.
+    samples, repeats, seed : int
+        As in `gapsweep.risk`. All values of the parameter have the same samples.
+    **initial : float or array_like
+        Initial state where it is certain: x_0, v_0, q_0, z_0, as in `gapsweep.respond`.
+
+    Raises
+    ------
+    ModelError
+        If an argument is invalid.
+
+    Examples
+    --------
+    >>> import gapsweep as gs, scipy.stats
+    >>> event = {"quantity": "amplitude", "above": 1e-3}
+    >>> gs.probability(event, 0.01, {"forcing": scipy.stats.norm(2.0, 0.1)})
+    <gapsweep.Chance: P(amplitude above 0.001) at most 0.01>
+    """
+    limit = checked("at_most", at_most, low=0.0, strict=True)
+    if not limit < 1.0:
+        raise ModelError(f"at_most = {limit:g}: must be < 1")
+    settings = {"samples": samples, "repeats": repeats, "seed": seed}
+    table = UncertainTable.of_call(_checked(uncertain), {"event": event}, settings)
+    (one,) = table.event
+    ends = {"above": one.above, "below": one.below}
+    words = " and ".join(f"{name} {end:g}" for name, end in ends.items() if end is not None)
+    words = f"{one.quantity} {words}" if one.quantity else str(one.response_class)
+
+    def of(model: Any, laws: Any, omega: Any, name: str, value: float) -> Array:
+        """Probabilities and their intervals, over the frequencies, at a value of the parameter."""
+        if "gap" in uncertain and name in ("j_1", "j_2"):
+            raise ModelError("uncertain: 'gap' sets both walls; write 'j_1' or 'j_2'")
+        walls = {"gap", "j_1", "j_2"} if name == "gap" else {name}
+        here = {n: _Shifted(one, value) if n in walls else one for n, one in uncertain.items()}
+        about: dict[str, Any] = {"events": {"event": event}, **settings, **initial}
+        found = risk_of_call(model, laws, here, omega, **about)
+        return np.array([np.ravel(found[each].values) for each in ("probability", "low", "high")])
+
+    return Chance(f"P({words}) at most {limit:g}", limit, of)
+
+
+@dataclass(frozen=True, slots=True)
+class _Shifted:
+    """A distribution of deviations from a value."""
+
+    of: Distribution
+    value: float
+
+    def ppf(self, q: Any) -> Any:
+        return self.value + self.of.ppf(q)
+
+    def cdf(self, x: Any) -> Any:
+        return self.of.cdf(x - self.value)
 
 
 def _checked(uncertain: Any) -> Mapping[str, Distribution]:
@@ -413,27 +497,31 @@ def _state(model: Any, x_0: ArrayLike, v_0: ArrayLike, q_0: ArrayLike, z_0: Arra
 
 def _columns(
     family: Family,
-    rows: list[dict[str, float]],
+    samples: Samples,
     start: Array,
     rates: list[float],
     settings: tuple[Solver, Steady],
     wanted: list[str],
 ) -> dict[str, NDArray[Any]]:
-    """Return columns of the responses of all samples at all frequencies, shape (omega, n, ...)."""
-    models, laws = [family.model_at(row) for row in rows], [family.laws_at(row) for row in rows]
+    """Return columns of the responses of all samples at all frequencies, shape (omega, n, ...).
+
+    Only the models of one part of the samples are in memory at a time.
+    """
     solver, steady = settings
-    found: dict[str, list[NDArray[Any]]] = {name: [] for name in wanted}
-    for rate in rates:
-        for first in range(0, len(rows), _PART):
-            part = slice(first, first + _PART)
-            omega = np.full(len(rows[part]), rate)
-            some = Models.of(models[part], laws[part], omega)
-            columns = respond_models(some, solver, start[part], steady).columns
-            for name in wanted:
-                found[name].append(columns[name])
+    found: list[list[Mapping[str, NDArray[Any]]]] = [[] for _ in rates]
+    for first in range(0, len(samples), _PART):
+        some = samples.take(slice(first, first + _PART))
+        columns = [some.numbers[name].tolist() for name in family.names]
+        every = zip(*columns, strict=True) if columns else [()] * len(some)
+        rows = [dict(zip(family.names, row, strict=True)) for row in every]
+        models, laws = [family.model_at(row) for row in rows], [family.laws_at(row) for row in rows]
+        for parts, rate in zip(found, rates, strict=True):
+            of = Models.of(models, laws, np.full(len(some), rate))
+            answer = respond_models(of, solver, start[first : first + _PART], steady)
+            parts.append({name: answer.columns[name] for name in wanted})
     return {
-        name: np.concatenate(parts).reshape(len(rates), len(rows), *parts[0].shape[1:])
-        for name, parts in found.items()
+        name: np.stack([np.concatenate([part[name] for part in parts]) for parts in found])
+        for name in wanted
     }
 
 

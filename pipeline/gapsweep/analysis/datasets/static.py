@@ -35,6 +35,7 @@ from gapsweep.model.equilibria import equilibria, linear_stiffness, restoring_sl
 from gapsweep.model.labels import EXACT, Representation
 from gapsweep.model.laws.tanh import Tanh
 from gapsweep.model.oscillator import Gap, Oscillator
+from gapsweep.model.parameters import with_numbers
 from gapsweep.study.schema import COORDINATES
 from gapsweep.study.study import Study
 from gapsweep.user_code.package_digest import numerics_fingerprint
@@ -127,7 +128,10 @@ def static(study: Study, responses: xr.Dataset | None = None) -> xr.Dataset:
     swept = {name: grid.axes[name] for name in grid.scene_dims if name in (*_SPRING, "K_ratio")}
     axes: dict[str, Sequence[Any]] = {"K_c": grid.K_c, "gap": grid.gaps, **swept}
     settings = [dict(zip(axes, each, strict=True)) for each in product(*axes.values())]
-    models = [_model(study.oscillator, setting) for setting in settings]
+    models = [
+        (with_numbers(study.oscillator, each), each["K_c"], each["gap"], each.get("K_ratio", 1.0))
+        for each in settings
+    ]
     sizes = {"representation": len(labels), **{dim: len(axis) for dim, axis in axes.items()}}
 
     @cache
@@ -172,15 +176,6 @@ def static(study: Study, responses: xr.Dataset | None = None) -> xr.Dataset:
     }
     laws = [values.get("law") for values in of_all]
     return _with_forcing(xr.Dataset(variables, coords, attributes), study, laws, models, responses)
-
-
-def _model(
-    oscillator: Oscillator, setting: Mapping[str, Any]
-) -> tuple[Oscillator, *tuple[Any, ...]]:
-    """Oscillator, stiffness, gap and stiffness ratio of a setting of swept parameters."""
-    spring = {name: setting[name] for name in _SPRING if name in setting}
-    walls = setting["K_c"], setting["gap"], setting.get("K_ratio", 1.0)
-    return replace(oscillator, **spring), *walls
 
 
 def _with_forcing(

@@ -108,6 +108,8 @@ def with_losses(
     chi: Array,
     is_rigid: NDArray[np.bool_],
     impacts: tuple[Array, Array],
+    *,
+    is_damped: bool,
 ) -> SceneTable:
     """Return a table of the same systems with contacts that lose energy.
 
@@ -125,9 +127,11 @@ def with_losses(
         Contacts with rigid walls.
     impacts : tuple of ndarray, shape (n, n_contacts)
         Restitution, and `Losses.of_impact`.
+    is_damped : bool
+        Whether contacts lose energy in another way than by impacts.
     """
     has_slack, has_chi = bool(never_pulls.any()), bool(chi.any())
-    is_damped, has_impacts = has_chi or bool(damping.any()), bool(is_rigid.any())
+    has_impacts = bool(is_rigid.any())
     at = replace(
         elastic.at,
         is_damped=is_damped,

@@ -7,6 +7,8 @@ OWN = 3  # numbers of one law only, up to the next row: arguments of its formula
 CENTRE = 4  # tables: centre of the range [m]
 # Located contact: stiffness and wall of the present mode.
 ACTIVE_STIFFNESS, ACTIVE_WALL = 3, 4
+# A user's function of displacement and velocity: interval of the gap that the mode allows [m].
+ACTIVE_LOW, ACTIVE_HIGH = 8, 9
 LAYER = 7  # half-width of the smoothing layer around each wall [m]; 0: none
 RANGE = 8  # fits and tables: half of the range in which they hold [m]; 0: no range
 SATURATION = 9  # tanh: distance from a wall beyond which the law is exactly piecewise [m]

@@ -412,6 +412,13 @@ class RowLayout:
             # of a stage of a system: state; of every contact its gap, its force (or slope, or
             # denominator) and the factor of its stiffness
             **{"stage": s * several, "stage_gap": k, "force": k, "modulation": k * several},
+            # of contacts that lose energy: speed of the gap, the part of the force that is damping
+            # (or its slope), derivative of the force by the speed, last force of a search for the
+            # largest one; series of `contact_loss` within a step
+            **{
+                name: k * self.is_damped for name in ("stage_speed", "drag", "drag_rate", "sampled")
+            },
+            "loss": self.n_terms * self.is_damped,
         }
         return {name: size * (not self.is_taylor) for name, size in sizes.items()}
 

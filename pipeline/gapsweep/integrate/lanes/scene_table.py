@@ -72,7 +72,7 @@ def scenes(
     omega_n, omega : ndarray, shape (n,)
         Natural and forcing frequency [Hz], both > 0.
     j_1, j_2 : ndarray, shape (n,)
-        Distances of the walls from the origin [m], >= 0; infinity: no wall.
+        Distances of the walls from the origin [m]; infinity: no wall.
     epsilon : ndarray, shape (n,), optional
         Convergence parameter [1/m] of contacts that are smoothed by tanh.
     rtol, atol : float, or of the latter an array, shape (n,)
@@ -146,7 +146,7 @@ def _forced_size(at: RowLayout, table: Array, to_wall: Array, contact: Array) ->
     cubic = np.cbrt(np.abs(table[at.cubic]) * push**2)
     springs = table[at.stiffness] + cubic + table[at.omega_rad] ** 2
     free = push / springs
-    beyond = np.maximum(free - to_wall, 0.0)
+    beyond = np.maximum(free - np.maximum(to_wall, 0.0), 0.0)
     return np.asarray(free - beyond * (contact / (springs + contact)))
 
 

@@ -52,7 +52,7 @@ def set_starts(
         Points whose initial state is set later by `follow`.
     t_0, t_end, record_from : arrays, shape (n,)
     section_only : bool
-        As in `batch.run`.
+        As in `problem.Problems`.
     sections : int array, shape (n, 2)
         Receives the first row and the end of the rows reserved for each motion's section points.
 

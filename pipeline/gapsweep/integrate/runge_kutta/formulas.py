@@ -14,7 +14,14 @@ from numba import njit
 from gapsweep.integrate import simd
 from gapsweep.integrate.jit import inlined, internal
 from gapsweep.integrate.lanes.law_rows import SERIES, arguments, rows_of_law, with_callees
-from gapsweep.integrate.lanes.parameters import ACTIVE_STIFFNESS, ACTIVE_WALL, OWN, STIFFNESS
+from gapsweep.integrate.lanes.parameters import (
+    ACTIVE_HIGH,
+    ACTIVE_LOW,
+    ACTIVE_STIFFNESS,
+    ACTIVE_WALL,
+    OWN,
+    STIFFNESS,
+)
 from gapsweep.integrate.simd import bits, fma, load
 from gapsweep.model import arithmetic
 from gapsweep.model.contact import ContactLaw
@@ -121,3 +128,23 @@ def user_force(law, q, x):
 @inlined
 def user_slope(law, q, x):
     return load(q, STIFFNESS) * _each_lane(law.slope, q, x)
+
+
+# --- a user's function of displacement and velocity ---------------------------------------------
+
+
+@njit
+def _each_lane_of_speed(function, q, x, v):
+    result = simd.splat(0.0)
+    for lane in range(simd.WIDTH):
+        named = q[OWN, lane], q[OWN + 1, lane], q[OWN + 2, lane], q[OWN + 3, lane]
+        state = simd.lane_value(x, lane), simd.lane_value(v, lane)
+        interval = q[ACTIVE_LOW, lane], q[ACTIVE_HIGH, lane]
+        result = simd.with_lane(result, lane, function(*state, *interval, *named))
+    return result
+
+
+@inlined
+def of_speed(function, q, x, v):
+    """A function of displacement and velocity, over mass."""
+    return load(q, STIFFNESS) * _each_lane_of_speed(function, q, x, v)

@@ -18,8 +18,9 @@ from numpy.typing import NDArray
 
 from gapsweep.integrate import simd
 from gapsweep.integrate.jit import chosen_by_type, inlined
+from gapsweep.integrate.lanes import parameters
 from gapsweep.integrate.lanes.parameters import N_PARAMETERS, STIFFNESS
-from gapsweep.integrate.simd import load
+from gapsweep.integrate.simd import load, select, store
 from gapsweep.model.contact import Piecewise
 from gapsweep.model.laws import LAWS
 
@@ -46,7 +47,7 @@ class Law:
 # frozen inside a step: the loop ends steps at walls.
 PIECEWISE = LAWS.index(Piecewise)
 LOCATED, TABLE = len(LAWS), len(LAWS) + 1
-_NONE = np.zeros(0)
+_EMPTY = np.zeros(0)
 
 
 class Formula(NamedTuple):
@@ -64,9 +65,9 @@ class Formula(NamedTuple):
     """
 
     number: int
-    numerator: NDArray[np.float64] = _NONE
-    denominator: NDArray[np.float64] = _NONE
-    points: NDArray[np.float64] = _NONE
+    numerator: NDArray[np.float64] = _EMPTY
+    denominator: NDArray[np.float64] = _EMPTY
+    points: NDArray[np.float64] = _EMPTY
     pieces: NDArray[np.float64] = np.zeros((1, 5))
 
 
@@ -75,6 +76,19 @@ class User(NamedTuple):
 
     force: Any
     slope: Any
+
+
+class UserOfSpeed(NamedTuple):
+    """A compiled function F(x, v, low, high, a, b, c, d) [N] of displacement, velocity, interval of
+    the gap in the present mode, and numbers; its derivatives by x [N/m] and by v [N s/m].
+    """
+
+    force: Any
+    slope: Any
+    damping: Any
+
+
+USERS = User, UserOfSpeed
 
 
 def acceleration(law, q, x):
@@ -89,6 +103,19 @@ def slope(law, q, x):
 
 def denominator(law, q, x):
     """Denominator of the law, positive where the law is valid; 1 for a law without one."""
+    raise NotImplementedError("compiled code only")
+
+
+def pressure(law, q, c, x, v):
+    """F_c(x, v) / m of every lane [m/s^2]: the force of the spring, and that of the damping c / m.
+
+    The force of a user's function is the first.
+    """
+    raise NotImplementedError("compiled code only")
+
+
+def pressure_slopes(law, q, c, x, v):
+    """Derivatives of both parts of `pressure` by x, and of their sum by v."""
     raise NotImplementedError("compiled code only")
 
 
@@ -116,18 +143,30 @@ def _one(law, q, x):
     return simd.splat(1.0)
 
 
-_forces = [vectorised(law.formulas.force, law) for law in LAWS]
-_slopes = [vectorised(law.formulas.slope, law) for law in LAWS]
-_denominators = [
-    vectorised(law.formulas.denominator, law) if law.formulas.denominator else _one for law in LAWS
-]
-_force_by_number = _by_number([*_forces, formulas.located_force, formulas.table_force])
-_slope_by_number = _by_number([*_slopes, formulas.located_slope, formulas.table_slope])
-_denominator_by_number = _by_number([*_denominators, _one])
+@inlined
+def _none(law, q, x):
+    return simd.splat(0.0)
+
+
+def _vectorised(name: str, otherwise: Any) -> Any:
+    """Return the formula of a name of every law, as a compiled function."""
+    several = [(getattr(law.formulas, name), law) for law in LAWS]
+    return [vectorised(one, law) if one else otherwise for one, law in several]
+
+
+_force_by_number = _by_number(
+    [*_vectorised("force", None), formulas.located_force, formulas.table_force]
+)
+_slope_by_number = _by_number(
+    [*_vectorised("slope", None), formulas.located_slope, formulas.table_slope]
+)
+_denominator_by_number = _by_number([*_vectorised("denominator", _one), _one])
+_switch_by_number = _by_number([*_vectorised("switch", _none), _none])
+_switch_slope_by_number = _by_number([*_vectorised("switch_slope", _none), _none])
 
 
 def _is_users(law):
-    return law.instance_class is User
+    return law.instance_class in USERS
 
 
 @chosen_by_type(acceleration)
@@ -148,6 +187,39 @@ def _denominator(law, q, x):
     return lambda law, q, x: function(law, q, x)
 
 
+@inlined
+def _pressure_of_speed(law, q, c, x, v):
+    return formulas.of_speed(law.force, q, x, v), simd.splat(0.0)
+
+
+@inlined
+def _slopes_of_speed(law, q, c, x, v):
+    by_x, by_v = formulas.of_speed(law.slope, q, x, v), formulas.of_speed(law.damping, q, x, v)
+    return by_x, simd.splat(0.0), by_v
+
+
+@chosen_by_type(pressure)
+def _pressure(law, q, c, x, v):
+    if law.instance_class is UserOfSpeed:
+        return lambda law, q, c, x, v: _pressure_of_speed(law, q, c, x, v)
+    switch = _none if _is_users(law) else _switch_by_number
+    return lambda law, q, c, x, v: (acceleration(law, q, x), c * switch(law, q, x) * v)
+
+
+@chosen_by_type(pressure_slopes)
+def _pressure_slopes(law, q, c, x, v):
+    if law.instance_class is UserOfSpeed:
+        return lambda law, q, c, x, v: _slopes_of_speed(law, q, c, x, v)
+    switch, bend = _switch_by_number, _switch_slope_by_number
+    if _is_users(law):
+        switch = bend = _none
+    return lambda law, q, c, x, v: (
+        slope(law, q, x),
+        c * bend(law, q, x) * v,
+        c * switch(law, q, x),
+    )
+
+
 def _of_every_contact(one):
     """Return a function that calls `one` for every contact, whose laws may differ.
 
@@ -164,12 +236,103 @@ def _of_every_contact(one):
             return lambda kinds, q, lane, source, target: None
 
         def first_and_others(kinds, q, lane, source, target):
-            simd.store(lane, target, one(kinds[0], q[0], load(lane, source)))
+            store(lane, target, one(kinds[0], q[0], load(lane, source)))
             every(kinds[1:], q[1:], lane, source + 1, target + 1)
 
         return first_and_others
 
     return every
+
+
+def pressures(at, kinds, q, lane, gap, speed, i):
+    """Compute the `pressure` of every contact from contact i on, into rows `force` and `drag`.
+
+    Gaps and their speeds are read from rows from `gap` and from `speed` on.
+    """
+    raise NotImplementedError("compiled code only")
+
+
+@chosen_by_type(pressures)
+def _pressures(at, kinds, q, lane, gap, speed, i):
+    if not len(kinds):
+        return lambda at, kinds, q, lane, gap, speed, i: None
+
+    def first_and_others(at, kinds, q, lane, gap, speed, i):
+        c, x, v = load(lane, at.contact_damping + i), load(lane, gap), load(lane, speed)
+        force, drag = pressure(kinds[0], q[0], c, x, v)
+        store(lane, at.force + i, force)
+        store(lane, at.drag + i, drag)
+        pressures(at, kinds[1:], q[1:], lane, gap + 1, speed + 1, i + 1)
+
+    return first_and_others
+
+
+def all_slopes(at, kinds, q, lane, gap, speed, i):
+    """As `pressures`, the derivatives by x into these rows, those by v into rows `drag_rate`."""
+    raise NotImplementedError("compiled code only")
+
+
+@chosen_by_type(all_slopes)
+def _all_slopes(at, kinds, q, lane, gap, speed, i):
+    if not len(kinds):
+        return lambda at, kinds, q, lane, gap, speed, i: None
+
+    def first_and_others(at, kinds, q, lane, gap, speed, i):
+        c, x, v = load(lane, at.contact_damping + i), load(lane, gap), load(lane, speed)
+        by_x, drag, by_v = pressure_slopes(kinds[0], q[0], c, x, v)
+        store(lane, at.force + i, by_x)
+        store(lane, at.drag + i, drag)
+        store(lane, at.drag_rate + i, by_v)
+        all_slopes(at, kinds[1:], q[1:], lane, gap + 1, speed + 1, i + 1)
+
+    return first_and_others
+
+
+def set_active(at, kinds, q, lane, mode, i):
+    """Write what the laws of located contacts need to know of their modes, in rows from `mode` on.
+
+    For the law `LOCATED` stiffness and wall, for a user's function the interval of the gap.
+    """
+    raise NotImplementedError("compiled code only")
+
+
+@chosen_by_type(set_active)
+def _set_active(at, kinds, q, lane, mode, i):
+    if not len(kinds):
+        return lambda at, kinds, q, lane, mode, i: None
+    one = _set_interval if kinds[0].instance_class is UserOfSpeed else _set_spring
+
+    def first_and_others(at, kinds, q, lane, mode, i):
+        one(at, q[0], lane, load(lane, mode), i)
+        set_active(at, kinds[1:], q[1:], lane, mode + 1, i + 1)
+
+    return first_and_others
+
+
+@inlined
+def _set_spring(at, q, lane, mode, i):
+    none = simd.splat(0.0)
+    upper, lower = load(lane, at.upper_stiffness + i), load(lane, at.lower_stiffness + i)
+    stiffness = select(mode > 0.0, upper, select(mode < 0.0, lower, none))
+    high, low = load(lane, at.upper + i), load(lane, at.lower + i)
+    wall = select(mode > 0.0, high, select(mode < 0.0, low, none))
+    store(q, parameters.ACTIVE_STIFFNESS, stiffness)
+    store(q, parameters.ACTIVE_WALL, wall)
+
+
+@inlined
+def _set_interval(at, q, lane, mode, i):
+    low, high = interval(at, lane, mode, i)
+    store(q, parameters.ACTIVE_LOW, low)
+    store(q, parameters.ACTIVE_HIGH, high)
+
+
+@inlined
+def interval(at, lane, mode, i):
+    """Interval of a contact's gap that a mode allows."""
+    lower, upper = load(lane, at.lower + i), load(lane, at.upper + i)
+    low = select(mode > 0.0, upper, select(mode < 0.0, simd.splat(-np.inf), lower))
+    return low, select(mode < 0.0, lower, select(mode > 0.0, simd.splat(np.inf), upper))
 
 
 accelerations = _of_every_contact(acceleration)

@@ -9,6 +9,7 @@ from gapsweep.integrate.lanes.parameters import N_PARAMETERS
 from gapsweep.integrate.lanes.row_layout import RowLayout, aligned
 
 from .runge_kutta_step import runge_kutta_step
+from .stage_values import LOSS_ROWS
 from .tableaux import Tableau
 
 
@@ -23,7 +24,8 @@ class RungeKutta(NamedTuple):
         Parameters of the laws, a view of the rows of the lanes.
     tableau : Tableau
     k, k_tangent : array, shapes (n_all * n_rates, WIDTH) and (n_states times that, WIDTH)
-        Derivatives of all stages, and those of the tangent columns.
+        Derivatives of all stages, and those of the tangent columns. For contacts that lose energy
+        `k` has the rates of `contact_loss` too, in `LOSS_ROWS` more rows.
     is_ode45 : bool
         Whether error norm and step-size control are those of MATLAB's ode45.
     restarts : bool
@@ -64,11 +66,11 @@ class RungeKutta(NamedTuple):
     ) -> "RungeKutta":
         """Return the method with work space and options for one run in these lanes."""
         law = lanes[at.law : at.law + at.blocks["law"]]
-        n_rows = self.tableau.c.size * (at.n + at.m)
+        n_rows = self.tableau.c.size * (at.n + at.m) + LOSS_ROWS * at.is_damped
         return self._replace(
             q=law.reshape(at.contacts, N_PARAMETERS, at.width),
             k=aligned(n_rows, at.width),
-            k_tangent=aligned(n_rows * at.n_states, at.width),
+            k_tangent=aligned(self.tableau.c.size * at.n_rates * at.n_states, at.width),
             tangent=tangent,
             dense=dense,
             contacts=contacts,

@@ -15,7 +15,7 @@ from gapsweep.integrate.lanes.law_rows import rows_of_law, with_callees
 from gapsweep.model.contact import ContactLaw
 from gapsweep.model.laws import LAWS
 from gapsweep.model.laws.fitted import in_blocks
-from gapsweep.model.user_law import SLOPE_LENGTH, SLOPE_STEP
+from gapsweep.model.user_law import SLOPE_LENGTH, SLOPE_STEP, continued
 
 from . import laws
 from .laws import Formula, Law
@@ -102,9 +102,11 @@ def user(
     j_1: ArrayLike = np.inf,
     j_2: ArrayLike = np.inf,
     named: ArrayLike = (),
+    *,
+    is_of_speed: bool = False,
 ) -> Law:
-    """User law F(x, ...) [N], compiled once per process; `named` has the values of its other
-    arguments along the last axis. The tangent equations use central differences.
+    """User law F(x, ...) or F(x, v, ...) [N], compiled once per process; `named` has the values of
+    its other arguments along the last axis. The tangent equations use central differences.
 
     Raises
     ------
@@ -114,15 +116,19 @@ def user(
     q, _ = _rows(1.0, j_1, j_2)
     n = np.shape(named)[-1]
     q[..., parameters.OWN : parameters.OWN + n] = named
-    return Law(_user_kind(function, n), q)
+    return Law(_user_kind(function, n, is_of_speed), q)
 
 
 # The dispatchers are part of the kernel's type: new ones would recompile the kernel. A function
 # that numba refuses is not cached: the user may correct it.
 @lru_cache(maxsize=64)
-def _user_kind(function: Any, n: int) -> laws.User:
+def _user_kind(function: Any, n: int, is_of_speed: bool) -> laws.User | laws.UserOfSpeed:
     # As in NumPy, x / 0.0 is infinite: no exception.
-    called = with_callees(function, {}, njit(error_model="numpy"))
+    compiled = njit(error_model="numpy")
+    if is_of_speed:
+        forms = (with_callees(each, {}, compiled) for each in continued(function))
+        return laws.UserOfSpeed(*(_of_four_numbers(each, n) for each in forms))
+    called = with_callees(function, {}, compiled)
 
     @njit
     def force(x: float, a: float, b: float, c: float, d: float) -> Any:
@@ -133,8 +139,26 @@ def _user_kind(function: Any, n: int) -> laws.User:
         h = SLOPE_STEP * max(abs(x), SLOPE_LENGTH)
         return (force(x + h, *named) - force(x - h, *named)) / (2.0 * h)
 
-    force.compile((float64,) * 5)
-    returned = force.nopython_signatures[0].return_type
+    _check_compiled(force, 5)
+    return laws.User(force, slope)
+
+
+def _of_four_numbers(called: Any, n: int) -> Any:
+    """Return a compiled function F(x, v, low, high, a, b, c, d) of one that takes n numbers."""
+
+    @njit
+    def function(
+        x: float, v: float, low: float, high: float, a: float, b: float, c: float, d: float
+    ) -> Any:
+        return called(x, v, low, high, *(a, b, c, d)[:n])
+
+    _check_compiled(function, 8)
+    return function
+
+
+def _check_compiled(function: Any, n: int) -> None:
+    """Compile a function of n numbers; refuse a result that is no number."""
+    function.compile((float64,) * n)
+    returned = function.nopython_signatures[0].return_type
     if not isinstance(returned, Number):
         raise TypingError(f"it returns {returned}, not a number")
-    return laws.User(force, slope)

@@ -42,7 +42,10 @@ def runge_kutta_scenes(
     """
     is_ode45 = solver.controller == "ode45"
     kinds = tuple(law.kind for law in kernel_laws)
-    located = any(getattr(kind, "number", None) == laws.LOCATED for kind in kinds)
+    located = any(
+        isinstance(kind, laws.UserOfSpeed) or getattr(kind, "number", None) == laws.LOCATED
+        for kind in kinds
+    )
     if located and solver.contact_force == "as_written":
         kinds = (Formula(laws.PIECEWISE),) * len(kinds)  # the loop still ends steps at walls
     at = replace(exact.at, is_located=located, is_taylor=False, order=tableaux.DEGREE, tangent=0)
@@ -79,6 +82,6 @@ def runge_kutta_scenes(
         tangent=False,
         dense=False,
         contacts=False,
-        is_users=any(isinstance(law.kind, laws.User) for law in kernel_laws),
+        is_users=any(isinstance(law.kind, laws.USERS) for law in kernel_laws),
     )
     return scenes, method

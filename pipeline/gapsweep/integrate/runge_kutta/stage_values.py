@@ -49,6 +49,86 @@ def _tangent_stages(at, kinds, q, lane, tableau, k, k_tangent, h, some):
     )
 
 
+def plain_force(at, kinds, q, lane, x, v):
+    """Acceleration by the contact of an oscillator [m/s^2]."""
+    raise NotImplementedError("compiled code only")
+
+
+def plain_slopes(at, kinds, q, lane, tableau, k, h, i, x):
+    """Derivatives of a stage's acceleration by the contact and the damper: by x, and by v."""
+    raise NotImplementedError("compiled code only")
+
+
+def contact_forces(at, kinds, q, lane):
+    """Compute the contact forces of a system's stage into rows `force`."""
+    raise NotImplementedError("compiled code only")
+
+
+def contact_slopes(at, kinds, q, lane, k, stage):
+    """Compute slopes of a stage's contact forces, times the factors in rows `modulation`, there."""
+    raise NotImplementedError("compiled code only")
+
+
+def column_forces(at, lane):
+    """Compute the contact forces of a tangent's column at a stage into rows `force`."""
+    raise NotImplementedError("compiled code only")
+
+
+# Contacts that lose energy have other code; their rates of `contact_loss`, with a tangent, are in
+# the last rows of `k`.
+LOSS_ROWS = 16  # as many as stages
+
+
+@chosen_by_type(plain_force)
+def _plain_force(at, kinds, q, lane, x, v):
+    if not at.layout.is_damped:
+        return lambda at, kinds, q, lane, x, v: laws.acceleration(kinds[0], q[0], x)
+
+    def damped(at, kinds, q, lane, x, v):
+        force, drag = laws.pressure(kinds[0], q[0], load(lane, at.contact_damping), x, v)
+        return force + drag
+
+    return damped
+
+
+@chosen_by_type(plain_slopes)
+def _plain_slopes(at, kinds, q, lane, tableau, k, h, i, x):
+    if not at.layout.is_damped:
+        return lambda at, kinds, q, lane, tableau, k, h, i, x: (
+            laws.slope(kinds[0], q[0], x),
+            load(lane, at.damping),
+        )
+
+    def damped(at, kinds, q, lane, tableau, k, h, i, x):
+        sv = simd.splat(0.0)
+        for j in range(i):
+            sv = fma(load(k, j), tableau.a[i, j], sv)
+        c, v = load(lane, at.contact_damping), fma(h, sv, load(lane, at.v))
+        by_x, drag, by_v = laws.pressure_slopes(kinds[0], q[0], c, x, v)
+        store(k, len(k) - LOSS_ROWS + i, by_v)
+        return by_x + drag, load(lane, at.damping) + by_v
+
+    return damped
+
+
+@chosen_by_type(contact_forces)
+def _contact_forces(at, kinds, q, lane):
+    one = _damped_forces if at.layout.is_damped else _elastic_forces
+    return lambda at, kinds, q, lane: one(at, kinds, q, lane)
+
+
+@chosen_by_type(contact_slopes)
+def _contact_slopes(at, kinds, q, lane, k, stage):
+    one = _damped_slopes if at.layout.is_damped else _elastic_slopes
+    return lambda at, kinds, q, lane, k, stage: one(at, kinds, q, lane, k, stage)
+
+
+@chosen_by_type(column_forces)
+def _column_forces(at, lane):
+    one = _damped_column if at.layout.is_damped else _elastic_column
+    return lambda at, lane: one(at, lane)
+
+
 @inlined
 def polynomials(at, tableau, lane, state, k, first, h, coefficients, row):
     """Compute the coefficients, by powers of time, of a motion or a tangent within a step.
@@ -96,10 +176,12 @@ def _oscillator_stages(at, kinds, q, lane, tableau, k, h):
         x_i = fma(h2, sx, fma(h * tableau.c[i], v, x))
         v_i = fma(h, sv, v)
         phase = simd.cos_turns(fma(turns, tableau.c[i], tau))
-        # The law depends on x_i only, which does not wait for the previous stage: the processor
-        # overlaps this law with the previous one.
+        # An elastic law depends on x_i only, which does not wait for the previous stage: the
+        # processor overlaps this law with the previous one.
         restoring = fma(
-            x_i, fma(cubic * x_i, x_i, stiffness), laws.acceleration(kinds[0], q[0], x_i)
+            x_i,
+            fma(cubic * x_i, x_i, stiffness),
+            plain_force(at, kinds, q, lane, x_i, v_i),
         )
         last = fma(-damping, v_i, fma(forcing, phase, -restoring))
         store(k, i, last)
@@ -119,22 +201,27 @@ def _oscillator_stage(at, kinds, q, lane, tableau, k, h, stage):
     x, v = fma(h * h, sx, fma(h * tableau.c[stage], v, x)), fma(h, sv, v)
     turn = fma(h * load(lane, at.omega), tableau.c[stage], load(lane, at.tau))
     stiffness = fma(load(lane, at.cubic) * x, x, load(lane, at.stiffness))
-    restoring = fma(x, stiffness, laws.acceleration(kinds[0], q[0], x))
+    restoring = fma(x, stiffness, plain_force(at, kinds, q, lane, x, v))
     driving = fma(load(lane, at.push), simd.cos_turns(turn), -restoring)
     store(k, stage, fma(-load(lane, at.damping), v, driving))
 
 
 @inlined
 def _oscillator_tangents(at, kinds, q, lane, tableau, k, k_tangent, h, some):
-    n, x, v = tableau.c.size, load(lane, at.q), load(lane, at.v)
-    damping, stiffness = load(lane, at.damping), load(lane, at.stiffness)
+    n, x, v, stiffness = (
+        tableau.c.size,
+        load(lane, at.q),
+        load(lane, at.v),
+        load(lane, at.stiffness),
+    )
     cubic, h2 = load(lane, at.cubic), h * h
     for i in range(some[0], some[1]):
         sx = simd.splat(0.0)
         for j in range(i):
             sx = fma(load(k, j), tableau.abar[i, j], sx)
         x_i = fma(h2, sx, fma(h * tableau.c[i], v, x))
-        stiffness_i = fma(3.0 * cubic * x_i, x_i, stiffness) + laws.slope(kinds[0], q[0], x_i)
+        slope, damping = plain_slopes(at, kinds, q, lane, tableau, k, h, i, x_i)
+        stiffness_i = fma(3.0 * cubic * x_i, x_i, stiffness) + slope
         for column in range(2):
             row = at.tangent_state + 2 * column
             dx, dv = load(lane, row), load(lane, row + 1)
@@ -168,6 +255,9 @@ def _system_stages(at, kinds, q, lane, tableau, k, h):
     for i in range(3):
         project(at, lane, rows[i][0], at.gap_0 + i * at.contacts)
         project(at, lane, rows[i][1], at.gap_1 + i * at.contacts)
+    if at.is_located:  # on the wall to the last bit where it has just been passed
+        for i in range(at.contacts):
+            store(lane, at.gap_0 + i, load(lane, at.gap + i))
 
 
 @inlined
@@ -175,9 +265,7 @@ def _system_stage(at, kinds, q, lane, tableau, k, h, stage):
     _set_stage(at, lane, at.q, tableau, k, 0, h, stage)
     _set_clock(at, lane, tableau.c[stage], h)
     project(at, lane, at.stage, at.stage_gap)
-    laws.accelerations(kinds, q, lane, at.stage_gap, at.force)
-    for i in range(at.contacts):
-        store(lane, at.force + i, load(lane, at.force + i) * load(lane, at.modulation + i))
+    contact_forces(at, kinds, q, lane)
     for i in range(at.cubics):
         place = _along(at, lane, i)
         store(lane, at.cube + i, place * place * place)
@@ -193,11 +281,7 @@ def _system_tangents(at, kinds, q, lane, tableau, k, k_tangent, h, some):
         _set_stage(at, lane, at.q, tableau, k, 0, h, stage)
         _set_clock(at, lane, tableau.c[stage], h)
         project(at, lane, at.stage, at.stage_gap)
-        laws.slopes(kinds, q, lane, at.stage_gap, at.force)
-        for i in range(at.contacts):
-            # The factor's row now holds the derivative of the contact's force by its gap.
-            slope = load(lane, at.force + i) * load(lane, at.modulation + i)
-            store(lane, at.modulation + i, slope)
+        contact_slopes(at, kinds, q, lane, k, stage)
         for i in range(at.cubics):
             place = _along(at, lane, i)
             store(lane, at.bend + i, 3.0 * place * place)
@@ -206,9 +290,7 @@ def _system_tangents(at, kinds, q, lane, tableau, k, k_tangent, h, some):
             state = at.tangent_state + column * at.n_states
             _set_stage(at, lane, state, tableau, k_tangent, first, h, stage)
             project(at, lane, at.stage, at.stage_gap)
-            for i in range(at.contacts):
-                force = load(lane, at.modulation + i) * load(lane, at.stage_gap + i)
-                store(lane, at.force + i, force)
+            column_forces(at, lane)
             for i in range(at.cubics):
                 store(lane, at.cube + i, load(lane, at.bend + i) * _along(at, lane, i))
             _derivative(at, lane, 0, k_tangent, first + stage * size)
@@ -216,6 +298,58 @@ def _system_tangents(at, kinds, q, lane, tableau, k, k_tangent, h, some):
                 for i in range(at.n_states):
                     row = at.tangent_1 + column * at.n_states + i
                     store(lane, row, load(lane, at.stage + i))
+
+
+@inlined
+def _elastic_forces(at, kinds, q, lane):
+    laws.accelerations(kinds, q, lane, at.stage_gap, at.force)
+    for i in range(at.contacts):
+        store(lane, at.force + i, load(lane, at.force + i) * load(lane, at.modulation + i))
+
+
+@inlined
+def _damped_forces(at, kinds, q, lane):
+    project(at, lane, at.stage + at.n, at.stage_speed)
+    laws.pressures(at, kinds, q, lane, at.stage_gap, at.stage_speed, 0)
+    for i in range(at.contacts):
+        factor, drag = load(lane, at.modulation + i), load(lane, at.drag + i)
+        store(lane, at.force + i, fma(load(lane, at.force + i), factor, drag))
+
+
+@inlined
+def _elastic_slopes(at, kinds, q, lane, k, stage):
+    laws.slopes(kinds, q, lane, at.stage_gap, at.force)
+    for i in range(at.contacts):
+        slope = load(lane, at.force + i) * load(lane, at.modulation + i)
+        store(lane, at.modulation + i, slope)
+
+
+@inlined
+def _damped_slopes(at, kinds, q, lane, k, stage):
+    project(at, lane, at.stage + at.n, at.stage_speed)
+    laws.all_slopes(at, kinds, q, lane, at.stage_gap, at.stage_speed, 0)
+    lost = simd.splat(0.0)
+    for i in range(at.contacts):
+        factor, drag = load(lane, at.modulation + i), load(lane, at.drag + i)
+        store(lane, at.modulation + i, fma(load(lane, at.force + i), factor, drag))
+        lost = fma(load(lane, at.drag_rate + i), load(lane, at.compliance + i), lost)
+    store(k, len(k) - LOSS_ROWS + stage, lost)
+
+
+@inlined
+def _elastic_column(at, lane):
+    for i in range(at.contacts):
+        force = load(lane, at.modulation + i) * load(lane, at.stage_gap + i)
+        store(lane, at.force + i, force)
+
+
+@inlined
+def _damped_column(at, lane):
+    _elastic_column(at, lane)
+    project(at, lane, at.stage + at.n, at.stage_speed)
+    for i in range(at.contacts):
+        drag = load(lane, at.drag_rate + i) * load(lane, at.stage_speed + i)
+        store(lane, at.force + i, load(lane, at.force + i) + drag)
 
 
 @inlined

@@ -17,7 +17,7 @@ from gapsweep.integrate.lanes.method import Method
 from gapsweep.integrate.lanes.row_layout import RowLayout, aligned
 from gapsweep.integrate.lanes.scene_table import SceneTable, check, set_modes_on_walls
 from gapsweep.integrate.lanes.start_rows import BACKWARD, NOT_FINITE, ON_WALL, set_starts
-from gapsweep.integrate.problem import is_late
+from gapsweep.integrate.problem import Problems, is_late
 from gapsweep.model.contact_modes import HOLD, ON
 from gapsweep.status import DIVERGED_AT, Status
 
@@ -266,19 +266,10 @@ class Batch:
 def run(
     prepared: SceneTable,
     method: Method,
-    which: NDArray[np.intp],
-    start: Array,
-    t_0: Array,
-    t_end: Array,
-    record_from: Array,
-    *,
+    problems: Problems,
     queue: NDArray[np.intp],
-    follows: NDArray[np.bool_] | None = None,
-    section_only: bool = False,
-    tangent: bool = False,
-    dense_output: bool = False,
-    sampled: bool = False,
-    contacts: bool = True,
+    *,
+    contacts: bool,
 ) -> Batch:
     """Integrate prepared systems from their initial states.
 
@@ -287,55 +278,40 @@ def run(
     prepared : SceneTable
     method : Method
         Taylor or RungeKutta, without work space; its rows are in the table.
-    which : ndarray of int, shape (n,)
-        Row of `prepared` of each point.
-    start : ndarray, shape (n, n_states)
-        States (q, v, z).
-    t_0, t_end : ndarray, shape (n,)
-        Start and end [s].
-    record_from : ndarray, shape (n,)
-        Time from which extrema, contacts and section points are recorded [s]. The initial
-        state is not an event: only events after `t_0` are recorded.
+    problems : Problems
+        Their `which` are rows of `prepared`. Initial states are no events: only events after `t_0`
+        are recorded. With `dense_output`, every step's series is kept for `Batch.sample`.
     queue : ndarray of int
-        Points that follow no other, in the order in which lanes take them.
-    follows : ndarray of bool, shape (n,), optional
-        Points that begin in the end state of the one before; default none. Their `start` is not
-        read. A point that follows a failed point has failed.
-    section_only : bool
-        Record section points only: a search for extrema in every step costs as much as the step.
-    tangent : bool
-        Also integrate the variational equation. It jumps where the contact force does.
-    dense_output : bool
-        Keep every step's series from `record_from` on, for `Batch.sample`.
-    sampled : bool
-        Take the steps that a run with `dense_output` takes.
+        Problems that follow no other, in the order in which lanes take them.
     contacts : bool
         Record wall crossings.
     """
-    at, n = prepared.at.of_tangent if tangent else prepared.at, len(which)
+    at, n = prepared.at.of_tangent if problems.tangent else prepared.at, len(problems)
     space = _SPACES.of.get(at)
     if space is None:
         space = _SPACES.of[at] = WorkSpace(at)
-    wanted = {"tangent": tangent, "dense": dense_output, "contacts": contacts}
+    dense_output, section_only = problems.dense_output, problems.section_only
+    wanted = {"tangent": problems.tangent, "dense": dense_output, "contacts": contacts}
     method = method.with_work_space(at, space.lanes, **wanted)
     points, sections = np.empty((n + 1, at.n_rows)), np.empty((n, 2), np.int64)
     is_next = np.zeros(n + 1, bool)  # whether a point follows the one before
-    if follows is not None:
-        is_next[:-1] = follows
-    given = start, is_next, t_0, t_end, record_from, section_only and not dense_output
+    if problems.follows is not None:
+        is_next[:-1] = problems.follows
+    times = {name: getattr(problems, name) for name in ("t_0", "t_end", "record_from")}
+    given = problems.start, is_next, *times.values(), section_only and not dense_output
+    tables = prepared.table, prepared.pieces, problems.which
     outcome, n_sections, is_recording = set_starts(
-        at.numbers, points, prepared.table, prepared.pieces, which, *given, sections, prepared.rtol
+        at.numbers, points, *tables, *given, sections, prepared.rtol
     )
     if outcome == NOT_FINITE:
-        check(start=start, t_0=t_0, t_end=t_end, record_from=record_from)
+        check(start=problems.start, **times)
     if outcome == BACKWARD:
         raise ValueError("t_end lies before t_0")
     if outcome == ON_WALL:
         _set_on_walls(at, points, ~is_next)
-    if at.is_tanh and (dense_output or sampled):
-        points[:-1, at.layer] = (
-            np.inf
-        )  # no layer is crossed in one step: the motion within it is recorded
+    if at.is_tanh and (dense_output or problems.sampled):
+        # No layer is crossed in one step: the motion within it is recorded.
+        points[:-1, at.layer] = np.inf
     if n_sections < 0:
         sections = sections[:0]
         if not at.is_taylor:  # then a step records no more than one
@@ -381,7 +357,7 @@ def run(
     return Batch(
         at=at,
         points=ended,
-        t_end=t_end,
+        t_end=problems.t_end,
         status=statuses,
         n_stages=method.n_stages,
         turns=turns,

@@ -208,8 +208,12 @@ def _resolve(at, lanes, k, coefficients, work, rtol):
     step = _find_exits(at, lanes, k, coefficients, work)
     if not _advance_state(at, lanes, k, at.q, 0, step, coefficients, work):
         return False
-    if at.is_damped:
+    if at.is_damped and at.is_taylor:
         _lose(at, lanes, k, step, coefficients, work)
+    elif at.is_damped:
+        for n in range(at.n_terms):
+            work.series[n] = lanes[at.loss + n, k]
+        lanes[at.contact_loss, k] += polynomial(work.series, at.order, step)[0]
     has_passed = _commit_contacts(at, lanes, k, step, coefficients, work)
     is_done = not has_passed and h == left
     _commit_clock(at, lanes, k, step, is_done)
@@ -236,7 +240,7 @@ def _resolve(at, lanes, k, coefficients, work, rtol):
                 first = at.column + (j - at.n_states) * at.column_size
             _advance_state(at, lanes, k, first, kept, step, coefficients, work)
             kept += (at.n + at.m) * at.n_terms
-            if at.is_damped:
+            if at.is_damped and at.is_taylor:
                 _jump(at, lanes, k, first, j >= at.n_states)
             if at.has_impacts:
                 turn_tangent(at, lanes, k, first, work)

@@ -435,7 +435,7 @@ def record_steps(layout, among, run):
                 layout, run.lanes, run.coefficients, i, series, all_events, at.order
             )
             _write_turns(at, run, events, at.n + i, series)
-    if at.is_damped:
+    if at.is_damped and at.is_taylor:  # Runge-Kutta steps record them
         _record_forces(at, run, all_events)
     while contacts != 0:
         k = lowest_bit(contacts)

@@ -1,6 +1,5 @@
 """Smooth approximation by arctangents."""
 
-import math
 from dataclasses import dataclass
 from math import atan
 from typing import ClassVar
@@ -10,7 +9,13 @@ from numpy.typing import NDArray
 
 from gapsweep.model.arithmetic import fma
 from gapsweep.model.contact import Formulas
-from gapsweep.model.laws.sharpened import ARCTAN_LAYER, INVERSE_PI, Switched
+from gapsweep.model.laws.sharpened import (
+    ARCTAN_LAYER,
+    INVERSE_PI,
+    Switched,
+    arctan_switch,
+    arctan_switch_slope,
+)
 from gapsweep.model.oscillator import called_as
 
 Array = NDArray[np.float64]
@@ -54,13 +59,13 @@ class Arctan(Switched):
     examples: ClassVar[tuple[str, ...]] = ("arctan-1e4",)
     words: ClassVar[str] = (
         "½ K_c [r (1 − s₁) (x + j₁) + (1 + s₂) (x − j₂)], s₁ = (2/π) arctan ε(x + j₁), "
-        "s₂ = (2/π) arctan ε(x − j₂), ε [1/m] in its name"
+        "s₂ = (2/π) arctan ε(x − j₂), ε [1/m] in its name; "
+        "with damping c, ½ c (2 − s₁ + s₂) v is added"
     )
-    formulas: ClassVar[Formulas] = Formulas(_force, _slope)
+    formulas: ClassVar[Formulas] = Formulas(
+        _force, _slope, switch=arctan_switch, switch_slope=arctan_switch_slope
+    )
 
     @classmethod
     def rows(cls, low: Array, high: Array, ratio: Array, sharpness: Array) -> dict[str, Array]:
         return {"sharpness": sharpness, "layer": ARCTAN_LAYER / sharpness}
-
-    def _switch(self, z: Array) -> tuple[Array, Array]:
-        return (2.0 / math.pi) * np.arctan(z), (2.0 / math.pi) / (1.0 + z * z)

@@ -110,12 +110,14 @@ def _rational_denominator(x, numerator, denominator, fit_range):
 class Fitted(ContactLaw):
     """A fit ``K_c N(u)/D(u)`` of the exact force, ``u = x / fit_range``."""
 
+    adds_walls: ClassVar[bool] = False
+
     def __post_init__(self) -> None:
         super().__post_init__()
         value = checked("fit range", self.fit_range, low=0.0, strict=True)
         object.__setattr__(self, "fit_range", value)
         lower = self.gap.j_1 if self.K_ratio else math.inf
-        farther = max(j for j in (lower, self.gap.j_2) if j < math.inf)
+        farther = max(abs(j) for j in (lower, self.gap.j_2) if j < math.inf)
         if value <= farther:
             raise ModelError(
                 f"fit range = {value:g}: must be > {farther:g}, where the farther wall stands, "
@@ -171,7 +173,7 @@ class Fitted(ContactLaw):
         top, bottom = self.coefficients
         return np.asarray(chebyshev.chebval(u, top) / chebyshev.chebval(u, bottom))
 
-    def derivative(self, x: ArrayLike) -> Array:
+    def derivative(self, x: ArrayLike, v: ArrayLike = 0.0) -> Array:
         u = numbers("x", x) / self.fit_range
         top, bottom = self.coefficients
         d_top, d_bottom = chebyshev.chebder(top), chebyshev.chebder(bottom)

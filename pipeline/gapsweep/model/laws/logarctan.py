@@ -6,12 +6,18 @@ from math import atan, log
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
+from gapsweep.errors import ModelError
 from gapsweep.model.arithmetic import fma, is_any
-from gapsweep.model.arrays import numbers
 from gapsweep.model.contact import Formulas, penetrations
-from gapsweep.model.laws.sharpened import ARCTAN_LAYER, INVERSE_PI, Sharpened
+from gapsweep.model.laws.sharpened import (
+    ARCTAN_LAYER,
+    INVERSE_PI,
+    Sharpened,
+    arctan_switch,
+    arctan_switch_slope,
+)
 from gapsweep.model.oscillator import called_as
 
 Array = NDArray[np.float64]
@@ -63,11 +69,22 @@ class LogArctan(Sharpened):
     examples: ClassVar[tuple[str, ...]] = ("logarctan-1e4",)
     words: ClassVar[str] = (
         "0 at x = 0, of slope ½ K_c [r (1 − s₁) + 1 + s₂], s₁ = (2/π) arctan γ(x + j₁), "
-        "s₂ = (2/π) arctan γ(x − j₂), γ [1/m] in its name"
+        "s₂ = (2/π) arctan γ(x − j₂), γ [1/m] in its name; "
+        "with damping c, ½ c (2 − s₁ + s₂) v is added"
     )
-    formulas: ClassVar[Formulas] = Formulas(_force, _slope)
+    formulas: ClassVar[Formulas] = Formulas(
+        _force, _slope, switch=arctan_switch, switch_slope=arctan_switch_slope
+    )
 
     gamma: float
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if (nearest := min(self.gap.distances)) < 0.0:
+            raise ModelError(
+                f"gap: {nearest:g}: LogArctan has no force at x = 0, which must not lie beyond a "
+                "wall; use gs.Piecewise or gs.Tanh"
+            )
 
     @classmethod
     def rows(cls, low: Array, high: Array, ratio: Array, sharpness: Array) -> dict[str, Array]:
@@ -88,13 +105,12 @@ class LogArctan(Sharpened):
         logs = (ratio * np.log1p(a * a) - np.log1p(b * b)) / (2.0 * self.gamma)
         return np.asarray(above * np.arctan(b) - ratio * below * np.arctan(a) + logs)
 
-    def force(self, x: ArrayLike, v: ArrayLike = 0.0) -> Array:
-        x = numbers("x", x)
+    def _elastic(self, x: Array) -> Array:
         stiffness, ratio = self.scale
         anchored = self._integral(x) - self._integral(np.zeros(()))
         return np.asarray(stiffness * (0.5 * (1.0 + ratio) * x + anchored / math.pi))
 
-    def derivative(self, x: ArrayLike) -> Array:
+    def _elastic_slope(self, x: Array) -> Array:
         (stiffness, ratio), (below, above) = self.scale, penetrations(x, self)
         angles = np.arctan(self.gamma * above) - ratio * np.arctan(self.gamma * below)
         return np.asarray(stiffness * (0.5 * (1.0 + ratio) + angles / math.pi))

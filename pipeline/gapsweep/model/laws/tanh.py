@@ -62,6 +62,23 @@ def _slope(x, stiffness, ratio, sharpness, centre, half_gap, decay):
     return stiffness * (w * t1 + w2 * t2)
 
 
+def _switches(x, low, high, sharpness):
+    """Half of 1 - s of the lower wall, and half of 1 + s of the upper one, s = tanh."""
+    below, above = -2.0 * sharpness * (low - x), -2.0 * sharpness * (x - high)
+    s1 = 1.0 / (1.0 + exp(min(max(below, -40.0), 40.0)))
+    return s1, 1.0 / (1.0 + exp(min(max(above, -40.0), 40.0)))
+
+
+def _share(x, low, high, sharpness):
+    s1, s2 = _switches(x, low, high, sharpness)
+    return s1 + s2
+
+
+def _share_slope(x, low, high, sharpness):
+    s1, s2 = _switches(x, low, high, sharpness)
+    return 2.0 * sharpness * (s2 * (1.0 - s2) - s1 * (1.0 - s1))
+
+
 @called_as("gs.Tanh(1.4e4, gs.Gap(4e-4, 4e-4), epsilon=1e4), in N/m, m and 1/m")
 @dataclass(frozen=True)
 class Tanh(Switched):
@@ -84,9 +101,12 @@ class Tanh(Switched):
     examples: ClassVar[tuple[str, ...]] = ("tanh-1e4",)
     words: ClassVar[str] = (
         "½ K_c [r (1 − s₁) (x + j₁) + (1 + s₂) (x − j₂)], s₁ = tanh ε(x + j₁), "
-        "s₂ = tanh ε(x − j₂), ε [1/m] in its name"
+        "s₂ = tanh ε(x − j₂), ε [1/m] in its name; "
+        "with damping c, ½ c (2 − s₁ + s₂) v is added"
     )
-    formulas: ClassVar[Formulas] = Formulas(_force, _slope)
+    formulas: ClassVar[Formulas] = Formulas(
+        _force, _slope, switch=_share, switch_slope=_share_slope
+    )
 
     @classmethod
     def rows(cls, low: Array, high: Array, ratio: Array, sharpness: Array) -> dict[str, Array]:
@@ -112,13 +132,14 @@ class Tanh(Switched):
     def turns(self) -> tuple[float, ...] | None:
         """Both extrema of the force [m] between walls of equal stiffness; None for unequal ones.
 
-        If the force has no extrema, both values are the middle of the gap. None, too, for one wall.
+        If the force has no extrema, both values are the middle of the gap. None, too, for one wall
+        and for walls that overlap.
 
         With walls ``w`` apart in ``u = ε (x - middle)`` the slope is ``h'(u - w/2) + h'(-u - w/2)``
         with ``h' = d/dz z (1 + tanh z)``. If the slope is negative in the middle, it changes sign
         once before each wall; if it is positive in the middle, it is positive everywhere.
         """
-        if self.K_ratio != 1.0 or self.gap.width == math.inf:
+        if self.K_ratio != 1.0 or not 0.0 <= self.gap.width < math.inf:
             return None
         turn = _turn(0.5 * self.epsilon * self.gap.width) / self.epsilon
         centre = 0.5 * (self.gap.j_2 - self.gap.j_1)
