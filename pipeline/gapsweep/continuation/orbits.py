@@ -8,8 +8,7 @@ parameters p::
 
 φ is the motion's end and f the derivative of y_ref by time. Both are divided by the size of the
 state. Derivatives of φ by y are the monodromy matrix, by T the motion's rate, by the parameters
-columns of the engine (`OrbitEquations._motions` says where there are none). All orbits of a call
-are integrated together.
+central differences of two motions. All orbits of a call are integrated together.
 """
 
 import math
@@ -22,10 +21,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from gapsweep.continuation.family import Family, Window
 from gapsweep.continuation.identity import Identity
-from gapsweep.continuation.thresholds import DIFFERENCE, ONE_TURN, SHIFT
-from gapsweep.errors import ModelError
+from gapsweep.continuation.thresholds import DIFFERENCE, ONE_TURN
 from gapsweep.integrate.motions import Motions, merged
-from gapsweep.integrate.problem import Problems, Shifts, Solver
+from gapsweep.integrate.problem import Problems, Solver
 from gapsweep.integrate.simulate import prepared
 from gapsweep.model.oscillator import Oscillator
 from gapsweep.response.equilibrium import Rates
@@ -115,7 +113,6 @@ class OrbitEquations:
         # The amplitude of free motions is a result, no parameter of their equations.
         self.n_parameters = 0 if family.is_conservative else len(windows)
         self.n_unknowns = self.n_states + self.has_period + self.n_parameters
-        self._has_columns = self.n_parameters > 0
 
     def unknowns(self, state: Array, period: Array, values: Array, reference: Reference) -> Array:
         """Scaled unknowns, shape (m, d), of m states, periods and rows of parameter values."""
@@ -143,25 +140,41 @@ class OrbitEquations:
     def evaluate(
         self, unknowns: Array, reference: Reference, difference: float = DIFFERENCE
     ) -> Evaluation:
-        """Residuals and their derivatives; `difference` is as in `_motions`."""
+        """Residuals and their derivatives; by parameters from differences, a share of a range."""
         m, n = len(unknowns), self.n_states
         y = unknowns[:, :n] * reference.size
         places, period = self.places(unknowns), None
         if self.has_period:
             period = unknowns[:, n] * reference.duration
-            period = np.where(period > 0.0, period, 1e-9)
-        found, models, by_place = self._motions(y, period, places, reference.multiple, difference)
-        assert found.monodromy is not None
-        ends, size = found.state[:m], reference.size
+        # Each set of unknowns, then with every parameter a little larger and smaller.
+        shifted = [places]
+        for k in range(self.n_parameters):
+            for sign in (1.0, -1.0):
+                other = places.copy()
+                other[:, k] = np.clip(other[:, k] + sign * difference, 0.0, 1.0)
+                shifted.append(other)
+        n_shifted = len(shifted)
+        found, models = self._motions(
+            np.concatenate([y] * n_shifted),
+            None if period is None else np.concatenate([period] * n_shifted),
+            np.concatenate(shifted),
+            np.concatenate([reference.multiple] * n_shifted),
+        )
+        ends, monodromy = found.state.reshape(-1, m, n), found.monodromy
+        assert monodromy is not None
+        size = reference.size
         with np.errstate(all="ignore"):  # of motions that failed
-            residual = [(ends - y) / size]
-            by_state = found.monodromy[:m] - np.eye(n)
-            columns = [by_state * (size[:, None, :] / size[:, :, None])]
+            residual = [(ends[0] - y) / size]
+            by_state = (monodromy[:m] - np.eye(n)) * (size[:, None, :] / size[:, :, None])
+            columns = [by_state]
             rate = np.zeros((m, n))
             if self.has_period:
-                rate = Rates(models)(np.arange(m), ends.T).T
+                rate = Rates(models)(np.arange(m), ends[0].T).T
                 columns.append((rate / size * reference.duration[:, None])[:, :, None])
-            columns.append(by_place / size[:, :, None])
+            for k in range(self.n_parameters):
+                apart = shifted[1 + 2 * k][:, k] - shifted[2 + 2 * k][:, k]
+                change = (ends[1 + 2 * k] - ends[2 + 2 * k]) / apart[:, None]
+                columns.append((change / size)[:, :, None])
             jacobian = np.concatenate(columns, axis=2)
             if self.has_period:
                 normal = reference.rate / size
@@ -176,55 +189,12 @@ class OrbitEquations:
         return Evaluation(residual=of_all, jacobian=jacobian, is_ok=is_ok, motions=found, rate=rate)
 
     def _motions(
-        self,
-        y: Array,
-        period: Array | None,
-        places: Array,
-        multiple: NDArray[np.int64],
-        difference: float,
-    ) -> tuple[Motions, Any, Array]:
-        """Motions over one period, their models, and derivatives of ends by places of parameters.
-
-        The derivatives, shape (m, n_states, number of parameters), are parameter columns of the
-        engine. Contact laws that are not located, and parameters that change the direction of a
-        contact, a phase, a load by pieces, or which things there are, have none: derivatives are
-        then differences of further motions, over a share of the parameter's range.
-        """
-        m, share = len(y), SHIFT if self._has_columns else difference
-        every, weights = _shifted(places, self.n_parameters, share)
-        shifts = Shifts(names=tuple(window.name for window in self.windows), weights=weights)
-        models = self.family.models(self.windows, every)
-        if self._has_columns:
-            try:
-                run = prepared_by_kind(models, self.solver, shifts)
-            except ModelError:
-                self._has_columns = False
-                return self._motions(y, period, places, multiple, difference)
-            t_end = multiple / models.omega[:m] if period is None else period
-            found = run(y, t_end, np.zeros(m), tangent=True)
-            return found, models, self._by_place(found, y, models.omega, shifts)
-        count = len(every) // m
-        t_end = np.tile(multiple if period is None else period, count)
-        t_end = t_end / models.omega if period is None else t_end
-        run = prepared_by_kind(models, self.solver)
-        found = run(np.tile(y, (count, 1)), t_end, np.zeros(count * m), tangent=True)
-        return found, models, shifts.derivatives(found.state).transpose(1, 2, 0)
-
-    def _by_place(self, found: Motions, y: Array, omega: Array, shifts: Shifts) -> Array:
-        """Derivatives of ends at fixed initial states, from parameter columns.
-
-        Columns hold the phase: the speed over it is fixed at the beginning, and its derivative is
-        at the end.
-        """
-        assert found.columns is not None and found.monodromy is not None  # noqa: PT018
-        rates = shifts.derivatives(omega)
-        if not rates.any():
-            return found.columns
-        speeds, share = slice(self.n, 2 * self.n), (rates / omega[: shifts.n]).T[:, None, :]
-        begun = found.monodromy[:, :, speeds] @ y[:, speeds, None]
-        by_place = found.columns - begun * share
-        by_place[:, speeds] += found.state[:, speeds, None] * share
-        return np.asarray(by_place)
+        self, y: Array, period: Array | None, places: Array, multiple: NDArray[np.int64]
+    ) -> tuple[Motions, Any]:
+        """Motions over one period, with tangents and events."""
+        models, m = self.family.models(self.windows, places), len(y)
+        t_end = multiple / models.omega if period is None else np.where(period > 0.0, period, 1e-9)
+        return integrated(models, self.solver, y, t_end, np.zeros(m), tangent=True), models
 
     def orbits(
         self,
@@ -345,44 +315,25 @@ class OrbitEquations:
         return np.asarray(Rates(models)(np.arange(len(states)), states.T)).T
 
 
-def _shifted(places: Array, n: int, share: float) -> tuple[Array, Array]:
-    """Places, then those with each of n parameters lower and higher, and weights as of `Shifts`."""
-    every, weights = [places], np.empty((n, 2, len(places)))
-    for k in range(n):
-        ends = np.clip(places[:, k] + np.array([[-share], [share]]), 0.0, 1.0)
-        for end in ends:
-            every.append(places.copy())
-            every[-1][:, k] = end
-        weights[k] = np.array([[-1.0], [1.0]]) / (ends[1] - ends[0])
-    return np.concatenate(every), weights
+def integrated(
+    models: Any, solver: Solver, states: Array, t_end: Array, record_from: Array, *, tangent: bool
+) -> Motions:
+    """Motions from states for some time [s]; laws of several kinds are integrated one by one.
 
-
-def prepared_by_kind(models: Any, solver: Solver, shifts: Shifts | None = None) -> Any:
-    """Function that returns motions from states for some time [s].
-
-    Laws of several kinds are integrated one by one: a smooth law changes its kind along a parameter
-    where its layers at the walls become thin. With `shifts`, as in `compiled.prepared`.
+    A smooth law changes its kind along a parameter where its layers at the walls become thin.
     """
-    if shifts is not None:
-        groups = [(np.arange(shifts.n), prepared(models, solver, shifts))]
-    else:
-        groups = [(rows, prepared(some, solver)) for rows, some in models.by_kind()]
-
-    def run(states: Array, t_end: Array, record_from: Array, *, tangent: bool) -> Motions:
-        parts = []
-        for rows, integrate in groups:
-            problems = Problems(
-                which=np.arange(len(rows)),
-                start=np.ascontiguousarray(states[rows]),
-                t_0=np.zeros(len(rows)),
-                t_end=t_end[rows],
-                record_from=record_from[rows],
-                tangent=tangent,
-            )
-            parts.append(integrate(problems))
-        return merged(parts, [rows for rows, _ in groups])
-
-    return run
+    parts, groups = [], models.by_kind()
+    for rows, some in groups:
+        problems = Problems(
+            which=np.arange(len(rows)),
+            start=np.ascontiguousarray(states[rows]),
+            t_0=np.zeros(len(rows)),
+            t_end=t_end[rows],
+            record_from=record_from[rows],
+            tangent=tangent,
+        )
+        parts.append(prepared(some, solver)(problems))
+    return merged(parts, [rows for rows, _ in groups])
 
 
 def motions(
@@ -391,8 +342,7 @@ def motions(
     """Motions from states over some time [s], recorded from a time on."""
     n = len(states)
     ends, begin = np.broadcast_to(np.asarray(t_end, float), n), np.full(n, record_from)
-    found: Motions = prepared_by_kind(models, solver)(states, ends, begin, tangent=False)
-    return found
+    return integrated(models, solver, states, ends, begin, tangent=False)
 
 
 def _asymmetry(q: list[Array], size: Array) -> float:

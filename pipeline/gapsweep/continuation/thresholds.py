@@ -5,10 +5,7 @@ Lengths are in scaled unknowns: the size of the state is 1, and so is the range 
 
 # --- equations ------------------------------------------------------------------------------------
 
-# Share of a range, for derivatives of the equation of motion by a parameter: with relative errors
-# of 1e-10 from its square and from rounding.
-SHIFT = 2e-6
-# The same, for differences of motions: contacts keep their order within it.
+# Share of a range, for derivatives by a parameter: contacts keep their order within it.
 DIFFERENCE = 1e-9
 # The same for a crossing, where rounding over it must not move the root; and steps in all unknowns
 # for second derivatives there, which Newton's method needs only roughly.

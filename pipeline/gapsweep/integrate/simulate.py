@@ -20,7 +20,6 @@ from gapsweep.integrate.problem import (
     Integrate,
     Models,
     Problems,
-    Shifts,
     Solver,
     within,
 )
@@ -43,15 +42,12 @@ _CLOCK_SHARE = 1e-9
 _MOST_PERIODS = 2**53  # the largest whole number up to which floats are exact
 
 
-def prepared(models: Models, solver: Solver, shifts: Shifts | None = None) -> Integrate:
-    """Return the integrator of some models; no result depends on the other rows of a call.
-
-    With `shifts`, the compiled engine differentiates motions with a tangent by parameters too.
-    """
-    return loaded(solver.engine)(models, solver, *([] if shifts is None else [shifts]))
+def prepared(models: Models, solver: Solver) -> Integrate:
+    """Return the integrator of some models; no result depends on the other rows of a call."""
+    return loaded(solver.engine)(models, solver)
 
 
-def loaded(engine: str) -> Callable[..., Integrate]:
+def loaded(engine: str) -> Callable[[Models, Solver], Integrate]:
     """Import an engine, which takes tenths of a second; return its function `prepared`."""
     if engine == "scipy":
         from gapsweep.integrate.reference import prepared
