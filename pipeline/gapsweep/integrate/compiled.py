@@ -107,7 +107,8 @@ def _check_columns(models: Models, solver: Solver, shifts: Shifts) -> None:
         )
     if solver.runge_kutta_setting:
         raise ModelError(f"{solver.runge_kutta_setting}: gradients need Taylor steps; leave it out")
-    if len(models.by_kind()) > 1:
+    kinds = {tuple(law.losses.kind for law in laws) for laws in models.laws}
+    if len(kinds) > 1 or len({system.sizes for system in models.systems}) > 1:
         raise ModelError(f"parameters = {list(shifts.names)}: {_IS_ZERO}")
 
 
