@@ -215,6 +215,21 @@ def test_samples_replace_values_of_points():
     assert set(rows.column("mass")) == {3.0}
 
 
+def test_ratios_of_distributions_have_no_unit():
+    factor = {"normal": 1.0, "sd": "5 %", "nominal": "times"}
+    uncertain = {"forcing": factor, "K_c": {"lognormal": "14 kN/m", "sd": "10 %"}}
+    read = study(uncertain=UNCERTAIN | uncertain).spec.uncertain.parameter
+    assert read["forcing"].sd == 0.05
+    assert (read["K_c"].lognormal, read["K_c"].sd) == (1.4e4, 0.1)
+    for name, wrong in (
+        ("forcing", factor | {"sd": "0.1 N"}),
+        ("K_c", {"lognormal": 1.0, "sd": "1 N/m"}),
+    ):
+        with pytest.raises(gs.StudyError, match=r"sd = '.*without dimension") as caught:
+            study(uncertain=UNCERTAIN | {name: wrong})
+        assert len(caught.value.problems) == 1
+
+
 def test_one_number_moves_both_walls_around_swept_gaps():
     gap = {"normal": 0.0, "sd": 1e-5, "nominal": "plus"}
     changes = {"sweep__0__gap": [[3e-4, 4e-4], [5e-4, 5e-4]], "sweep__0__omega": 9.0}
@@ -380,6 +395,11 @@ def test_a_tornado_has_the_number_of_points_left_out():
     assert "left out" not in whole.gapsweep.tornado("large").get_xlabel()
 
 
+def test_a_tornado_without_variance_says_so():
+    found = risk(of_ratio(0.05, 0.1), lambda samples: 1.0 + 0.0 * samples.row, indices=True)
+    assert "variance is 0" in found.gapsweep.tornado("large").get_xlabel()
+
+
 def test_safe_values_are_judged_by_whole_intervals():
     p = xr.DataArray([[0.001, 0.04, 0.06, 0.2]], dims=("event", "gap"))
     risk = xr.Dataset({"probability": p, "low": p - 0.001, "high": p + 0.02}, {"event": ["large"]})
@@ -446,6 +466,12 @@ def test_mistakes_of_calls():
         "quantities = 'amplitude': must be a list": (gap, {"quantities": "amplitude"}),
         "events = 3: must be events by name": (gap, {"events": 3}),
         "events = {'large': 3}: must be events by name": (gap, {"events": {"large": 3}}),
+        "omega: cannot be uncertain": ({"omega": st.norm(9.0, 0.1)}, {}),
+        "risk: got an unexpected keyword argument 'sample'": (gap, {"sample": 8}),
+        "above = 0.2: must be < below = 0.1": (
+            gap,
+            {"events": {"both": {"quantity": "amplitude", "above": 0.2, "below": 0.1}}},
+        ),
         "'gapp': must be one of": ({"gapp": gap["gap"]}, {}),
         "v_1: must be|'v_1': must be": ({"v_1": gap["gap"]}, {}),
     }
@@ -454,6 +480,9 @@ def test_mistakes_of_calls():
             gs.risk(
                 OSCILLATOR, law, uncertain, OMEGA, **({"samples": 8, "events": LARGE} | options)
             )
+    hunt_crossley = gs.HuntCrossley(2.0, law.gap, chi=1.0)
+    with pytest.raises(gs.ModelError, match=r"'damping': must be one of .*chi"):
+        gs.risk(OSCILLATOR, hunt_crossley, {"damping": st.uniform(1, 2)}, OMEGA, events=LARGE)
     with pytest.raises(gs.ModelError, match=r"omega = \[\]: must be at least one"):
         gs.risk(OSCILLATOR, law, gap, [], samples=8, events=LARGE)
     with pytest.raises(gs.StudyError, match="uncertain: missing"):

@@ -130,7 +130,7 @@ def numbers_of(of: Any) -> dict[str, float]:
     walls = {wall: j for wall in WALLS if (j := getattr(of.gap, wall)) < math.inf}
     if isinstance(of, UserLaw):
         return {**walls, **of.parameters}
-    own = {each.name: getattr(of, each.name) for each in fields(of)}
+    own = {each.name: getattr(of, each.name) for each in fields(of) if each.init}
     return {name: value for name, value in own.items() if type(value) is float} | walls
 
 
