@@ -37,7 +37,15 @@ FLOORS = (
     {"jit", "simd", "overlap"},
     {"lanes"},
     {"taylor", "runge_kutta", "stepping"},
-    {"compiled", "reference", "reference_motion", "reference_scenes", "simulate", "trajectory"},
+    {
+        "compiled",
+        "reference",
+        "reference_motion",
+        "reference_impacts",
+        "reference_scenes",
+        "simulate",
+        "trajectory",
+    },
 )
 FENCES = {
     "scipy": {"model", "integrate", "response", "continuation", "design", "study", "analysis"},

@@ -31,6 +31,7 @@ from gapsweep.integrate.trajectory import Trajectory as Trajectory
 from gapsweep.model.contact import ContactLaw as ContactLaw
 from gapsweep.model.contact import HuntCrossley as HuntCrossley
 from gapsweep.model.contact import Piecewise as Piecewise
+from gapsweep.model.contact import Rigid as Rigid
 from gapsweep.model.labels import canonical_label as canonical_label
 from gapsweep.model.labels import contact_law as contact_law
 from gapsweep.model.labels import law as law

@@ -115,7 +115,9 @@ def test_the_smallest_disturbance_leaves_and_no_smaller_one_does():
     circle = np.column_stack([np.cos(angles), np.sin(angles)])
     rings = np.concatenate([share * circle for share in (0.25, 0.5, 0.75, 0.9, 0.99)])
     for number in (0, 1):
-        shares = np.concatenate([np.outer([1.001, 0.999], direction[number]), rings])
+        turned = np.arctan2(*direction[number, ::-1]) + np.linspace(-0.2, 0.2, 61)
+        near = 0.9997 * np.column_stack([np.cos(turned), np.sin(turned)])
+        shares = np.concatenate([np.outer([1.0003, 0.9997], direction[number]), rings, near])
         leaves = left(found, number, BISTABLE, BISTABLE_LAW, omega, shares, 60)
         assert leaves[0]
         assert not leaves[1:].any()

@@ -3,6 +3,7 @@
 Numbers of high precision are from exact flows of linear pieces in 30 digits (mpmath).
 """
 
+import itertools
 import math
 from dataclasses import replace
 
@@ -153,6 +154,7 @@ def drawn(seed, kind):
     push, omega = np.eye(n)[0] * rng.uniform(0.05, 0.5), rng.uniform(0.6, 2.0)
     directions = [[1.0], [0.0], [1.0]][:1] if n == 1 else [[1.0, 0.0], [0.0, 1.0], [1.0, -1.0]]
     walls, laws, contacts = [], {}, {}
+    q, v = rng.uniform(-0.3, 0.3, n), rng.uniform(-0.5, 0.5, n)
     for j, b in enumerate(directions[: 1 if n == 1 else int(rng.integers(1, 4))]):
         K_c, c, ratio = (
             # The oracle misses contacts shorter than its longest step.
@@ -166,7 +168,11 @@ def drawn(seed, kind):
             ratio, j_1, j_2 = 1.5, -j_1, (-0.5 if j != 1 else 1.5) * j_2
         elif kind == "one wall":
             ratio, j_1, j_2 = 1.5, *rng.permutation([math.inf, rng.choice([-0.2, 1.0]) * j_2])
-        if kind == "hunt-crossley" and j != 1:  # the second contact differs
+        if kind.startswith("rigid") and (j == 0 or kind == "rigid"):
+            x, K_c, named = float(np.dot(b, q)), 0.0, {"e": rng.uniform(0.3, 1.0)}
+            j_1, j_2 = max(j_1, 0.02 - x), max(j_2, 0.02 + x)
+            law = gs.Rigid(gs.Gap(j_1, j_2), K_ratio=ratio, restitution=named["e"])
+        elif kind == "hunt-crossley" and j != 1:  # the second contact differs
             named = {"c": 0.0, "chi": c}
             law = gs.HuntCrossley(K_c, gs.Gap(j_1, j_2), K_ratio=ratio, chi=c)
         elif kind == "function":
@@ -193,7 +199,7 @@ def drawn(seed, kind):
         mass=mass, damping=damping, stiffness=stiffness, contacts=contacts,
         forcing=[gs.Harmonic(amplitude=push)],
     )  # fmt: skip
-    start = np.concatenate([rng.uniform(-0.3, 0.3, n), rng.uniform(-0.5, 0.5, n)])
+    start = np.concatenate([q, v])
     return Lossy(mass, damping, stiffness, push, omega, walls), system, laws, start
 
 
@@ -203,6 +209,7 @@ def drawn(seed, kind):
     [
         *("pulls", "never pulls", "hunt-crossley", "function", "tanh"),
         *("one wall", "prestressed", "prestressed, pulls", "prestressed, never pulls"),
+        *("rigid", "rigid and never pulls"),
     ],
 )
 def test_drawn_systems_move_as_scipy_says(kind):
@@ -459,6 +466,11 @@ def test_grazes_of_a_chain_have_both_sets_of_multipliers():
     assert n_checked > 3
 
 
+def rigid(restitution, place=1.0, **named):
+    """A rigid wall on one side."""
+    return gs.Rigid(gs.Gap(None, place), restitution=restitution, **named)
+
+
 def refused(**named):
     return lambda: gs.simulate(oscillator(), stop(), 0.2, t_end=1.0, **named)
 
@@ -503,6 +515,17 @@ REFUSED = [
     (lambda: gs.Tanh(1.0, gs.Gap(0.1, 0.1), 1e3, damping=-1.0), r"damping = -1: must be >= 0"),
     (lambda: gs.Polynomial(1.0, gs.Gap(0.1, 0.1), 5, damping=1.0), "damping.*Piecewise"),
     (lambda: gs.contact_law("poly-5", 1.0, gs.Gap(0.1, 0.1), damping=1.0), "poly-5 has none.*tanh"),
+    (lambda: rigid(1.2), r"restitution = 1\.2: must be in 0\.\.1"),
+    (lambda: rigid(-0.2), r"restitution = -0\.2: must be in 0\.\.1"),
+    (lambda: rigid(math.nan), "restitution = nan"),
+    (lambda: rigid(0.8, located=False), "Rigid.*located"),
+    (lambda: gs.Rigid(gs.Gap(0.0, 0.0), restitution=0.8), "gap = 0/0"),
+    (lambda: gs.contact_law("rigid-1.5", 1.0, gs.Gap(0.1, 0.1)), "rigid-1.5.*0 to 1"),
+    (lambda: gs.static_error(rigid(0.8)), "rigid-0.8: an impact has no finite force"),
+    (
+        lambda: gs.simulate(oscillator(), rigid(0.8), 0.2, t_end=1.0, restart=True),
+        r"restitution = 0\.8.*restart",
+    ),
     (
         lambda: gs.branches(
             gs.Oscillator(mass=1.0, omega_n=1.0, zeta=0.0, forcing=0.0),
@@ -650,3 +673,169 @@ def test_responses_to_hunt_crossley_lose_what_the_forcing_supplies(chi):
     along = branch.dropna("step", how="all", subset=["chi"])
     x_max = np.interp(chi, along["chi"].values, along["x_max"].values)
     assert x_max == pytest.approx(found.x_max, rel=1e-3)
+
+
+# Trace of the monodromy, by central differences and by exact flows of an orbit with one impact.
+TRACES = {0.11: -1.04873111950364, 0.15: -1.12143108139420, 0.2: -1.14004738651642}
+
+
+@BOTH
+@pytest.mark.parametrize("forcing", TRACES)
+def test_an_orbit_with_impacts_has_the_multipliers_of_exact_flows(forcing, engine):
+    """The product of all multipliers is e^2 exp(-c T)."""
+    o, rtol, error = oscillator(forcing, zeta=0.05), 1e-11, 1e-9
+    if engine == "scipy":
+        rtol, error = 1e-10, 1e-8
+    found = gs.respond(o, rigid(0.8), 1.0 / TURN, rtol=rtol, engine=engine)
+    assert np.sum(found.multipliers).real == pytest.approx(TRACES[forcing], rel=error)
+    assert np.prod(found.multipliers).real == pytest.approx(0.3414323782983, rel=1e-12)
+    assert found.contacts_per_period == 1.0
+    assert found.contact_share == 0.0
+    assert found.x_max == 1.0
+    assert found.n_extrema == 2
+    assert math.isnan(found.force_max)
+
+
+def test_the_trace_of_an_orbit_with_impacts_is_that_of_differences():
+    oracle = Lossy(
+        np.eye(1), 0.1 * np.eye(1), np.eye(1), [0.15], 1.0, [Wall([1.0], 1.0, 0.0, e=0.8)]
+    )
+    y = np.array([0.65755186, 0.73849094])
+    apart = [
+        oracle.run(y + h * of, TURN).y[i] for i, of in enumerate(np.eye(2)) for h in (1e-6, -1e-6)
+    ]
+    trace = (apart[0] - apart[1] + apart[2] - apart[3]) / 2e-6
+    assert trace == pytest.approx(TRACES[0.15], rel=1e-7)
+
+
+def test_impacts_begin_where_the_free_motion_grazes_the_wall():
+    """Of amplitude F / (c omega), at resonance."""
+    below, past = (
+        gs.respond(oscillator(0.1 * (1.0 + by), zeta=0.05), rigid(0.8), 1.0 / TURN, rtol=1e-12)
+        for by in (-1e-9, 1e-6)
+    )
+    assert below.contacts_per_period == 0.0
+    assert below.x_max == pytest.approx(1.0, abs=1e-8)
+    assert past.contacts_per_period > 0.0
+    assert past.x_max == 1.0
+
+
+@BOTH
+@pytest.mark.parametrize("restitution", [0.0, 0.3, 0.8, 0.95])
+def test_a_bouncing_ball_comes_to_rest_in_finite_time(restitution, engine):
+    g, height = 9.81, 0.3
+    ball = gs.System(
+        mass=[[2.0]], stiffness=[[0.0]], contacts={"floor": [-1.0]},
+        forcing=[gs.Harmonic(amplitude=[-2.0 * g], k=0)],
+    )  # fmt: skip
+    expected = (1.0 + restitution) / (1.0 - restitution) * math.sqrt(2.0 * height / g)
+    run = gs.simulate(
+        ball, rigid(restitution, 0.0), q_0=[height], t_end=1.5 * expected, engine=engine, rtol=1e-11
+    )
+    assert run.t_contacts["floor"][-1] == pytest.approx(expected, rel=1e-9)
+    assert run.status == gs.Status.OK
+    assert run.v_end == 0.0
+    assert run.q_end == pytest.approx(0.0, abs=1e-14)
+    # flights, each e times as long as the one before, and the hold
+    assert run.n_contacts % 2 == 1
+    assert run.n_steps < 1000
+
+
+@BOTH
+@pytest.mark.parametrize(("restitution", "omega"), [(0.3, 0.2), (0.8, 0.05)])
+def test_chatter_ends_in_a_hold_until_the_load_lets_go(restitution, omega, engine):
+    o = oscillator(1.5, zeta=0.05)
+    found = gs.respond(o, rigid(restitution), omega / TURN, engine=engine, rtol=1e-9)
+    assert found.response_class == gs.ResponseClass.PERIODIC
+    assert found.period_multiple == 1
+    assert not found.multipliers.any()  # the motion forgets all
+    run = gs.simulate(
+        o, rigid(restitution), omega / TURN, found.x_end, found.v_end, n_periods=2, engine=engine,
+        rtol=1e-9, tangent=True,
+    )  # fmt: skip
+    assert run.n_steps < 5000
+    assert run.x_end == pytest.approx(found.x_end, abs=1e-9)
+    # the force of the hold, k x - F cos(omega t), ends it
+    releases = (TURN + math.acos(1.0 / 1.5)) / omega
+    assert np.abs(run.t_contacts - releases).min() == pytest.approx(0.0, abs=1e-7 * releases)
+    before = run.t_contacts[run.t_contacts < releases - 1e-3]
+    share = found.contact_share * TURN / omega
+    assert releases - before.max() == pytest.approx(share, rel=1e-6)
+
+
+def test_responses_with_impacts_lose_what_the_forcing_supplies():
+    from gapsweep.report.losses import energy_lost
+
+    o = oscillator(0.2, zeta=0.05)
+    found = gs.respond(o, rigid(0.8), 1.0 / TURN, rtol=1e-12)
+    run = gs.simulate(
+        o, rigid(0.8), 1.0 / TURN, found.x_end, found.v_end, n_periods=1, rtol=1e-12,
+        dense_output=True,
+    )  # fmt: skip
+    nodes, weights = np.polynomial.legendre.leggauss(60)
+    ends, balance = [0.0, run.t_contacts[0], TURN], 0.0
+    for a, b in itertools.pairwise(ends):
+        t = a + 0.5 * (b - a) * (1.0 + nodes)
+        v = run.sample(t)[1]
+        balance += 0.5 * (b - a) * float(weights @ (0.2 * np.cos(t) * v - 0.1 * v * v))
+    assert energy_lost(run, 0) == pytest.approx(balance, rel=1e-8)
+
+
+@pytest.mark.extended  # layouts of systems
+@pytest.mark.parametrize("pick", [(0, 1), (0, 2), (1, 2), (2, 0)])
+def test_walls_hold_several_contacts_at_once(pick):
+    """Constraints, states and tangents, through chatter and holds of two walls."""
+    for seed in range(3):
+        rng = np.random.default_rng([seed, *pick])
+        mass = np.diag(rng.uniform(0.5, 2.0, 2)) + 0.3 * (seed % 2) * (1.0 - np.eye(2))
+        k = rng.uniform(0.5, 3.0, 3)
+        stiffness = np.array([[k[0] + k[1], -k[1]], [-k[1], k[1] + k[2]]])
+        damping = rng.uniform(0.05, 0.2) * stiffness + 0.1 * mass
+        push, omega = rng.uniform(0.8, 2.5, 2) * rng.choice([1, -1], 2), rng.uniform(0.15, 0.5)
+        walls, laws, contacts = [], {}, {}
+        for j in pick:
+            b, e, place = (
+                ([1.0, 0.0], [0.0, 1.0], [1.0, -1.0])[j],
+                0.6 * rng.random(),
+                rng.uniform(0.1, 0.4),
+            )
+            walls.append(Wall(b, place, 0.0, e=e))
+            laws[str(j)], contacts[str(j)] = rigid(e, place), b
+        system = gs.System(
+            mass=mass, damping=damping, stiffness=stiffness, contacts=contacts,
+            forcing=[gs.Harmonic(amplitude=push)],
+        )  # fmt: skip
+        t_end = 1.6 * TURN / omega
+        found = Lossy(mass, damping, stiffness, push, omega, walls).run(np.zeros(4), t_end)
+        for engine, rtol, error in (("compiled", 1e-12, 1e-9), ("scipy", 1e-10, 1e-7)):
+            run = gs.simulate(
+                system, laws, omega / TURN, t_end=t_end, tangent=True, engine=engine, rtol=rtol
+            )
+            ends = np.concatenate([run.q_end, run.v_end])
+            assert ends == pytest.approx(found.y, abs=error)
+            assert run.monodromy == pytest.approx(found.tangent, abs=1e-5)  # of other flights
+
+
+def test_a_motion_that_starts_beyond_a_rigid_wall_is_no_motion():
+    for engine in ("compiled", "scipy"):
+        run = gs.simulate(oscillator(), rigid(0.8, 0.5), 0.2, 0.6, t_end=1.0, engine=engine)
+        assert run.status == gs.Status.MODEL_INVALID
+    assert "beyond a rigid wall" in gs.respond(oscillator(), rigid(0.8, 0.5), 0.2, 0.6).message
+
+
+def test_a_branch_along_the_restitution_has_its_determinants():
+    found = gs.branches(
+        oscillator(0.2, zeta=0.05), rigid(0.8), "restitution", between=(0.6, 0.9),
+        omega=1.0 / TURN, rtol=1e-11,
+    ).isel(branch=0)  # fmt: skip
+    along = found.dropna("step", how="all", subset=["restitution"])
+    product = (along["multiplier_real"] + 1j * along["multiplier_imag"]).prod("multiplier").values
+    expected = along["restitution"].values ** 2 * math.exp(-0.1 * TURN)
+    assert product.real == pytest.approx(expected, rel=1e-9)
+
+
+def test_a_label_has_the_restitution_of_rigid_walls():
+    law = gs.contact_law("rigid-0.80", 20.0, gs.Gap(0.1, 0.2))
+    assert law == gs.Rigid(gs.Gap(0.1, 0.2), restitution=0.8)
+    assert gs.canonical_label("rigid-8e-1") == "rigid-0.8"
+    assert law.force([0.0, 0.2, -0.1]).tolist() == [0.0, math.inf, -math.inf]

@@ -202,7 +202,7 @@ def test_every_law_in_the_folder_is_registered():
     registered = {law.__module__.rpartition(".")[2] for law in laws.LAWS}
     assert files - {"__init__", "sharpened"} == registered - {"contact"}
     assert [Representation(label).law_type for label in EXAMPLES.split(", ")] == [
-        law for law in (*laws.LAWS, gs.HuntCrossley) for _ in law.examples
+        law for law in (*laws.LAWS, gs.HuntCrossley, gs.Rigid) for _ in law.examples
     ]
 
 

@@ -490,7 +490,10 @@ def test_a_study_with_damping_has_its_range():
     (dial,) = (one for one in dials(question, ranges) if one.name == "damping")
     assert (dial.low, dial.high) == (0.5, 2.0)
     stop, _ = asked(question, numbers(question) | {"damping": 1.5}).laws(EXACT)
-    assert stop.damping == 1.5
+    assert (stop.damping, stop.pulls) == (1.5, False)
+    question, _ = of_study(gs.Study.from_dict(changed(study, study__pulls=True)))
+    stop, _ = question.laws(EXACT)
+    assert (stop.gap, stop.damping, stop.pulls) == (gs.Gap(0.1, 0.2), 0.5, True)
 
 
 def test_a_study_of_systems_gives_ranges_and_keeps_its_own_contacts():

@@ -628,7 +628,9 @@ def _machine_of(study: Study, gaps: Sequence[Gap]) -> SliderModel:
         names = [name for name in names if name in own or contact not in laws or name != "damping"]
         walls[contact] = {name: own.get(name, places.get(name, name)) for name in names}
     model = study.model.along(tuple(study.spec.model), {}) or study.model.default
-    return _machine(model, walls, max(widths, default=0.0), laws)
+    pulling = Piecewise(0.0, Gap(0.0, 0.0), pulls=True)  # with the numbers of the sliders
+    exact = dict.fromkeys(walls, pulling) if study.spec.study.pulls else {}
+    return _machine(model, walls, max(widths, default=0.0), laws, exact)
 
 
 def not_computed(study: Study) -> str:

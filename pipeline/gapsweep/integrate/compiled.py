@@ -96,7 +96,8 @@ def _forces(found: Array | None, mass: Array | None, which: NDArray[np.intp]) ->
 
 def _with_columns(scenes: SceneTable, models: Models, solver: Solver, shifts: Shifts) -> SceneTable:
     """Return a table with a column for every parameter; refuse what has none."""
-    if not _is_exact(models) or scenes.at.is_tanh or scenes.at.has_chi:
+    at = scenes.at
+    if not _is_exact(models) or at.is_tanh or at.has_chi or at.has_impacts:
         raise ModelError(
             f"law = {models.laws[0][0]}: gradients need located contacts, as gs.Piecewise(1.4e4, "
             "gs.Gap(4e-4, 4e-4))"
@@ -200,9 +201,13 @@ def _scenes(models: Models, solver: Solver, is_taylor: bool) -> SceneTable:
         found = system_scenes(*of_all, **tolerances)
     if not models.is_lossy:
         return found
-    damping, never_pulls, chi, _ = np.moveaxis(models.of_laws(attrgetter("losses")), -1, 0)
+    losses = np.moveaxis(models.of_laws(attrgetter("losses")), -1, 0)
+    damping, never_pulls, chi, by_function, is_rigid, restitution = losses
     mass = models.of_systems(attrgetter("mass"))[:, None] if _is_oscillator(models) else 1.0
-    return with_losses(found, damping / mass, never_pulls > 0.0, chi)
+    impacts = restitution, models.of_laws(lambda law: law.losses.of_impact)
+    is_damped = bool(np.any([damping, chi, by_function]))
+    rows = damping / mass, never_pulls > 0.0, chi, is_rigid > 0.0, impacts
+    return with_losses(found, *rows, is_damped=is_damped)
 
 
 def _events(n: int, run: batch.Batch) -> Events:

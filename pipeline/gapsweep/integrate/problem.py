@@ -37,6 +37,7 @@ CONTACT_FORCES = ("by_mode", "as_written")
 # Tighter than this all methods only add rounding.
 SMALLEST_RTOL = 1e-13
 LARGEST_RTOL = 0.1
+_STIFF = 1e6  # stiffness of a rigid wall, times that of the springs, in a static displacement
 _NO_LENGTH = 1e-3  # [m] of a problem without loads, initial state and gap
 
 
@@ -173,8 +174,9 @@ class Models:
                 system, laws = self.systems[number], self.laws[kind]
                 rows = np.flatnonzero((self.system == number) & (self.law == kind))
                 walls = np.zeros((system.n, system.n))
+                stiffest = _STIFF * (np.abs(system.stiffness).max() or 1.0)
                 for b, law in zip(system.contacts.values(), laws, strict=True):
-                    walls += _stiffness(law) * np.outer(b, b)
+                    walls += (stiffest if law.losses.is_rigid else _stiffness(law)) * np.outer(b, b)
                 length[rows] = np.minimum(length[rows], system.held(walls) + farther[rows])
         for number, laws in enumerate(self.laws):
             if len(laws) == 1 and isinstance(law := laws[0], UserLaw | ForceTable):
@@ -217,7 +219,7 @@ class Models:
         for system, law in {*zip(self.system.tolist(), self.law.tolist(), strict=True)}:
             modulated, laws = self.systems[system].is_modulated, self.laws[law]
             for each in [law.losses for law, m in zip(laws, modulated, strict=True) if m]:
-                if each.never_pulls or each.chi or each.by_function:
+                if each.never_pulls or each.chi or each.by_function or each.is_rigid:
                     raise ModelError(
                         f"{each}: a contact with periodic stiffness must be a damper that pulls; "
                         "write gs.Piecewise(K_c, gap, damping=60.0, pulls=True)"

@@ -28,6 +28,15 @@ from scipy.optimize import brentq
 from gapsweep.integrate.motions import COUNTS, SCALARS, Events, Motions
 from gapsweep.integrate.overlap import apart
 from gapsweep.integrate.problem import Integrate, Models, Problems, Solver
+from gapsweep.integrate.reference_impacts import (
+    Meeting,
+    has_dependent_holds,
+    hold_force,
+    is_inside,
+    meet,
+    moving,
+    on_rigid_walls,
+)
 from gapsweep.integrate.reference_motion import (
     extrema_of,
     gap_of,
@@ -35,6 +44,7 @@ from gapsweep.integrate.reference_motion import (
     polynomial,
     resting,
     roots,
+    sampled,
     section_of,
     turning,
 )
@@ -47,7 +57,7 @@ from gapsweep.integrate.reference_scenes import (
     Watched,
     scene_of,
 )
-from gapsweep.model.contact_modes import MODES
+from gapsweep.model.contact_modes import HOLD, MODES
 from gapsweep.model.user_law import UserLaw
 from gapsweep.status import DIVERGED_AT, Status
 
@@ -121,6 +131,8 @@ class _Record:
     pieces: list[PPoly] = field(default_factory=list)
     loss: float = 0.0
     status: Status = Status.OK
+    rebounds: list[tuple[float, State, State]] = field(default_factory=list)
+    holds: list[tuple[int, float, float]] = field(default_factory=list)  # contact, beginning, end
 
     def count(self, scene: ReferenceScene, nfev: int, n_steps: int) -> None:
         method = scene.method
@@ -241,8 +253,8 @@ def _run(
         *given,
         t_0=t_0,
     )
-    zeros = [0.0] * len(scene.laws)
-    run = _Record(time=zeros, force=zeros.copy())
+    largest = [math.nan if law.losses.is_rigid else 0.0 for law in scene.laws]
+    run = _Record(time=[0.0] * len(scene.laws), force=largest)
     start: State = before.state if before else tuple(problems.start[i].tolist())
     if problems.tangent:
         start += tuple(np.eye(len(start)).ravel().tolist())
@@ -255,7 +267,7 @@ def _run(
             if run.status is not Status.OK:
                 break
     motion, since = joined(run.pieces), float(problems.record_from[i]) - t_0
-    n, turns = scene.n_states, [extrema_of(each) for each in turning(scene, motion)]
+    n, turns = scene.n_states, _turns(scene, run, motion)
     t_extrema, extrema = (np.concatenate([turn[k] for turn in turns]) for k in (0, 1))
     of = np.repeat(range(len(turns)), [len(turn[0]) for turn in turns])
     is_late, contacts = t_extrema >= since, np.array(run.contacts).reshape(-1, 2)
@@ -284,6 +296,38 @@ def _run(
         section=section,
         motion=motion if problems.dense_output else None,
     )
+
+
+def _turns(scene: ReferenceScene, run: _Record, motion: PPoly) -> list[tuple[Array, Array]]:
+    """Times and values of the extrema of all quantities, in the order of time."""
+    found = []
+    for i, each in enumerate(turning(scene, motion)):
+        times, values = extrema_of(each)
+        contact = i - scene.n
+        for held, begin, end in run.holds:  # rounding errors of its place on the wall
+            is_free = (times <= begin) | (times > end) | (held != contact)
+            times, values = times[is_free], values[is_free]
+        on_walls = [
+            (t, _along(scene, i, y[: scene.n]))
+            for t, y, before in run.rebounds
+            if _turns_back(*(_along(scene, i, v[scene.n :]) for v in (before, y)))
+        ]
+        if on_walls:
+            more = np.array(on_walls).T
+            times, values = np.append(times, more[0]), np.append(values, more[1])
+            order = np.argsort(times, kind="stable")
+            times, values = times[order], values[order]
+        found.append((times, values))
+    return found
+
+
+def _along(scene: ReferenceScene, i: int, vector: Sequence[float]) -> float:
+    """Coordinate i of a vector, or its component along a contact after all coordinates."""
+    return vector[i] if i < scene.n else scene.gap(i - scene.n, vector)
+
+
+def _turns_back(before: float, after: float) -> bool:
+    return before != 0.0 and before * after <= 0.0
 
 
 def _judged(status: Status, scene: ReferenceScene, motion: PPoly) -> Status:
@@ -320,12 +364,26 @@ def _located(
     """Integrate in segments of constant contact modes, restarted at every located contact."""
     y, modes, stalled = y_0, scene.modes_at(t, y_0), 0
     passed: Watched | None = None
+    if not is_inside(scene, y):
+        run.status = Status.MODEL_INVALID
+        run.pieces.append(resting(t, np.array(y)))
+        return t, y
+    for contact, side in on_rigid_walls(scene, y):
+        y = _on_wall(scene, y, Watched(contact, side, False, scene.wall(contact, side)))
+        met = meet(scene, t, y, modes, contact, side)
+        if abs(met.modes[contact]) == HOLD:  # the motion begins in the hold
+            run.loss = math.inf
+            y, modes = met.y, met.modes
+        elif side * scene.gap(contact, y[scene.n :]) > 0.0:
+            y, modes = _met(scene, run, t, y, met)
     while t < t_end:
         found = _solve(scene, run, modes, t, y, t_end, passed)
         segment = _cut_at_missed_contact(scene, modes, found)
         run.pieces.append(segment.motion)
         for contact, mode in enumerate(modes):
             run.time[contact] += (segment.t - t) * MODES[abs(mode)].acts
+            if abs(mode) == HOLD:
+                run.holds.append((contact, t, segment.t))
         _add_losses(scene, run, modes, segment)
         stalled = stalled + 1 if segment.t <= t + 16.0 * np.spacing(t) else 0
         t, y = segment.t, segment.y
@@ -335,11 +393,31 @@ def _located(
             run.status = Status.CHATTER
             break
         passed, contact = segment.hit, segment.hit.contact
+        if scene.laws[contact].losses.is_rigid and not passed.hold:
+            y, modes = _met(scene, run, t, y, meet(scene, t, y, modes, contact, passed.side))
+            if run.status is not Status.OK:
+                break
+            continue
         previous, modes = modes, scene.passed(t, y, modes, segment.hit)
         if passed.force is None:
             y = scene.jumped(y, previous, modes)
         run.contacts += [(t, contact)] * _n_changes(previous[contact], modes[contact])
     return t, y
+
+
+def _met(
+    scene: ReferenceScene, run: _Record, t: float, y: State, met: Meeting
+) -> tuple[State, tuple[int, ...]]:
+    """Record the meeting of a rigid wall; return state and modes after it."""
+    if has_dependent_holds(scene, met.modes):
+        run.status = Status.MODEL_INVALID
+    run.contacts += met.changes
+    run.loss += met.loss
+    run.rebounds.append((t, met.y, y))
+    for contact, mode in enumerate(met.modes):
+        if abs(mode) == HOLD and met.rest:
+            run.time[contact] -= met.rest * (met.changes[-1][1] == contact)
+    return met.y, met.modes
 
 
 def _n_changes(before: int, after: int) -> int:
@@ -400,7 +478,7 @@ def _solve(
     """
     exits = _exits(scene, modes)
     solution = solve_ivp(
-        scene.rhs(modes),
+        scene.rhs(modes) if modes is None else moving(scene, modes),
         (t, t_end),
         y,
         _METHODS[scene.method],
@@ -429,7 +507,12 @@ def _solve(
 
 def _on_wall(scene: ReferenceScene, y: State, hit: Watched) -> State:
     """Return the state, moved onto the wall if the contact's gap is the only coordinate."""
-    is_gap = hit.force is None and scene.n == 1 and scene.gap(hit.contact, (1.0,)) == 1.0
+    is_gap = (
+        hit.force is None
+        and not hit.hold
+        and scene.n == 1
+        and scene.gap(hit.contact, (1.0,)) == 1.0
+    )
     return (hit.at, *y[1:]) if is_gap else y
 
 
@@ -449,9 +532,14 @@ def _is_undefined_ahead(
 
 def _exits(scene: ReferenceScene, modes: Modes) -> list[Watched]:
     """Return all that can end the modes."""
-    return [
-        each for contact, mode in enumerate(modes or ()) for each in scene.watched(contact, mode)
-    ]
+    found = []
+    for contact, mode in enumerate(modes or ()):
+        if abs(mode) == HOLD:
+            force = hold_force(scene, modes or (), contact)
+            found.append(Watched(contact, 1 if mode > 0 else -1, True, 0.0, hold=force))
+        else:
+            found += scene.watched(contact, mode)
+    return found
 
 
 class _Stop:
@@ -475,7 +563,7 @@ def _contact_event(
 ) -> _Stop:
     """Return the event that ends a mode: a zero of the distance from a value after `t_start`."""
     contact, side, at = watched.contact, watched.side, watched.at
-    at_start = scene.value(watched, y_start)
+    at_start = scene.value(watched, t_start, y_start)
     starts_there = at_start == at
     if passed is not None and passed.contact == contact and not starts_there:
         is_same = watched.force is not None and passed.force is not None
@@ -485,8 +573,8 @@ def _contact_event(
 
     def event(t: float, y: Sequence[float]) -> float:
         if not starts_there:
-            return float(side * (scene.value(watched, y) - at))
-        beyond = side * (scene.value(watched, y) - at_start)
+            return float(side * (scene.value(watched, t, y) - at))
+        beyond = side * (scene.value(watched, t, y) - at_start)
         return float(beyond / (t - t_start)) if t > t_start else sign
 
     return _Stop(event, direction=-sign)
@@ -505,7 +593,7 @@ def _cut_at_missed_contact(
         law = scene.laws[each.contact]
         # A touch within rounding of the wall is not a contact.
         slack = 8.0 * np.finfo(float).eps * max(law.gap.distances)
-        slack *= law.K_c if each.force else 1.0
+        slack *= law.K_c if each.force or each.hold else 1.0
         allowed = 1.0 if each.falls else -1.0
         wrong = np.flatnonzero(allowed * each.side * (value(turns)[:, 0] - each.at) < -slack)
         if wrong.size and (segment.hit != each or turns[wrong[0]] < segment.t):
@@ -520,6 +608,8 @@ def _cut_at_missed_contact(
 
 def _watched_motion(scene: ReferenceScene, motion: PPoly, watched: Watched) -> PPoly:
     """Return a watched quantity and its rate along a motion."""
+    if watched.hold:
+        return sampled(motion, watched.hold)
     gap = gap_of(scene, motion, watched.contact)
     return gap if watched.force is None else _force_motion(gap, watched.force)
 
@@ -548,7 +638,7 @@ def _cut(
     hit: Watched,
 ) -> _Segment:
     def distance(t: float) -> float:
-        return scene.value(hit, segment.motion(t)) - hit.at
+        return scene.value(hit, t, segment.motion(t)) - hit.at
 
     straddles = distance(t_before) * distance(t_beyond) < 0.0
     t = float(brentq(distance, t_before, t_beyond, xtol=1e-15)) if straddles else t_before

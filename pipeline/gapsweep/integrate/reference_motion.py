@@ -1,6 +1,7 @@
 """Motions of the reference engine as piecewise polynomials; their extrema, roots and sections."""
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,15 +36,31 @@ def resting(t: float, y: Array) -> PPoly:
 def polynomial(solution: OdeSolution) -> PPoly:
     """Return the dense output of `solve_ivp` as one piecewise polynomial of the state."""
     breaks = np.asarray(solution.ts)
-    h = np.diff(breaks)
-    nodes = breaks[:-1, None] + h[:, None] * _NODES
+    nodes = breaks[:-1, None] + np.diff(breaks)[:, None] * _NODES
     # Shared step ends belong to the step on their left or right: both give the same value.
-    values = solution(nodes.ravel()).reshape(-1, h.size, _DEGREE + 1)
+    values = solution(nodes.ravel()).reshape(-1, len(breaks) - 1, _DEGREE + 1)
+    return _through(breaks, values)
+
+
+def sampled(motion: PPoly, value: Callable[[float, Array], float]) -> PPoly:
+    """Return a function of time and state along a motion, and its rate, as polynomials."""
+    nodes = motion.x[:-1, None] + np.diff(motion.x)[:, None] * _NODES
+    values = np.array([[value(t, motion(t)) for t in row] for row in nodes.tolist()])
+    powers = _through(motion.x, values[None]).c[:, :, 0]
+    rates = np.zeros_like(powers)
+    rates[1:] = PPoly.construct_fast(powers, motion.x).derivative().c
+    return PPoly.construct_fast(np.stack([powers, rates], axis=-1), motion.x)
+
+
+def _through(breaks: Array, values: Array) -> PPoly:
+    """Polynomials through values at the nodes, shape (n_components, n_pieces, n_nodes)."""
+    h = np.diff(breaks)
     powers = np.einsum("pn,ysn->psy", _TO_POWERS, values)
     # A motion that begins next to a wall by rounding reaches it in nearly no time: the higher
     # coefficients are rounding errors over powers of that time.
     still = np.maximum(_STILL * np.abs(values).max(axis=2), np.finfo(float).tiny)
     is_straight = (np.ptp(values, axis=2) <= still).all(axis=0)
+    is_straight |= h <= 64.0 * np.spacing(np.abs(breaks[1:]))
     powers[:-2, is_straight] = 0.0
     powers[-2, is_straight] = (values[:, is_straight, -1] - values[:, is_straight, 0]).T
     scale = np.where(is_straight, 1.0, h)[:, None] ** np.arange(_DEGREE, -1, -1)

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial, reduce
 from typing import Any
 
@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gapsweep.model.contact import ContactLaw
-from gapsweep.model.contact_modes import MODES, SLACK
+from gapsweep.model.contact_modes import MODES, ON, SLACK
 from gapsweep.model.oscillator import Oscillator
 from gapsweep.model.system import first_order
 from gapsweep.model.user_law import UserLaw
@@ -91,7 +91,7 @@ class ReferenceScene:
             return lambda x, v: float(law.force(x, v))
         if isinstance(law, UserLaw):
             return self._in_mode(law.continued.force, contact, modes[contact])
-        if not MODES[abs(modes[contact])].acts:
+        if abs(modes[contact]) != ON:
             return lambda x, v: 0.0
         return self.pressure(contact, modes[contact])
 
@@ -118,7 +118,7 @@ class ReferenceScene:
             return lambda x, v: float(law.derivative_by_speed(x, v))
         if isinstance(law, UserLaw):
             return self._in_mode(law.continued.damping, contact, modes[contact])
-        if not MODES[abs(modes[contact])].acts:
+        if abs(modes[contact]) != ON:
             return lambda x, v: 0.0
         pressure = self.pressure(contact, modes[contact])
         return lambda x, v: pressure.of_speed(x)
@@ -135,8 +135,10 @@ class ReferenceScene:
             found.append(Watched(contact, side, MODES[abs(mode)].acts, 0.0, force))
         return found
 
-    def value(self, watched: "Watched", y: Sequence[float] | Array) -> float:
+    def value(self, watched: "Watched", t: float, y: Sequence[float] | Array) -> float:
         """Value of a watched quantity in a state."""
+        if watched.hold:
+            return watched.hold(t, np.asarray(y))
         gap = self.gap(watched.contact, y)
         if watched.force is None:
             return gap
@@ -175,7 +177,7 @@ class ReferenceScene:
         if isinstance(law, UserLaw):
             return self._in_mode(law.continued.slope, contact, mode)
         stiffness = law.stiffnesses[mode > 0]
-        stiffness = stiffness if MODES[abs(mode)].acts else 0.0
+        stiffness = stiffness if abs(mode) == ON else 0.0
         if not (chi := math.copysign(law.losses.chi, mode)):
             return lambda x, v: stiffness
         return lambda x, v: stiffness * (1.0 + chi * v)
@@ -184,7 +186,9 @@ class ReferenceScene:
         """Initial contact modes; on a wall the velocity decides, then the acceleration."""
         modes = tuple(self._beyond(k, y) for k in range(len(self.laws)))
         for contact in range(len(self.laws)):
-            if self.gap(contact, y) in (self.wall(contact, -1), self.wall(contact, 1)):
+            if self.laws[contact].losses.is_rigid:  # see `reference_impacts`
+                modes = (*modes[:contact], 0, *modes[contact + 1 :])
+            elif self.gap(contact, y) in (self.wall(contact, -1), self.wall(contact, 1)):
                 here = Watched(contact, 1, False, self.gap(contact, y))
                 modes = self.passed(t, y, modes, here)
         return modes
@@ -254,6 +258,8 @@ class Watched:
         That value: of the wall [m], or zero force.
     force : Pressure, optional
         The force [N] that is watched; None: the gap.
+    hold : callable, optional
+        The force [N] that holds the contact on a rigid wall, of time and state; it is watched.
     """
 
     contact: int
@@ -261,6 +267,7 @@ class Watched:
     falls: bool
     at: float
     force: Pressure | None = None
+    hold: Callable[[float, Array], float] | None = field(default=None, compare=False)
 
 
 def scene_of(system: Any) -> type[ReferenceScene]:

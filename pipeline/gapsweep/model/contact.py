@@ -21,7 +21,7 @@ from gapsweep.errors import ModelError
 from gapsweep.model.arithmetic import select
 from gapsweep.model.arrays import numbers
 from gapsweep.model.contact_modes import NO_LOSSES, Losses
-from gapsweep.model.oscillator import Gap, called_as, checked
+from gapsweep.model.oscillator import LARGEST, Gap, called_as, checked, share
 from gapsweep.status import DIVERGED_AT
 
 Array = NDArray[np.float64]
@@ -129,6 +129,11 @@ class ContactLaw:
             Values of the field `symbol`; NaN for a law without one.
         """
         return {}
+
+    @classmethod
+    def made(cls, K_c: float, gap: Gap, **numbers: Any) -> "ContactLaw":
+        """Return the law with a stiffness [N/m], a gap and other parameters by name."""
+        return cls(K_c, gap, **numbers)
 
     @classmethod
     def takes(cls, name: str) -> bool:
@@ -412,6 +417,96 @@ class HuntCrossley(Piecewise):
             super()._slopes(depth, speed, ratio),
         )
         return stiffness[0] * (1.0 + self.chi * speed), self.chi * spring
+
+
+@called_as("gs.Rigid(gs.Gap(4e-4, 4e-4), restitution=0.8), in m")
+@dataclass(frozen=True)
+class Rigid(Piecewise):
+    """Rigid walls: a body that meets a wall at a speed leaves it at the restitution times this.
+
+    Label: ``rigid-0.8`` for the coefficient of restitution e = 0.8. A body that a load presses on
+    the wall comes to rest there after ever shorter flights, and stays until the load lets go.
+
+    Parameters
+    ----------
+    restitution : float
+        Coefficient of restitution e [-], 0 to 1: 1 loses no energy, at 0 the body stays on the
+        wall.
+    K_ratio : float
+        0: no lower wall; all other values, as 1 by default, make no difference.
+
+    Examples
+    --------
+    >>> import gapsweep as gs
+    >>> stop = gs.Rigid(gs.Gap(0.4e-3, 0.4e-3), restitution=0.8)
+    >>> stop.force([0.0, 0.4e-3]).tolist()  # in the gap; an impact has no finite force
+    [0.0, inf]
+    """
+
+    family: ClassVar[str] = "rigid"
+    examples: ClassVar[tuple[str, ...]] = ("rigid-0.8",)
+    words: ClassVar[str] = (
+        "0 between the walls; at a wall the speed u of approach becomes −e u, with the "
+        "coefficient of restitution e in the label"
+    )
+
+    K_c: float = field(default=0.0, init=False)
+    located: bool = field(default=True, init=False)
+    damping: float = field(default=0.0, init=False)
+    pulls: bool = field(default=False, init=False)
+    restitution: float = field(kw_only=True)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        object.__setattr__(self, "restitution", share("restitution", self.restitution))
+        if self.walls[0] >= self.walls[1]:
+            raise ModelError(
+                f"gap = {self.gap.j_1:g}/{self.gap.j_2:g}: no motion fits between rigid walls "
+                "without a gap; write gs.Rigid(gs.Gap(4e-4, 4e-4), restitution=0.8)"
+            )
+
+    @property
+    def exact(self) -> Piecewise:
+        raise ModelError(
+            f"{self.family}-{self.restitution:.12g}: an impact has no finite force to compare; "
+            "compare responses instead, or take gs.Piecewise(1.4e4, gap)"
+        )
+
+    @classmethod
+    def made(cls, K_c: float, gap: Gap, **numbers: Any) -> "Rigid":
+        return cls(gap, **numbers)
+
+    @property
+    def losses(self) -> Losses:
+        return Losses(is_rigid=True, restitution=self.restitution)
+
+    @property
+    def stiffnesses(self) -> tuple[float, float]:
+        return (
+            LARGEST * (self.K_ratio > 0.0 and self.gap.j_1 < math.inf),
+            LARGEST * (self.gap.j_2 < math.inf),
+        )
+
+    @classmethod
+    def canonical(cls, label: str, parameter: str) -> str:
+        try:
+            return f"{share('restitution', float(parameter)):.12g}"
+        except ValueError:
+            raise ModelError(
+                f"{label!r}: must be {cls.family} and its restitution from 0 to 1, as "
+                f"{cls.examples[0]}"
+            ) from None
+
+    @classmethod
+    def of_label(cls, parameter: str, fit_range: float) -> dict[str, Any]:
+        return {"restitution": float(parameter)}
+
+    def force(self, x: ArrayLike, v: ArrayLike = 0.0) -> Array:
+        x, (low, high) = numbers("x", x), self.walls
+        return np.where(x >= high, math.inf, np.where(x <= low, -math.inf, 0.0))
+
+    def derivative(self, x: ArrayLike, v: ArrayLike = 0.0) -> Array:
+        return np.abs(self.force(x))
 
 
 def checked_gap(gap: Gap | Sequence[float]) -> Gap:

@@ -1,13 +1,16 @@
 """Modes of a contact: whether its force acts, and which events end a mode.
 
-A mode is `OFF`, `ON` or `SLACK` times the side of the wall, +1 for the upper and -1 for the lower
+A mode is one of the numbers below times the side of the wall, +1 for the upper and -1 for the lower
 wall. In mode `SLACK` the gap is beyond the wall, but the force would pull: the contact's spring
-relaxes more slowly than the body leaves. Only contacts that never pull have it.
+relaxes more slowly than the body leaves. Only contacts that never pull have it. In mode `HOLD` the
+gap stays on the wall, and the force is the one that this takes. Only rigid walls have it: an impact
+lasts no time, and leaves the mode `OFF`.
 """
 
+import math
 from typing import NamedTuple
 
-OFF, ON, SLACK = 0, 1, 2
+OFF, ON, SLACK, HOLD = range(4)
 
 
 class Mode(NamedTuple):
@@ -21,7 +24,7 @@ class Mode(NamedTuple):
         Mode after the gap passes the wall.
     after_zero : int
         Mode after the force, as the contact law has it, passes zero. Only contacts that never pull
-        watch the force, and not in mode `OFF`.
+        watch the force, and not in mode `OFF`, and all contacts in mode `HOLD`.
     """
 
     acts: bool
@@ -34,6 +37,7 @@ MODES = (
     Mode(acts=False, after_wall=ON, after_zero=OFF),
     Mode(acts=True, after_wall=OFF, after_zero=SLACK),
     Mode(acts=False, after_wall=OFF, after_zero=ON),
+    Mode(acts=True, after_wall=HOLD, after_zero=OFF),
 )
 
 
@@ -50,26 +54,40 @@ class Losses(NamedTuple):
         Relative increase of the spring's force over the speed of penetration [s/m].
     by_function : bool
         Whether the force is a user's function of displacement and velocity.
+    is_rigid : bool
+        Whether the walls are rigid: a contact is an impact.
+    restitution : float
+        Speed after an impact over the speed before it [-].
     """
 
     damping: float = 0.0
     never_pulls: bool = False
     chi: float = 0.0
     by_function: bool = False
+    is_rigid: bool = False
+    restitution: float = 1.0
 
     @property
-    def kind(self) -> tuple[bool, bool, bool]:
-        """Whether energy is lost, whether there is a mode `SLACK`, and whether there is a chi."""
-        return bool(self), self.never_pulls, self.chi > 0.0
+    def kind(self) -> tuple[bool, bool, bool, bool]:
+        """Whether energy may be lost, whether there is a mode `SLACK`, whether there is a chi, and
+        whether walls are rigid."""
+        return bool(self), self.never_pulls, self.chi > 0.0, self.is_rigid
+
+    @property
+    def of_impact(self) -> float:
+        """Logarithm of the factor by which an impact shrinks volumes in state space, times -1."""
+        return -2.0 * math.log(self.restitution) if self.restitution else math.inf
 
     def __bool__(self) -> bool:
-        """Whether energy is lost."""
-        return self.damping > 0.0 or self.chi > 0.0 or self.by_function
+        """Whether energy may be lost."""
+        return self.damping > 0.0 or self.chi > 0.0 or self.by_function or self.is_rigid
 
     def __str__(self) -> str:
         """The number that loses energy, as ``damping = 60``."""
         if self.by_function:
             return "a force f(x, v)"
+        if self.is_rigid:
+            return f"restitution = {self.restitution:g}"
         return f"chi = {self.chi:g}" if self.chi else f"damping = {self.damping:g}"
 
 

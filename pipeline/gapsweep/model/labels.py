@@ -15,7 +15,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from gapsweep.errors import ModelError
-from gapsweep.model.contact import FIT_RANGE, ContactLaw, HuntCrossley, Piecewise
+from gapsweep.model.contact import FIT_RANGE, ContactLaw, HuntCrossley, Piecewise, Rigid
 from gapsweep.model.laws import LAWS
 from gapsweep.model.laws.fitted import Fitted
 from gapsweep.model.oscillator import Gap, called_as
@@ -30,7 +30,7 @@ NO_DAMPING = "has none; piecewise, tanh, arctan and logarctan have, and own func
 
 # Every law that a label names, by its family, in the order of the user guide. Contacts that lose
 # energy are located: they have no compiled formulas of `LAWS`.
-_EVERY: tuple[type[ContactLaw], ...] = (*LAWS, HuntCrossley)
+_EVERY: tuple[type[ContactLaw], ...] = (*LAWS, HuntCrossley, Rigid)
 FAMILIES = {law.family: law for law in _EVERY}
 EXAMPLES = ", ".join(example for law in FAMILIES.values() for example in law.examples)
 
@@ -199,7 +199,7 @@ def contact_law(
         numbers["damping"] = damping
         if law.law_type.takes("pulls"):
             numbers["pulls"] = bool(pulls)
-    return law.law_type(K_c, gap, K_ratio=K_ratio, **numbers)
+    return law.law_type.made(K_c, gap, K_ratio=K_ratio, **numbers)
 
 
 @called_as("gs.law(function, K_c=1.4e4, gap=gs.Gap(4e-4, 4e-4)), in N/m and m")

@@ -37,8 +37,8 @@ C = TypeVar("C", bound=Callable[..., Any])
 
 _LOSSES = frozenset(("damping", "restitution", "friction"))
 NO_LOSS = (
-    "a contact that loses energy is gs.Piecewise or gs.Tanh with damping=60.0, gs.HuntCrossley or "
-    "an own function f(x, v); restitution and friction are not covered"
+    "a contact that loses energy is gs.Piecewise or gs.Tanh with damping=60.0, gs.HuntCrossley, "
+    "gs.Rigid(gap, restitution=0.8) or an own function f(x, v); friction is not covered"
 )
 
 

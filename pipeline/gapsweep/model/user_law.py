@@ -163,7 +163,7 @@ class UserLaw(ContactLaw):
             if _JUMP * scale < abs(after - before) <= 3.0 * scale:
                 raise ModelError(
                     f"{self.name}: the force jumps by {abs(after - before):.3g} N at x = {b:.6g} "
-                    "m, which is not covered; join both sides by a steep line, as "
+                    "m, which is not covered: use Siconos, or join both sides by a steep line, as "
                     "5.0 * min(max(x / 1e-6, -1.0), 1.0)"
                 )
 

@@ -20,6 +20,7 @@ from gapsweep.report.selection import scene
 from gapsweep.report.style import Look, looks
 from gapsweep.response.absolute import N_PERIODS
 from gapsweep.study.grid import CONTACT
+from gapsweep.variables import objects
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -37,7 +38,7 @@ def energy_lost(run: Trajectory, contact: int, start: float = 0.0) -> float:
 
     It is the work of the contact force less the energy stored in its spring. Gauss's formula
     integrates between the located times at which a force begins or ends. Periodic stiffness, which
-    supplies energy, is left out.
+    supplies energy, is left out. At rigid walls it is the energy that impacts lose.
 
     Parameters
     ----------
@@ -49,6 +50,14 @@ def energy_lost(run: Trajectory, contact: int, start: float = 0.0) -> float:
         First time [s].
     """
     law = run.laws[contact]
+    if law.losses.is_rigid:
+        model, times = objects(run.inputs["oscillator"]).item(), np.unique(times_of(run)[contact])
+        b = np.reshape(model.directions, (-1, model.n))[contact]
+        compliance = b @ np.linalg.solve(np.atleast_2d(model.mass), b)
+        before = np.maximum(times[times > start] - _APART / _rate(run), start)
+        earlier = np.maximum(before - _APART / _rate(run), start)
+        u = 2.0 * _moved(run, contact, before)[1] - _moved(run, contact, earlier)[1]
+        return float(0.5 * (1.0 - law.losses.restitution**2) * (u @ u) / compliance)
     t, weights = _gauss(
         [start, *np.concatenate(times_of(run)), run.t_end], 1.0 / (_PANELS * _rate(run))
     )
@@ -60,7 +69,10 @@ def energy_lost(run: Trajectory, contact: int, start: float = 0.0) -> float:
 
 
 def loop(run: Trajectory, contact: int, start: float = 0.0) -> tuple[Array, Array, Array]:
-    """Return times, relative displacements and forces of a contact from `start` [s] on."""
+    """Return times, relative displacements and forces of a contact from `start` [s] on.
+
+    Forces on rigid walls are NaN.
+    """
     period = 1.0 / _rate(run)
     n = math.ceil(_SAMPLES * (run.t_end - start) / period)
     jumps = np.concatenate(times_of(run)) + _APART * period * np.array([[-1.0], [1.0]])
@@ -71,7 +83,8 @@ def loop(run: Trajectory, contact: int, start: float = 0.0) -> tuple[Array, Arra
     if isinstance(run, SystemTrajectory):
         for term in run.system.modulation.get([*run.system.contacts][contact], ()):
             varying += term.depth * np.cos(2.0 * math.pi * term.k * t / period + term.phase)
-    return t, x, law.force(x, v) + varying * law.force(x)
+    force = law.force(x, v) + varying * law.force(x)
+    return t, x, np.where(np.isfinite(force), force, np.nan)  # of impacts
 
 
 def _gauss(cuts: Sequence[float], longest: float) -> tuple[Array, Array]:

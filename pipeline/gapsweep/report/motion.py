@@ -160,7 +160,12 @@ def _lossy(run: Trajectory, along: Array) -> int | None:
     """Number of the first contact of the drawn displacement that loses energy."""
     directions = np.reshape(objects(run.inputs["oscillator"]).item().directions, (-1, along.size))
     several = enumerate(zip(directions, run.laws, strict=True))
-    return next((k for k, (b, law) in several if law.losses and np.array_equal(b, along)), None)
+    return next((k for k, (b, law) in several if _draws(law) and np.array_equal(b, along)), None)
+
+
+def _draws(law: ContactLaw) -> bool:
+    """Whether a contact loses energy by a finite force."""
+    return bool(law.losses) and not law.losses.is_rigid
 
 
 def _draw_force(

@@ -149,6 +149,9 @@ def answers(
     return Responses(columns, of_all, messages)
 
 
+_NO_HOLD = ": beyond a rigid wall, or held there by more walls than can move independently"
+
+
 def _failures(failures: Numbers, windows: RecordedWindows) -> tuple[list[Status], dict[int, str]]:
     """Return the status of the points that failed, and a message for each, by point."""
     ensemble = windows.ensemble
@@ -162,7 +165,10 @@ def _failures(failures: Numbers, windows: RecordedWindows) -> tuple[list[Status]
         statuses.append(Status.OUT_OF_FIT_RANGE if has_left[k] else reached)
         names = ensemble.system(point).coordinates
         places = ", ".join(f"{name} = {q:.3g} m" for name, q in zip(names, y[:, k], strict=False))
-        why = ": the contact force there is no number" * (reached is Status.MODEL_INVALID)
+        why = ""
+        if reached is Status.MODEL_INVALID:
+            is_rigid = any(law.losses.is_rigid for law in ensemble.laws(point))
+            why = _NO_HOLD if is_rigid else ": the contact force there is no number"
         messages[point] = f"{reached.label} before t = {windows.t[point]:.6g} s at {places}{why}"
     return statuses, messages
 
@@ -362,6 +368,7 @@ def _read_off(
     force_max = np.array(forces).reshape(len(low), len(points)).T
     of_losses = windows.contact_force[:, points].T
     force_max = np.where(np.isnan(of_losses), force_max, of_losses)
+    force_max[np.isinf(force_max)] = np.nan  # of impacts
     force_max[ensemble.is_modulated[:, points].T] = np.nan
     n_shown = np.minimum(counts[:, :n_q], steady.max_extrema)
     shown = spans(first[:, :n_q].ravel(), n_shown.ravel())

@@ -41,12 +41,12 @@ def largest_forces(laws: Sequence[ContactLaw], x_min: Array, x_max: Array) -> Ar
     _, powers = np.frexp(np.maximum(np.abs(x_min), np.abs(x_max)))
     for row, (law, power) in enumerate(zip(laws, powers.tolist(), strict=True)):
         # By identity: the laws stay alive, and some hash slowly. Exact laws have one formula.
-        which = 0 if isinstance(law, Piecewise) else id(law)
+        which = 0 if _has_springs(law) else id(law)
         rows.setdefault((which, power if law.turns is None else 0), []).append(row)
     found = np.empty(len(laws))
     for (_, power), here in rows.items():
         law, low, high = laws[here[0]], x_min[here], x_max[here]
-        if isinstance(law, Piecewise):
+        if _has_springs(law):
             found[here] = _largest_of_exact([laws[row] for row in here], low, high)
             continue
         turns = _searched_turns(law, 2.0**power) if law.turns is None else law.turns
@@ -54,6 +54,11 @@ def largest_forces(laws: Sequence[ContactLaw], x_min: Array, x_max: Array) -> Ar
         forces = [_values(each, each.force, x) for each in law.of_walls]
         found[here] = np.fmax.reduce(np.abs(np.concatenate(forces)))
     return found
+
+
+def _has_springs(law: ContactLaw) -> bool:
+    """Whether a law has linear springs at its walls."""
+    return isinstance(law, Piecewise) and not law.losses.is_rigid
 
 
 def _largest_of_exact(laws: Sequence[ContactLaw], x_min: Array, x_max: Array) -> Array:

@@ -407,9 +407,9 @@ class Response:
 
     @property
     def _n_touching(self) -> int:
-        """Number of steady responses with time in contact."""
+        """Number of steady responses with time in contact, or with impacts."""
         is_touched = np.reshape(self.contact_share, (np.size(self.status), -1)) > 0.0
-        return int(is_touched.any(axis=1).sum())
+        return int((is_touched.any(axis=1) | (np.ravel(self.contacts_per_period) > 0.0)).sum())
 
     def to_dataframe(self) -> Any:
         """Return the responses as a `pandas.DataFrame`, a row each, without extrema and sections.

@@ -102,7 +102,14 @@ def with_law_rows(exact: SceneTable, at: RowLayout, laws: Sequence[Array]) -> Sc
 
 
 def with_losses(
-    elastic: SceneTable, damping: Array, never_pulls: NDArray[np.bool_], chi: Array
+    elastic: SceneTable,
+    damping: Array,
+    never_pulls: NDArray[np.bool_],
+    chi: Array,
+    is_rigid: NDArray[np.bool_],
+    impacts: tuple[Array, Array],
+    *,
+    is_damped: bool,
 ) -> SceneTable:
     """Return a table of the same systems with contacts that lose energy.
 
@@ -116,12 +123,32 @@ def with_losses(
         Contacts with the mode `contact_modes.SLACK`.
     chi : ndarray, shape (n, n_contacts)
         `Losses.chi` [s/m].
+    is_rigid : ndarray of bool, shape (n, n_contacts)
+        Contacts with rigid walls.
+    impacts : tuple of ndarray, shape (n, n_contacts)
+        Restitution, and `Losses.of_impact`.
+    is_damped : bool
+        Whether contacts lose energy in another way than by impacts.
     """
     has_slack, has_chi = bool(never_pulls.any()), bool(chi.any())
-    at = replace(elastic.at, is_damped=True, has_slack=has_slack, has_chi=has_chi)
+    has_impacts = bool(is_rigid.any())
+    at = replace(
+        elastic.at,
+        is_damped=is_damped,
+        has_slack=has_slack,
+        has_chi=has_chi,
+        has_impacts=has_impacts,
+    )
     found = _moved(elastic, at)
     at, table = found.at, found.table[:-1]
-    table[:, at.contact_damping : at.contact_damping + at.contacts] = damping
+    if is_damped:
+        table[:, at.contact_damping : at.contact_damping + at.contacts] = damping
+    if has_impacts:
+        table[:, at.rate] = np.maximum(table[:, at.rate], table[:, at.omega_rad])
+        for first, values in zip(
+            (at.rigid, at.restitution, at.of_impact), (is_rigid, *impacts), strict=True
+        ):
+            table[:, first : first + at.contacts] = values
     if has_chi:
         table[:, at.chi : at.chi + at.contacts] = chi
     if has_slack:

@@ -99,6 +99,8 @@ class RowLayout:
         Whether some of them never pull: they have the mode `contact_modes.SLACK`.
     has_chi : bool
         Whether the spring's force of some of them depends on the speed, see `Losses.chi`.
+    has_impacts : bool
+        Whether some contacts have rigid walls: they have the mode `contact_modes.HOLD`.
     laws : tuple of (int, int, int)
         Of a Taylor series the law of every contact: its place in `LAWS`, numbers of coefficients of
         numerator and denominator. Empty if contacts are located.
@@ -126,6 +128,7 @@ class RowLayout:
     is_damped: bool = False
     has_slack: bool = False
     has_chi: bool = False
+    has_impacts: bool = False
     is_taylor: bool = True
     laws: tuple[tuple[int, int, int], ...] = ()
     order: int = 12
@@ -134,6 +137,7 @@ class RowLayout:
 
     derived: ClassVar[tuple[str, ...]] = (
         *("n_states", "all_lanes", "n_terms", "n_series", "first_gap", "n_turning", "n_rows"),
+        *("first_hold", "has_forces"),
         *("n_rates", "width", "gap_end", "spring_series", "column_size"),
         *("lower_source", "upper_source"),
     )
@@ -209,8 +213,18 @@ class RowLayout:
 
     @property
     def n_series(self) -> int:
-        """Number of series of a step: those of q and z, then those of the contacts' gaps."""
+        """Number of series of a step: those of q and z, of the contacts' gaps, of hold forces."""
+        return self.first_hold + self.contacts * self.has_impacts
+
+    @property
+    def first_hold(self) -> int:
+        """Number of the series of the force that holds the first contact on its wall."""
         return 1 if self.is_plain else self.n + self.m + self.contacts
+
+    @property
+    def has_forces(self) -> int:
+        """Whether a force ends some modes of contacts."""
+        return int(self.has_slack or self.has_impacts)
 
     @property
     def n_rates(self) -> int:
@@ -309,13 +323,18 @@ class RowLayout:
             # damping of both walls, the largest force while it was recorded, and the integral of
             # the rate at which contacts shrink volumes in state space
             **{name: k * self.is_damped for name in ("contact_damping", "contact_force")},
-            **{"contact_loss": 1 * self.is_damped, "chi": k * self.has_chi},
+            **{"contact_loss": 1 * (self.is_damped or self.has_impacts), "chi": k * self.has_chi},
             # damping of contacts that never pull, 0 for others; whether the force was zero when
             # the present mode began
-            **{name: k * self.has_slack for name in ("slack_damping", "switched")},
+            **{"slack_damping": k * self.has_slack, "switched": k * self.has_forces},
+            # rigid walls: whether a contact has them, restitution, contact loss of an impact,
+            # inverse of B'M^-1 B of the held contacts, speeds before impacts at the end of a step
+            **dict.fromkeys(("rigid", "restitution", "of_impact"), k * self.has_impacts),
+            **{"held": k * k * self.has_impacts, "v_in": n * self.has_impacts},
             # smoothing: 2 epsilon [1/m], half-width of the layers [m], whether one is near, longest
-            # step [s], and what to add to the time of the contact that ended the last step [s]
-            **dict.fromkeys(("sharpness", "layer", "is_near", "longest", "lag"), 1 * self.is_tanh),
+            # step [s]; what to add to the time of the contact that ended the last step [s]
+            **dict.fromkeys(("sharpness", "layer", "is_near", "longest"), 1 * self.is_tanh),
+            "lag": 1 * (self.is_tanh or self.has_impacts),
             **{"compliance": k * several, "contact_time": k},
             # q'' = push cos(..) - damping v - stiffness q - lag_force z - cubic's and contacts'
             # pull, all per unit mass (multiplied by M^-1); z' = of_speed v + of_place q + of_lag z

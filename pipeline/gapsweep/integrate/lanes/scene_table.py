@@ -174,6 +174,8 @@ def set_modes_on_walls(at: RowLayout, points: Array) -> None:
             if heading.all():
                 break
         heading[(heading == 0.0) & is_high[here] & is_low[here]] = 1.0
+        if at.has_impacts:  # a rigid wall holds from the first step on if it does
+            heading[points[here, at.rigid + contact] > 0.0] = 0.0
         mode[here] = (is_high[here] & (heading > 0.0)) * 1.0 - (is_low[here] & (heading < 0.0))
 
 

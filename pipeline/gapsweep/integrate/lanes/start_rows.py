@@ -9,9 +9,9 @@ from math import isfinite
 import numpy as np
 
 from gapsweep.integrate.jit import entry, internal
-from gapsweep.model.contact_modes import ON, SLACK
+from gapsweep.model.contact_modes import HOLD, MODES, SLACK
 
-from .outcome import CLOCK_SLACK
+from .outcome import CLOCK_SLACK, MODEL_INVALID
 from .pieces import set_first_piece
 
 # The absolute part of a step's tolerance never exceeds rtol times this part of the motion's
@@ -22,6 +22,8 @@ FLOOR_SHARE = 1e-3
 READY, ON_WALL, NOT_FINITE, BACKWARD = range(4)
 MOST_PLACED = 1 << 22  # section points for which rows are reserved before the motions begin
 CLOCK_ROUNDING = 4.0 * np.finfo(float).eps
+_AT_WALL = 16.0 * np.finfo(float).eps  # of a gap: on a rigid wall, up to rounding
+_ACTS = tuple(mode.acts for mode in MODES)
 PRODUCT_ROUNDING = 1.5 * np.finfo(float).eps  # of the rounded product of two rounded numbers
 
 
@@ -110,10 +112,15 @@ def first_section(record_clock):
 
 
 @internal
+def acts(mode):
+    """Whether a contact's force acts in a mode."""
+    return _ACTS[int(abs(mode))]
+
+
+@internal
 def _set_contact_time(at, point, contact):
     """Begin the sum of a contact's time: the initial time is subtracted if it is closed."""
-    is_touching = abs(point[at.mode + contact]) == ON
-    point[at.contact_time + contact] = -point[at.t_start] if is_touching else 0.0
+    point[at.contact_time + contact] = -point[at.t_start] if acts(point[at.mode + contact]) else 0.0
 
 
 @internal
@@ -133,7 +140,8 @@ def follow(at, point, ended, rtol):
     # on a wall it keeps the other point's contact modes
     is_on_wall = _set_state(at, point, ended[at.q : at.q + at.n_states], rtol)
     for contact in range(at.contacts):
-        if is_on_wall:
+        # a rigid wall holds from the first step on if it does
+        if is_on_wall and not (at.has_impacts and point[at.rigid + contact] > 0.0):
             point[at.mode + contact] = ended[at.mode + contact]
         _set_contact_time(at, point, contact)
 
@@ -215,12 +223,31 @@ def _set_modes(at, point):
                 gap += point[at.direction + contact * at.n + i] * point[at.q + i]
             point[at.gap + contact] = gap
         lower, upper = point[at.lower + contact], point[at.upper + contact]
+        if at.has_impacts and point[at.rigid + contact] > 0.0:
+            gap = _set_on_rigid_wall(at, point, contact, gap)
         is_on_wall |= gap in (upper, lower)
         mode = 1.0 if gap > upper else -1.0 if gap < lower else 0.0
+        if at.has_impacts and mode != 0.0 and point[at.rigid + contact] > 0.0:
+            mode, point[at.n_short] = mode * HOLD, MODEL_INVALID
         if at.has_slack and mode * _force(at, point, contact, gap, mode) < 0.0:
             mode *= SLACK
         point[at.mode + contact] = mode
     return is_on_wall
+
+
+@internal
+def _set_on_rigid_wall(at, point, contact, gap):
+    """Put a gap that only rounding separates from a rigid wall on the wall; return the gap."""
+    size = abs(gap)
+    if not at.is_plain:
+        size = 0.0
+        for i in range(at.n):
+            size += abs(point[at.direction + contact * at.n + i] * point[at.q + i])
+    for wall in (point[at.lower + contact], point[at.upper + contact]):
+        if abs(gap - wall) <= _AT_WALL * size:
+            gap = wall
+    point[at.q if at.is_plain else at.gap + contact] = gap
+    return gap
 
 
 @internal

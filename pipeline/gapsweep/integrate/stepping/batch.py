@@ -18,7 +18,7 @@ from gapsweep.integrate.lanes.row_layout import RowLayout, aligned
 from gapsweep.integrate.lanes.scene_table import SceneTable, check, set_modes_on_walls
 from gapsweep.integrate.lanes.start_rows import BACKWARD, NOT_FINITE, ON_WALL, set_starts
 from gapsweep.integrate.problem import Problems, is_late
-from gapsweep.model.contact_modes import ON
+from gapsweep.model.contact_modes import HOLD, ON
 from gapsweep.status import DIVERGED_AT, Status
 
 from . import record
@@ -62,7 +62,7 @@ class WorkSpace:
         self.coefficients = aligned(at.n_coefficients, at.width)
         self.lane_point = np.empty(at.width, np.int64)
         self.progress, self.fill = np.empty(2, np.int64), np.empty(len(record.LOGS), np.int64)
-        self.work = work_space(at.order, at.contacts)
+        self.work = work_space(at.order, at.contacts, at.n, at.m)
         per_step, widths = record.rows_per_step.py_func(at), _log_columns(at)
         self._sizes = [
             (max(_LOG_VALUES // columns, rows), columns)
@@ -165,14 +165,15 @@ class Batch:
 
         Only where all events are recorded.
         """
-        touches = np.abs(self._rows(self.at.mode, self.at.contacts)) == ON
+        modes = np.abs(self._rows(self.at.mode, self.at.contacts))
+        touches = (modes == ON) | (modes == HOLD)
         until_left = self._rows(self.at.contact_time, self.at.contacts)
         return np.asarray(until_left + np.where(touches, self.t[:, None], 0.0))
 
     @property
     def contact_loss(self) -> Array:
         """Contact loss as in `Motions`, shape (n,)."""
-        if not self.at.is_damped:
+        if not (self.at.is_damped or self.at.has_impacts):
             return np.zeros(len(self.status))
         return self.points[:, self.at.contact_loss].copy()
 
@@ -184,7 +185,10 @@ class Batch:
         """
         if not self.at.is_damped:
             return None
-        return self._rows(self.at.contact_force, self.at.contacts)
+        found = self._rows(self.at.contact_force, self.at.contacts)
+        if not self.at.has_impacts:
+            return found
+        return np.where(self._rows(self.at.rigid, self.at.contacts) > 0.0, np.nan, found)
 
     @property
     def monodromy(self) -> Array | None:

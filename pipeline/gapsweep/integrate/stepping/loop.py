@@ -17,11 +17,20 @@ from gapsweep.integrate.lanes import outcome
 from gapsweep.integrate.lanes.method import method_step
 from gapsweep.integrate.lanes.outcome import MAX_HALVINGS, SHORT_STEP
 from gapsweep.integrate.lanes.pieces import enter_next_piece
-from gapsweep.integrate.lanes.start_rows import follow
+from gapsweep.integrate.lanes.start_rows import acts, follow
 from gapsweep.integrate.vectors import lowest_bit
-from gapsweep.model.contact_modes import ON, SLACK
+from gapsweep.model.contact_modes import HOLD, ON, SLACK
 from gapsweep.status import Status
 
+from .impacts import (
+    begin_impacts,
+    meet,
+    released,
+    set_held,
+    settle_on_wall,
+    turn_tangent,
+    while_accurate,
+)
 from .passings import count_passings, record_passings
 from .record import has_room, load_depth, load_series, record_steps
 from .roots import Work, first_exit, polynomial
@@ -43,6 +52,8 @@ def _interval(at, lanes, k, contact):
     mode = lanes[at.mode + contact, k]
     if at.has_slack and abs(mode) == ON and lanes[at.slack_damping + contact, k] > 0.0:
         return -np.inf, np.inf  # its force ends the mode
+    if abs(mode) == HOLD:
+        return -np.inf, np.inf
     lower, upper = lanes[at.lower + contact, k], lanes[at.upper + contact, k]
     lo = -np.inf if mode < 0.0 else (upper if mode > 0.0 else lower)
     hi = np.inf if mode > 0.0 else (lower if mode < 0.0 else upper)
@@ -53,13 +64,20 @@ def _interval(at, lanes, k, contact):
 def _watched(at, lanes, k, number, coefficients, series):
     """Put a watched series of lane k into `series`; return the interval that its mode allows.
 
-    Gaps come first, then the forces of contacts that never pull, as in `Modes.watched`.
+    Gaps come first, then the forces of contacts that never pull, as in `Modes.watched`, or are
+    held on a rigid wall.
     """
     contact = number % at.contacts
     load_series(coefficients, (at.first_gap + contact) * at.n_terms, k, series)
+    mode = lanes[at.mode + contact, k]
     if number < at.contacts:
+        if at.has_impacts:
+            settle_on_wall(at, lanes, k, contact, series)
         return _interval(at, lanes, k, contact)
-    mode, damping = lanes[at.mode + contact, k], lanes[at.slack_damping + contact, k]
+    if abs(mode) == HOLD:
+        load_series(coefficients, (at.first_hold + contact) * at.n_terms, k, series)
+        return (0.0, np.inf) if mode > 0.0 else (-np.inf, 0.0)
+    damping = lanes[at.slack_damping + contact, k] if at.has_slack else 0.0
     if mode == 0.0 or damping == 0.0:
         return -np.inf, np.inf
     stiffness, _ = load_depth(at, lanes, coefficients, k, contact, mode, series)
@@ -99,11 +117,14 @@ def _pass_wall(at, lanes, k, contact, side):
 
 @internal
 def _pass_zero(at, lanes, k, contact, side):
-    """Change the mode of a contact that never pulls where its force passes zero, and count it."""
-    lanes[at.side + contact, k] = side
+    """Change the mode of a contact where its force passes zero, and count it."""
     mode = lanes[at.mode + contact, k]
-    lanes[at.mode + contact, k] = math.copysign(SLACK if abs(mode) == ON else ON, mode)
-    lanes[at.n_contacts, k] += 1.0
+    if abs(mode) == HOLD:
+        released(at, lanes, k, contact)
+    else:
+        lanes[at.side + contact, k] = side
+        lanes[at.mode + contact, k] = math.copysign(SLACK if abs(mode) == ON else ON, mode)
+        lanes[at.n_contacts, k] += 1.0
     lanes[at.switched + contact, k] = 1.0
 
 
@@ -112,7 +133,7 @@ def _find_exits(at, lanes, k, coefficients, work):
     """Find the first exit of every watched series, for `work.exits`; return the earliest."""
     h = lanes[at.step, k]
     earliest = h
-    for number in range(at.contacts * (1 + at.has_slack)):
+    for number in range(at.contacts * (1 + at.has_forces)):
         lo, hi = _watched(at, lanes, k, number, coefficients, work.series)
         end, _ = polynomial(work.series, at.order, h)
         t, side = first_exit(h, lo, hi, end, work)
@@ -138,9 +159,11 @@ def _advance_state(at, lanes, k, first, kept, step, coefficients, work):
 
 
 @internal
-def _commit_contacts(at, lanes, k, step, work):
+def _commit_contacts(at, lanes, k, step, coefficients, work):
     """Change modes that end within `step`, and set the gaps; True if a wall is passed."""
     has_passed = False
+    if at.has_impacts:
+        begin_impacts(at, lanes, k, step, coefficients, work)
     for contact in range(at.contacts):
         lo, hi = _interval(at, lanes, k, contact)
         side = work.exits[contact, 1]
@@ -152,12 +175,16 @@ def _commit_contacts(at, lanes, k, step, work):
         # proved to be inside; only rounding can put the computed end past the wall
         place = min(max(place, lo), hi)
         if side != 0.0 and work.exits[contact, 0] <= step:
-            _pass_wall(at, lanes, k, contact, side)
             place, has_passed = hi if side > 0.0 else lo, True
-        elif at.has_slack:
+            if at.has_impacts and lanes[at.rigid + contact, k] > 0.0:
+                meet(at, lanes, k, contact, side, step, coefficients, work)
+            else:
+                _pass_wall(at, lanes, k, contact, side)
+        elif at.has_forces:
             side, when = work.exits[at.contacts + contact, 1], work.exits[at.contacts + contact, 0]
             lanes[at.switched + contact, k] = 0.0
-            if side != 0.0 and when <= step:
+            is_same = lanes[at.mode + contact, k] == lanes[at.mode_0 + contact, k]
+            if side != 0.0 and when <= step and is_same:
                 _pass_zero(at, lanes, k, contact, side)
                 has_passed = True
         lanes[at.q if at.is_plain else at.gap + contact, k] = place
@@ -165,12 +192,16 @@ def _commit_contacts(at, lanes, k, step, work):
 
 
 @internal
-def _resolve(at, lanes, k, coefficients, work):
+def _resolve(at, lanes, k, coefficients, work, rtol):
     """Commit the step of a lane whose crossing was unclear. True if that ends the point."""
     turns = lanes[at.end_cycle, k] - lanes[at.cycle, k]
     turns += lanes[at.end_tau, k] - lanes[at.tau, k] - lanes[at.tau_low, k]
     left = max(turns * lanes[at.period, k], 0.0)
     h = lanes[at.step, k]
+    if at.has_impacts:
+        if lanes[at.n_short, k] == outcome.MODEL_INVALID:
+            return False
+        lanes[at.step, k] = h = while_accurate(at, lanes, k, coefficients, h, rtol, work)
     if h < lanes[at.min_step, k] and left <= h * HALVED:
         # halved as often as may be for a motion that stays on its wall, until nothing is left
         lanes[at.step, k] = h = left
@@ -183,11 +214,15 @@ def _resolve(at, lanes, k, coefficients, work):
         for n in range(at.n_terms):
             work.series[n] = lanes[at.loss + n, k]
         lanes[at.contact_loss, k] += polynomial(work.series, at.order, step)[0]
-    has_passed = _commit_contacts(at, lanes, k, step, work)
+    has_passed = _commit_contacts(at, lanes, k, step, coefficients, work)
     is_done = not has_passed and h == left
     _commit_clock(at, lanes, k, step, is_done)
+    if at.has_impacts and lanes[at.n_short, k] == outcome.MODEL_INVALID:
+        return False
     if has_passed:
-        is_short = step * lanes[at.rate, k] < SHORT_STEP
+        # bounces on rigid walls become as short
+        shortest = SHORT_STEP * (SHORT_STEP if at.has_impacts else 1.0)
+        is_short = step * lanes[at.rate, k] < shortest
         lanes[at.n_short, k] = lanes[at.n_short, k] + 1.0 if is_short else 0.0
     else:
         has_underflow = h < lanes[at.min_step, k] and not is_done
@@ -207,6 +242,8 @@ def _resolve(at, lanes, k, coefficients, work):
             kept += (at.n + at.m) * at.n_terms
             if at.is_damped and at.is_taylor:
                 _jump(at, lanes, k, first, j >= at.n_states)
+            if at.has_impacts:
+                turn_tangent(at, lanes, k, first, work)
     return is_done
 
 
@@ -296,7 +333,7 @@ def _part(at, lanes, k):
         is_on = place in (lower, upper)
         if is_on and abs(speed) <= slack * lanes[at.rate, k]:
             has_gap = lower < upper  # without one it stays in contact
-            if has_gap and abs(lanes[at.mode + contact, k]) == ON:
+            if has_gap and acts(lanes[at.mode + contact, k]):
                 if lanes[at.side + contact, k] != 0.0:  # just passed: taken back
                     lanes[at.side + contact, k] = 0.0
                     lanes[at.n_contacts, k] -= 1.0
@@ -310,18 +347,20 @@ def _part(at, lanes, k):
             lanes[at.mode + contact, k] = 0.0 if has_gap else 1.0
             is_parted = True
     if is_parted:
+        if at.has_impacts:
+            set_held(at, lanes, k)
         lanes[at.n_short, k] = 0.0
     return is_parted
 
 
 @internal
-def _settle(at, unclear, lanes, coefficients, work):
+def _settle(at, unclear, lanes, coefficients, work, rtol):
     """Commit the steps of lanes whose crossing was unclear; return those whose point ends."""
     done = 0
     while unclear != 0:
         k = lowest_bit(unclear)
         unclear &= unclear - 1
-        if _resolve(at, lanes, k, coefficients, work):
+        if _resolve(at, lanes, k, coefficients, work, rtol):
             done |= 1 << k
     return done
 
@@ -344,11 +383,11 @@ def _judged(at, suspects, lanes, x_bound, max_short):
 @internal
 def _attend(layout, named, run, limits):
     """Do the scalar work for lanes that a step has reported: crossings, records, ends."""
-    _, x_bound, max_short = limits
+    rtol, x_bound, max_short = limits
     at, lanes = run.at[0], run.lanes
     done, bad, recording = named.done, named.bad, named.recording
     count_passings(layout, named.miscounted, run)
-    done |= _settle(at, named.unclear, lanes, run.coefficients, run.work)
+    done |= _settle(at, named.unclear, lanes, run.coefficients, run.work, rtol)
     failed, parted = _judged(at, named.unclear | bad, lanes, x_bound, max_short)
     bad &= ~parted
     recording &= ~failed

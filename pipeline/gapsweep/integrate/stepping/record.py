@@ -18,13 +18,13 @@ from numba.extending import intrinsic
 from gapsweep.integrate.jit import entry, internal
 from gapsweep.integrate.lanes.outcome import CLOCK_SLACK
 from gapsweep.integrate.lanes.rows import rows_of
-from gapsweep.integrate.lanes.start_rows import first_section
+from gapsweep.integrate.lanes.start_rows import acts, first_section
 from gapsweep.integrate.vectors import (
     I64,
     absolute,
     lowest_bit,
 )
-from gapsweep.model.contact_modes import ON
+from gapsweep.model.contact_modes import HOLD, ON
 
 from .roots import DOUBLE, SIMPLE, isolate, polynomial
 from .turns import TOUCH, find_coordinate_turns, find_gap_turns
@@ -266,13 +266,15 @@ def _record_contact(at, run, k, contact):
     """Record a contact that begins or ends, both if the gap is zero: its time, and rows if kept."""
     lanes = run.lanes
     end = lanes[at.start_time, k] + lanes[at.step, k]
-    if at.is_tanh:
-        end += lanes[at.lag, k]
     mode, mode_0 = lanes[at.mode + contact, k], lanes[at.mode_0 + contact, k]
+    if at.is_tanh or abs(mode) == HOLD:
+        end += lanes[at.lag, k]
     has_gap = lanes[at.lower + contact, k] < lanes[at.upper + contact, k]
     is_left, is_made = mode == 0.0 or (not has_gap and mode_0 != 0.0), mode != 0.0
-    if at.has_slack:
-        is_left, is_made = abs(mode_0) == ON, abs(mode) == ON
+    if at.has_forces:
+        is_left, is_made = acts(mode_0), acts(mode)
+    if at.has_impacts and mode_0 == 0.0 and mode == 0.0:  # an impact
+        is_left = is_made = True
     if is_left:
         lanes[at.contact_time + contact, k] += end
         if run.contacts:
@@ -281,6 +283,25 @@ def _record_contact(at, run, k, contact):
         lanes[at.contact_time + contact, k] -= end
         if run.contacts:
             write_row(run, CONTACTS, k, end, contact)
+
+
+@internal
+def _record_rebounds(at, run, k):
+    """Record extrema of lane k on rigid walls: of quantities with a speed that impacts turn."""
+    lanes = run.lanes
+    end = lanes[at.start_time, k] + lanes[at.step, k]
+    for i in range(at.n):
+        if lanes[at.v_in + i, k] != 0.0 and lanes[at.v_in + i, k] * lanes[at.v + i, k] <= 0.0:
+            _write_turn(run, k, end, i, lanes[at.q + i, k])
+    for contact in range(at.n_turning - at.n):
+        mode, mode_0 = lanes[at.mode + contact, k], lanes[at.mode_0 + contact, k]
+        before = after = 0.0
+        for i in range(at.n if abs(mode_0) != HOLD else 0):
+            along = lanes[at.direction + contact * at.n + i, k]
+            before += along * lanes[at.v_in + i, k]
+            after += along * lanes[at.v + i, k]
+        if before != 0.0 and (before * after <= 0.0 or abs(mode) == HOLD):
+            _write_turn(run, k, end, at.n + contact, lanes[at.gap + contact, k])
 
 
 @internal
@@ -419,6 +440,8 @@ def record_steps(layout, among, run):
     while contacts != 0:
         k = lowest_bit(contacts)
         contacts &= contacts - 1
+        if at.has_impacts and run.turns:
+            _record_rebounds(at, run, k)
         for contact in range(at.contacts):
             if run.lanes[at.side + contact, k] != 0.0:
                 _record_contact(at, run, k, contact)

@@ -162,8 +162,15 @@ def _gap_speed(state, contact):
         return None  # its gap is its coordinate
     direction = state.below(contact, layout.n)
     rows = [direction[layout.direction + i] for i in range(layout.n)]
-    return dot(rows, state.rows("v"), state["tau"].constant(0.0))
+    return dot(rows, state.rows(_end_speed(layout)), state["tau"].constant(0.0))
 
 
-find_coordinate_turns = _turns_of(lambda state, i: state.below(i, 1)[state.layout.v])
+def _end_speed(layout):
+    """Name of the rows of the speeds at the end of a step, before impacts there."""
+    return "v_in" if layout.has_impacts else "v"
+
+
+find_coordinate_turns = _turns_of(
+    lambda state, i: state.below(i, 1)[state.layout.first[_end_speed(state.layout)]]
+)
 find_gap_turns = _turns_of(_gap_speed)

@@ -33,7 +33,7 @@ from gapsweep.integrate.vectors import (
     rough_log2,
     where,
 )
-from gapsweep.model.contact_modes import ON
+from gapsweep.model.contact_modes import HOLD, ON
 
 from .law_series import contact_forces
 from .terms import product_term, square_term
@@ -141,6 +141,7 @@ def extend(equation, series, to):
         each[size:], merged = merged[:n], merged[n:]
 
 
+_HELD = 1e-14  # of an acceleration: what rounding leaves of it in a held direction
 _TO_WALL = 2.0  # step in mode slack, over the time to the wall at the present speed
 
 
@@ -163,6 +164,9 @@ class Modes:
         contact. Empty where no contact has one.
     pressures : list of Pressure
         Forces that decide modes; empty without contacts that never pull.
+    held : list of Mask
+        Contacts in mode hold: code for single lanes decides where it ends. Empty without rigid
+        walls.
 
     Where contacts are not located, no wall is in contact, and a mode has no ends. A wall in mode
     slack is not in contact.
@@ -171,7 +175,7 @@ class Modes:
     def __init__(self, lanes, mode_rows="mode"):
         layout = lanes.layout
         self.touching, self.wall, self.lo, self.hi, self.stiffness = [], [], [], [], []
-        self.pressures = []
+        self.pressures, self.held = [], []
         names = mode_rows, "lower", "upper", "lower_stiffness", "upper_stiffness"
         for mode, lower, upper, *stiffness in zip(*map(lanes.rows, names), strict=True):
             mode = mode if layout.is_located else 0.0 * mode
@@ -185,6 +189,11 @@ class Modes:
                     where(pressure.decides, math.inf, hi),
                 )
                 self.pressures.append(pressure)
+            if layout.has_impacts:
+                self.held.append(absolute(mode).equals(HOLD))
+                lo = where(self.held[-1], -math.inf, lo)
+                hi = where(self.held[-1], math.inf, hi)
+            if layout.has_forces:
                 above, below = mode.equals(ON), mode.equals(-ON)
             self.lo.append(lo)
             self.hi.append(hi)
@@ -332,6 +341,8 @@ class Equation:
         Factors of speeds, coordinates and first-order states, by first-order state.
     rates : list of list of Vec
         Series of the contacts' stiffness where it is periodic, empty where it is constant.
+    holding : list of list of Vec
+        Inverse of B'M^-1 B of the held contacts, zero for others; empty without rigid walls.
     is_tight : value
         Condition of the larger one of the `degrees`.
     """
@@ -350,6 +361,7 @@ class Equation:
         self.direction = [] if self.is_plain else lanes.matrix("direction", layout.contacts)
         self.cubic = lanes.matrix("cubic", n) if self.is_plain else []
         self.pull = lanes.matrix("pull", n)
+        self.holding = lanes.matrix("held", layout.contacts if layout.has_impacts else 0)
         self.is_located, self.chi = layout.is_located, modes.chi
         self.contact = modes.stiffness if self.is_located else [self.zero + 1.0] * layout.contacts
         self.rates = self._rates(lanes)
@@ -424,6 +436,20 @@ class Equation:
         more = [chi * rate for chi, rate in zip(self.chi, rates, strict=True)]
         return [a + b for a, b in zip(found, more, strict=True)] if found else more
 
+    def held(self, accelerations):
+        """Return accelerations less those of held gaps, and the forces of all contacts for this."""
+        if not self.holding:
+            return accelerations, []
+        along = accelerations
+        if not self.is_plain:
+            along = [dot(b, accelerations, self.zero) for b in self.direction]
+        forces = [dot(row, along, self.zero) for row in self.holding]
+        found = []
+        for i, before in enumerate(accelerations):
+            after = self.pulled(i, forces, before)
+            found.append(where(absolute(after) <= absolute(before) * _HELD, 0.0, after))
+        return found, forces
+
     def pulled(self, i, forces, total):
         """Return the acceleration `total` of coordinate i minus that due to contact forces."""
         for k, force in enumerate(forces):
@@ -451,9 +477,11 @@ class StepSeries:
         Series of the square of a plain oscillator's coordinate, up to two degrees less.
     laws : list of ContactForce
         Forces of contacts that are not located.
+    forces : list of list of Vec
+        Series of the forces that hold contacts on rigid walls, upwards; empty without such walls.
     """
 
-    laws = ()
+    laws = forces = _held = ()
 
     def __init__(self, lanes, modes, equation):
         layout = lanes.layout
@@ -464,8 +492,10 @@ class StepSeries:
         self.depths = [[g[0] - w] for g, w in zip(self.gaps, modes.wall, strict=True)]
         self.laws = contact_forces(lanes, self.gaps)
         self._pressed = [law.force() for law in self.laws] or self.depths
-        self.square = []
+        self.square, self._held = [], modes.held
+        self.forces = [[] for _ in modes.held]
         others = [self.square] if layout.is_plain else self.gaps
+        others = [*others, *self.forces]
         extend(equation, [*self.q, *self.z, *others], self._to)
 
     def _to(self, order):
@@ -488,7 +518,8 @@ class StepSeries:
         if len(self.depths[0] if self.depths else ()) > n:
             return
         for k, direction in enumerate(self.equation.direction):
-            self.gaps[k].append(self._across(direction, n))
+            term = self._across(direction, n)
+            self.gaps[k].append(where(self._held[k], 0.0, term) if self._held else term)
         for depth, gap in zip(self.depths, self.gaps, strict=True):
             depth.append(gap[n])
 
@@ -521,7 +552,10 @@ class StepSeries:
             for a, z in zip(one.others[i], self.z, strict=True):
                 total = fma(-a, z[n], total)
             totals.append(total)
-        for q, total in zip(self.q, self._less_cubes(n, totals), strict=True):
+        accelerations, forces = one.held(self._less_cubes(n, totals))
+        for series, force in zip(self.forces, forces, strict=True):
+            series.append(force)
+        for q, total in zip(self.q, accelerations, strict=True):
             q.append(total * (1.0 / ((n + 1) * (n + 2))))
 
 

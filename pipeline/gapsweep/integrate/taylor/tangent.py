@@ -110,11 +110,10 @@ def _variation(lanes, one, square, slopes, depths, source=None):
                     total = fma(c * float(n + 1), x[n + 1], total)
                 for a, x in zip(one.others[i], z, strict=True):
                     total = fma(a, x[n], total)
-                total = one.pulled(i, forces, more[i] - total if source else -total)
-                new.append(total * (1.0 / ((n + 1) * (n + 2))))
+                new.append(one.pulled(i, forces, more[i] - total if source else -total))
             extend_lags(one, y, z, n, of_lags)
-            for series, term in zip(y, new, strict=True):
-                series.append(term)
+            for series, total in zip(y, one.held(new)[0], strict=True):
+                series.append(total * (1.0 / ((n + 1) * (n + 2))))
         extend_lags(one, y, z, order - 1, of_lags)
 
     extend(one, y + z, to)
@@ -193,6 +192,55 @@ def _jump(lanes, one, source=None):
     return jump
 
 
+def _impacts(lanes, coefficients, one, depths):
+    """Return a function of an end state that returns the state after impacts on rigid walls.
+
+    With ``beta = M^-1 b / (b'M^-1 b)`` and R, which takes ``(1 + e) beta (b.v)`` from the speed,
+    the state is multiplied by ``R + (f_after - R f_before) n' / (n'f_before)``. The rate of the
+    state is f, and n'f_before the speed of the gap: the time of the impact depends on the state.
+    """
+    layout, step = lanes.layout, lanes["step"]
+    n, n_terms, none = layout.n, layout.n_terms, one.zero
+    v, rates = lanes.rows("v_in"), []
+    for i in range(n):
+        speed = [coefficients[i * n_terms + k] * float(k) for k in range(1, n_terms)]
+        rates.append(value_and_slope(speed, step)[1])
+    meetings = []
+    for k, side in enumerate(lanes.rows("side")):
+        direction = [none + 1.0] if one.is_plain else one.direction[k]
+        pull = [none + 1.0] if one.is_plain else [row[k] for row in one.pull]
+        compliance = none + 1.0 if one.is_plain else lanes[layout.compliance + k]
+        speed = dot(direction, v, none)
+        meets = (lanes[layout.rigid + k] > 0.0) & (speed * side > 0.0)
+        share = where(meets, (lanes[layout.restitution + k] + 1.0) / compliance, 0.0)
+        change = [-(share * speed * each) for each in pull]
+        kick = [-dot(row, change, none) for row in one.damping]
+        for j, (chi, depth) in enumerate(zip(one.chi, depths, strict=True)):
+            along = change[0] if one.is_plain else dot(one.direction[j], change, none)
+            force = chi * value_and_slope(depth, step)[0] * along
+            kick = [one.pulled(i, [none] * j + [force], total) for i, total in enumerate(kick)]
+        per_speed = where(meets, 1.0 / speed, 0.0)
+        towards = share * dot(direction, rates, none)
+        rates = [a + b for a, b in zip(rates, kick, strict=True)]
+        kick = [(a + towards * each) * per_speed for a, each in zip(kick, pull, strict=True)]
+        kick += [dot(row[:n], change, none) * per_speed for row in one.lags]
+        meetings.append((direction, [share * each for each in pull], kick))
+        v = [a + b for a, b in zip(v, change, strict=True)]
+
+    def after(*state):
+        ends = list(state)
+        for direction, beta, kick in meetings:
+            place, speed = dot(direction, ends[:n], none), dot(direction, ends[n : 2 * n], none)
+            for i, each in enumerate(beta):
+                ends[i] = fma(-each, place, ends[i])
+                ends[n + i] = fma(-each, speed, ends[n + i])
+            for i, each in enumerate(kick):
+                ends[n + i] = fma(each, place, ends[n + i])
+        return ends
+
+    return after
+
+
 def solution_rows(lanes, coefficients, number):
     """Return lanes and coefficients from the rows of a solution on, for a run-time `number`."""
     layout = lanes.layout
@@ -218,6 +266,11 @@ def _tangent_step(typingctx, at, lanes, coefficients, rtol, unclear):
         slopes, depths = _slopes(rows, series, one), _depths(rows, series, modes)
         keeps = mask_of(builder, args[4], layout.width)
         jump = _jump(rows, one) if layout.is_damped else None
+        if layout.has_impacts:
+            impacts, damping = _impacts(rows, series, one, depths), jump
+
+            def jump(*state):
+                return impacts(*(damping(*state) if damping else state))
 
         def advance(number):
             solution, kept = solution_rows(rows, series, number)

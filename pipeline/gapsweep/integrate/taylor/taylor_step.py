@@ -206,14 +206,22 @@ class _Exits:
     shapes : list of _Shape
     """
 
-    def __init__(self, builder, motion, modes, h, layers):
+    def __init__(self, builder, lanes, motion, modes, h, layers):
         watched = modes.watched(motion.gaps)
         h, is_decided, self.shapes = _emit_decided_step(builder, watched, h, layers)
         found = [self._crossing_of(builder, *each, h, is_decided) for each in watched]
         self.h, self.is_unclear = h, ~is_decided
         for leaves, crosses, *_ in found:
             self.is_unclear = self.is_unclear | (leaves & ~crosses)
-        first = found[0] if len(found) == 1 else None
+        for rigid, e, held, (_, crosses, t, *_) in zip(
+            lanes.rows("rigid"), lanes.rows("restitution"), modes.held, found, strict=False
+        ):
+            # what may begin or end in a hold, or change other modes, is for code of single lanes
+            meets = crosses & (rigid > 0.0)
+            if not lanes.layout.has_slack:
+                meets = meets & ((t * lanes["rate"] < SHORT_STEP) | ~(e > 0.0))
+            self.is_unclear = self.is_unclear | held | meets
+        first = found[0] if len(found) == 1 and not modes.held else None
         self.step = (
             where(first[1], first[2], h)
             if first
@@ -311,19 +319,46 @@ def _commit_contacts(lanes, modes, motion, exits, state):
     n_walls = lanes["tau"].constant(0.0)
     for k, side in enumerate(exits.sides):
         passes, touching = exits.passes[k], modes.touching[k]
+        n_passed = where(passes, 1.0, 0.0 * n_walls)
+        if layout.has_impacts:  # which leave the mode, and end a contact at once
+            is_rigid = lanes[layout.rigid + k] > 0.0
+            n_passed = where(is_rigid, n_passed * 2.0, n_passed)
+            passes = passes & ~is_rigid
         mode, has_gap = lanes[layout.mode + k], lanes[layout.lower + k] < lanes[layout.upper + k]
         # Leaving contact without a gap is entering contact with the other wall.
         lanes[layout.mode + k] = where(passes, where(touching & has_gap, 0.0 * side, side), mode)
         lanes[layout.mode_0 + k], lanes[layout.side + k] = mode, side
-        n_walls = n_walls + where(passes, where(touching & ~has_gap, side.constant(2.0), 1.0), 0.0)
+        n_walls = n_walls + where(passes & touching & ~has_gap, n_passed * 2.0, n_passed)
         if not layout.is_plain:
             # Exactly on the wall that it passes; proved to be inside of the others.
             lo, hi, old = modes.lo[k], modes.hi[k], motion.gaps[k][0]
             gap = dot(motion.equation.direction[k], state[: layout.n], old.constant(0.0))
             gap = minimum(maximum(gap, lo), hi)
-            gap = where(passes, where(side > 0.0, hi, lo), gap)
+            gap = where(exits.passes[k], where(side > 0.0, hi, lo), gap)
             lanes[layout.gap + k] = where(exits.is_unclear, old, gap)
     return n_walls
+
+
+def _meet_rigid_walls(lanes, motion, exits, state):
+    """Reverse the speeds of gaps in `state` that meet rigid walls; return the contact loss."""
+    layout = lanes.layout
+    n, none = layout.n, lanes["tau"].constant(0.0)
+    lost = none
+    for i in range(n):
+        lanes[layout.v_in + i] = state[n + i]
+    for k in range(layout.contacts):
+        speed, pull, compliance = state[n], [1.0], none + 1.0
+        if not layout.is_plain:
+            speed = dot(motion.equation.direction[k], state[n : 2 * n], none)
+            pull = [row[k] for row in motion.equation.pull]
+            compliance = lanes[layout.compliance + k]
+        # not where an impact of another contact has turned it
+        meets = exits.passes[k] & (lanes[layout.rigid + k] > 0.0) & (speed * exits.sides[k] > 0.0)
+        change = where(meets, (lanes[layout.restitution + k] + 1.0) * speed / compliance, 0.0)
+        for i in range(n):
+            state[n + i] = state[n + i] - change * pull[i]
+        lost = lost + where(meets, lanes[layout.of_impact + k], 0.0)
+    return lost
 
 
 def _commit_slack(lanes, modes, motion, exits, state):
@@ -379,6 +414,8 @@ def _emit_step(builder, lanes, coefficients, scalars):
     equation = Equation(lanes, coefficients, modes, is_tight)
     motion = (TanhMotion if layout.is_tanh else StepSeries)(lanes, modes, equation)
     kept = motion.q if layout.is_plain else motion.q + motion.z + motion.gaps
+    padding = [lanes["tau"].constant(0.0)] * layout.n_terms
+    kept = kept + [(force + padding)[: layout.n_terms] for force in motion.forces]
     for number, series in enumerate(kept):
         for n, term in enumerate(series):
             coefficients[number * layout.n_terms + n] = term
@@ -405,7 +442,7 @@ def _emit_step(builder, lanes, coefficients, scalars):
 
     # 2., 3. which lanes leave their intervals, and where exactly
     if layout.is_located:
-        exits = _Exits(builder, motion, modes, h, layers)
+        exits = _Exits(builder, lanes, motion, modes, h, layers)
     else:
         exits = _Passings(lanes, motion, h, is_last)
     if layers:
@@ -417,6 +454,7 @@ def _emit_step(builder, lanes, coefficients, scalars):
     is_last = is_last & (exits.h >= left)
     is_one = layout.is_plain and not layout.has_slack  # watched series
     state = list(exits.ends[0]) if is_one else _state_at(motion, step)
+    lost = _meet_rigid_walls(lanes, motion, exits, state) if layout.has_impacts else None
 
     # 4. commit
     if layers and layout.tangent:
@@ -463,8 +501,10 @@ def _emit_step(builder, lanes, coefficients, scalars):
     lanes["n_steps"] = lanes["n_steps"] + where(keeps, 0.0 * one, 1.0)
     lanes["n_contacts"] = lanes["n_contacts"] + n_walls
     if layout.is_damped:
-        lost = where(keeps, 0.0 * one, modes.loss(lanes, motion.gaps, step))
-        lanes["contact_loss"] = lanes["contact_loss"] + lost
+        of_damping = modes.loss(lanes, motion.gaps, step)
+        lost = lost + of_damping if lost else of_damping
+    if lost:
+        lanes["contact_loss"] = lanes["contact_loss"] + where(keeps, 0.0 * one, lost)
     lanes["n_short"] = where(keeps, lanes["n_short"], n_short)
     lanes["step"], lanes["tau_0"], lanes["cycle_0"] = step, tau, cycle
 

@@ -1,0 +1,354 @@
+"""Impacts on rigid walls and holds there, for single lanes at the end of a step.
+
+An impact changes the speed of the gap from u to -e u. A body that a load presses on the wall with
+the acceleration a bounces in ever shorter flights to the height ``(e u)^2 / (2 a)``. From a height
+below `LOW` times the largest displacement on, all further flights are summed: after
+``2 e u / (a (1 - e))`` the wall holds the body. The hold ends where its force falls to zero.
+
+Impacts that meet at one time are taken one after the other, by the numbers of their contacts. One
+that moves a held body ends its hold.
+"""
+
+import math
+
+import numpy as np
+
+from gapsweep.integrate.jit import internal
+from gapsweep.integrate.lanes.outcome import MODEL_INVALID
+from gapsweep.model.contact_modes import HOLD, ON, SLACK
+
+from .record import load_series
+from .roots import polynomial
+
+LOW = 1e-13
+# Flights are summed only if they end within this time, in rad of the fastest frequency.
+_LONGEST_REST = 1e-3
+_STILL = 64.0 * np.finfo(float).eps  # of the speeds that a gap's speed is the sum of
+_ACCURATE = 0.1  # of the relative tolerance: last terms of the series of a hold force
+_DEPENDENT = 1e-12  # of b'M^-1 b: what is left of it by the other held contacts, if that is nothing
+
+
+@internal
+def _along(at, lanes, k, contact, first):
+    """Component along a contact's direction of the vector in rows from `first` on; its size."""
+    if at.is_plain:
+        return lanes[first, k], abs(lanes[first, k])
+    total = size = 0.0
+    for i in range(at.n):
+        part = lanes[at.direction + contact * at.n + i, k] * lanes[first + i, k]
+        total, size = total + part, size + abs(part)
+    return total, size
+
+
+@internal
+def _pull(at, lanes, k, i, contact):
+    """Acceleration of coordinate i by a unit force of a contact."""
+    return 1.0 if at.is_plain else lanes[at.pull + i * at.contacts + contact, k]
+
+
+@internal
+def _second(series, t):
+    """Second derivative of a series at time t."""
+    total = 0.0
+    for n in range(len(series) - 1, 1, -1):
+        total = total * t + n * (n - 1) * series[n]
+    return total
+
+
+@internal
+def settle_on_wall(at, lanes, k, contact, series):
+    """Drop rounding errors from the gap's series of a body at rest on a rigid wall."""
+    is_on = series[0] in (lanes[at.lower + contact, k], lanes[at.upper + contact, k])
+    if not is_on or lanes[at.rigid + contact, k] == 0.0:
+        return
+    was_held = lanes[at.switched + contact, k] > 0.0
+    _, size = _along(at, lanes, k, contact, at.v)
+    if was_held or abs(series[1]) <= _STILL * size:
+        series[1] = 0.0
+    if was_held:
+        series[2] = 0.0
+
+
+@internal
+def while_accurate(at, lanes, k, coefficients, h, rtol, work):
+    """Part of a step h in which the series of all hold forces are accurate."""
+    series = work.series
+    for contact in range(at.contacts):
+        if abs(lanes[at.mode + contact, k]) != HOLD:
+            continue
+        load_series(coefficients, (at.first_hold + contact) * at.n_terms, k, series)
+        is_accurate = False
+        while not is_accurate and h > lanes[at.min_step, k]:
+            size = last = 0.0
+            power = 1.0
+            for n in range(at.order - 1):  # as far as it is known
+                term = abs(series[n]) * power
+                size, last = size + term, last + (term if n >= at.order - 3 else 0.0)
+                power *= h
+            is_accurate = last <= _ACCURATE * rtol * size
+            h *= 1.0 if is_accurate else 0.75
+    return h
+
+
+@internal
+def set_held(at, lanes, k):
+    """Set the inverse of B'M^-1 B of the held contacts; without one, the motion has failed.
+
+    By elimination in place: the matrix is symmetric and positive.
+    """
+    n = at.contacts
+    for i in range(n):
+        for j in range(n):
+            value = 1.0 if i == j else 0.0
+            if abs(lanes[at.mode + i, k]) == HOLD and abs(lanes[at.mode + j, k]) == HOLD:
+                value = 1.0 if at.is_plain else 0.0
+                for c in range(0 if at.is_plain else at.n):
+                    value += lanes[at.direction + i * at.n + c, k] * _pull(at, lanes, k, c, j)
+            lanes[at.held + i * n + j, k] = value
+    for p in range(n):
+        pivot = lanes[at.held + p * n + p, k]
+        compliance = 1.0 if at.is_plain else lanes[at.compliance + p, k]
+        is_held = abs(lanes[at.mode + p, k]) == HOLD
+        if is_held and not pivot > _DEPENDENT * compliance:
+            lanes[at.n_short, k] = MODEL_INVALID
+            return
+        for i in range(n):
+            if i != p:
+                factor = lanes[at.held + i * n + p, k] / pivot
+                for j in range(n):
+                    if j != p:
+                        lanes[at.held + i * n + j, k] -= factor * lanes[at.held + p * n + j, k]
+                lanes[at.held + i * n + p, k] = -factor
+        for j in range(n):
+            if j != p:
+                lanes[at.held + p * n + j, k] /= pivot
+        lanes[at.held + p * n + p, k] = 1.0 / pivot
+    for p in range(n):
+        if abs(lanes[at.mode + p, k]) != HOLD:
+            lanes[at.held + p * n + p, k] = 0.0
+
+
+@internal
+def _project(at, lanes, k, first, work):
+    """Take the components along held contacts from the vector in rows from `first` on."""
+    whole, n = work.rates[1], at.contacts
+    for i in range(at.n):
+        whole[i] = lanes[first + i, k]
+    for j in range(n):
+        along = 0.0
+        for i in range(n):
+            for c in range(at.n):
+                part = 1.0 if at.is_plain else lanes[at.direction + i * at.n + c, k]
+                along += lanes[at.held + j * n + i, k] * part * whole[c]
+        for c in range(at.n):
+            lanes[first + c, k] -= _pull(at, lanes, k, c, j) * along
+    for c in range(at.n):
+        if abs(lanes[first + c, k]) <= _STILL * abs(whole[c]):
+            lanes[first + c, k] = 0.0
+
+
+@internal
+def released(at, lanes, k, contact):
+    """End the hold of a contact."""
+    lanes[at.side + contact, k] = math.copysign(1.0, lanes[at.mode + contact, k])
+    lanes[at.mode + contact, k] = 0.0
+    lanes[at.n_contacts, k] += 1.0
+    set_held(at, lanes, k)
+
+
+@internal
+def begin_impacts(at, lanes, k, step, coefficients, work):
+    """Keep speeds and accelerations at the end of a step, before impacts there."""
+    work.shares[:] = 0.0
+    for i in range(at.n):
+        lanes[at.v_in + i, k] = lanes[at.v + i, k]
+        load_series(coefficients, i * at.n_terms, k, work.series)
+        work.rates[0, i] = _second(work.series, step)
+
+
+@internal
+def _is_low(at, lanes, k, contact, speed, pressing):
+    """Whether a body that leaves a wall at a speed comes back, from a height below `LOW`."""
+    reach = lanes[at.reach, k]
+    if not at.is_plain:
+        reach = 0.0
+        for i in range(at.n):
+            reach += abs(lanes[at.direction + contact * at.n + i, k]) * lanes[at.reach + i, k]
+    return pressing >= 0.0 and speed * speed <= 2.0 * pressing * LOW * reach
+
+
+@internal
+def meet(at, lanes, k, contact, side, step, coefficients, work):
+    """Reverse the speed of a gap that meets a rigid wall, or begin a hold."""
+    speed, _ = _along(at, lanes, k, contact, at.v)
+    speed *= side
+    series, e = work.series, lanes[at.restitution + contact, k]
+    load_series(coefficients, (at.first_gap + contact) * at.n_terms, k, series)
+    settle_on_wall(at, lanes, k, contact, series)
+    pressing = side * _second(series, step)
+    if step == 0.0 and series[1] == 0.0:
+        speed = 0.0
+    lanes[at.switched + contact, k] = 0.0
+    if speed < 0.0 or (speed == 0.0 and pressing < 0.0):  # turned by another impact, or at rest
+        return
+    pressing += side * _rebound(at, lanes, k, contact, side * speed, step, coefficients, work)
+    holds, rest = _is_low(at, lanes, k, contact, e * speed, pressing), 0.0
+    if holds and e * speed > 0.0:
+        holds = e < 1.0
+        if holds:
+            rest = 2.0 * e * speed / (pressing * (1.0 - e))
+            holds = rest * lanes[at.rate, k] <= _LONGEST_REST
+    if not holds:
+        lanes[at.side + contact, k] = side
+        lanes[at.n_contacts, k] += 2.0
+        lanes[at.contact_loss, k] += lanes[at.of_impact + contact, k]
+        return
+    lanes[at.mode + contact, k] = side * HOLD
+    lanes[at.lag, k] = rest
+    lanes[at.contact_loss, k] = math.inf
+    if lanes[at.n_steps, k] == 0.0 and step == 0.0:  # the motion begins in the hold
+        lanes[at.contact_time + contact, k] -= lanes[at.t_start, k]
+    else:
+        lanes[at.side + contact, k] = side
+        lanes[at.n_contacts, k] += 1.0
+    set_held(at, lanes, k)
+    _project(at, lanes, k, at.v, work)
+
+
+@internal
+def _rebound(at, lanes, k, contact, speed, step, coefficients, work):
+    """Change speeds by an impact of a gap at `speed`; return the change of its acceleration.
+
+    Keep what solutions of the variational equation need, as in `tangent._impacts`.
+    """
+    kick, rates, n = work.kicks[contact], work.rates[0], at.n
+    _, size = _along(at, lanes, k, contact, at.v)
+    per_speed = 1.0 / speed if abs(speed) > _STILL * size else 0.0
+    compliance = 1.0 if at.is_plain else lanes[at.compliance + contact, k]
+    share = (1.0 + lanes[at.restitution + contact, k]) / compliance
+    towards = changed = 0.0
+    for i in range(n):
+        direction = 1.0 if at.is_plain else lanes[at.direction + contact * n + i, k]
+        towards += share * direction * rates[i]
+    kick[:] = 0.0
+    _add_rates(at, lanes, k, -1.0, kick)
+    for j in range(at.contacts):  # as without holds
+        work.forces[j] = 0.0
+        if abs(lanes[at.mode + j, k]) == HOLD:
+            load_series(coefficients, (at.first_hold + j) * at.n_terms, k, work.series)
+            work.forces[j], _ = polynomial(work.series, at.order, step)
+            for i in range(n):
+                kick[i] += _pull(at, lanes, k, i, j) * work.forces[j]
+    for i in range(n):
+        before = lanes[at.v + i, k]
+        after = before - share * speed * _pull(at, lanes, k, i, contact)
+        lanes[at.v + i, k] = 0.0 if abs(after) <= _STILL * abs(before) else after
+    _change_others(at, lanes, k, contact, work)
+    _add_rates(at, lanes, k, 1.0, kick)
+    work.shares[contact] = share
+    _hold_rates(at, lanes, k, kick, rates, work.forces)
+    for i in range(n):
+        change, pull = kick[i], _pull(at, lanes, k, i, contact)
+        kick[i] = (change + towards * pull) * per_speed
+        rates[i] += change
+        changed += change * (1.0 if at.is_plain else lanes[at.direction + contact * n + i, k])
+    for i in range(at.m):
+        kick[n + i] *= per_speed
+    return changed
+
+
+@internal
+def _hold_rates(at, lanes, k, change, rates, forces):
+    """Take the accelerations along held contacts from the sum of accelerations and their change."""
+    n = at.contacts
+    for j in range(n):
+        forces[j] = 0.0
+        for i in range(n):
+            for c in range(at.n):
+                part = 1.0 if at.is_plain else lanes[at.direction + i * at.n + c, k]
+                forces[j] += lanes[at.held + j * n + i, k] * part * (rates[c] + change[c])
+    for j in range(n):
+        for c in range(at.n):
+            change[c] -= _pull(at, lanes, k, c, j) * forces[j]
+
+
+@internal
+def _add_rates(at, lanes, k, sign, rates):
+    """Add what speeds contribute to accelerations and to rates of first-order states."""
+    n = at.n
+    for i in range(n):
+        for j in range(n):
+            rates[i] -= sign * lanes[at.damping + i * n + j, k] * lanes[at.v + j, k]
+    for i in range(at.m):
+        for j in range(n):
+            rates[n + i] += sign * lanes[at.of_speed + i * n + j, k] * lanes[at.v + j, k]
+    for contact in range(at.contacts if at.is_damped else 0):
+        mode = lanes[at.mode + contact, k]
+        if abs(mode) == ON:
+            force = _force(at, lanes, k, contact, mode)
+            for i in range(n):
+                rates[i] -= sign * _pull(at, lanes, k, i, contact) * force
+
+
+@internal
+def _force(at, lanes, k, contact, mode):
+    """Force of a contact with damping beyond the wall of a mode, as if it pulled."""
+    depth, _ = _along(at, lanes, k, contact, at.q)
+    speed, _ = _along(at, lanes, k, contact, at.v)
+    is_up = mode > 0.0
+    depth -= lanes[(at.upper if is_up else at.lower) + contact, k]
+    stiffness = lanes[(at.upper_stiffness if is_up else at.lower_stiffness) + contact, k]
+    force = stiffness * depth + lanes[at.contact_damping + contact, k] * speed
+    if at.has_chi:
+        force += stiffness * math.copysign(lanes[at.chi + contact, k], mode) * depth * speed
+    return force
+
+
+@internal
+def _change_others(at, lanes, k, contact, work):
+    """Change the modes of the other contacts that an impact ends: holds, and on and slack."""
+    is_disturbed = False
+    for j in range(at.contacts):
+        mode = lanes[at.mode + j, k]
+        if j == contact or mode == 0.0:
+            continue
+        if abs(mode) == HOLD:
+            speed, size = _along(at, lanes, k, j, at.v)
+            pressing = math.copysign(1.0, mode) * work.forces[j] * lanes[at.compliance + j, k]
+            if abs(speed) <= _STILL * size:
+                continue
+            if _is_low(at, lanes, k, j, speed, pressing):
+                is_disturbed = True
+            else:
+                released(at, lanes, k, j)
+        elif at.has_slack and lanes[at.slack_damping + j, k] > 0.0:
+            side = math.copysign(1.0, mode)
+            new = side * (ON if side * _force(at, lanes, k, j, mode) >= 0.0 else SLACK)
+            if new != mode:
+                lanes[at.mode + j, k] = new
+                lanes[at.side + j, k] = side
+                lanes[at.n_contacts, k] += 1.0
+    if is_disturbed:
+        _project(at, lanes, k, at.v, work)
+
+
+@internal
+def turn_tangent(at, lanes, k, first, work):
+    """Change a solution of the variational equation, in rows from `first` on, by what has met."""
+    has_met = is_held = False
+    for contact in range(at.contacts):
+        share = work.shares[contact]
+        is_held = is_held or abs(lanes[at.mode + contact, k]) == HOLD
+        if share != 0.0:
+            place, _ = _along(at, lanes, k, contact, first)
+            speed, _ = _along(at, lanes, k, contact, first + at.n)
+            for i in range(at.n):
+                pull = share * _pull(at, lanes, k, i, contact)
+                lanes[first + i, k] -= pull * place
+                lanes[first + at.n + i, k] -= pull * speed
+            for i in range(at.n + at.m):
+                lanes[first + at.n + i, k] += work.kicks[contact, i] * place
+            has_met = True
+    if has_met and is_held:
+        _project(at, lanes, k, first, work)
+        _project(at, lanes, k, first + at.n, work)
