@@ -240,6 +240,13 @@ def test_one_number_moves_both_walls_around_swept_gaps():
     np.testing.assert_allclose(walls[:, 1], [5e-4 + deviation] * 2, rtol=1e-11)
 
 
+def test_an_uncertain_gap_adds_no_wall():
+    gap = {"gap": {"normal": 4e-4, "sd": 2e-5}}
+    rows = points(study(uncertain=UNCERTAIN | gap, sweep__0__gap=[math.inf, 4e-4]))
+    assert np.isinf(rows.column("j_1")).all()
+    assert len({*rows.column("j_2")}) == 16
+
+
 def test_parameters_of_systems_are_uncertain():
     uncertain = UNCERTAIN | {"speed": {"uniform": [8.0, 10.0]}, "gap": {"normal": 0.03, "sd": 1e-3}}
     found = study(SECTION, uncertain, sweep__0__speed=9.0)
@@ -424,6 +431,10 @@ MISTAKES = {
     "nothing wanted": ({"quantities": []}, r"give quantities = \['amplitude'\], or an event"),
     "no number": ({"gap": None}, r"no uncertain number; write gap ="),
     "kind": ({"gap": {"gamma": 4e-4}}, r"gap\.gamma = 0\.0004: unknown key"),
+    "text": ({"gap": "0.4 +- 0.05 mm"}, r"gap = '.*must be a distribution, as \{ normal"),
+    "number": ({"gap": 4e-4}, r"gap = 0\.0004: must be a distribution"),
+    "std": ({"gap": {"normal": 4e-4, "sdt": 1e-5}}, r"gap\.sdt = 1e-05: .*did you mean sd"),
+    "no name": ({"event": [{"quantity": "amplitude", "above": 1.0}]}, r"write name = \"large\""),
     "no sd": ({"gap": {"normal": 4e-4}}, r"normal needs sd"),
     "descending": ({"gap": {"uniform": [5e-4, 4e-4]}}, r"uniform: .*must be ascending"),
     "matrix": ({"correlation": [[1.0, 0.2], [0.2, 1.0]]}, r"must be 1 rows of 1 numbers"),
