@@ -309,10 +309,10 @@ def risk(
     (('omega', 'event'), 1.0)
     """
     if not isinstance(model, Study | str | os.PathLike):
-        from gapsweep.analysis.datasets.risk import risk_of_call
+        from gapsweep.analysis.datasets.risk import risk as of_call
 
         example = "gs.risk(oscillator, law, {'gap': scipy.stats.norm(4e-4, 2e-5)}, omega=9.0)"
-        return called_as(example)(risk_of_call)(model, law, uncertain, *args, **options)
+        return called_as(example)(of_call)(model, law, uncertain, *args, **options)
     study = Study.of(model)
     if study.spec.uncertain is None:
         example = "write uncertain numbers, as gap = { normal = 0.4e-3, sd = 0.02e-3 }"

@@ -56,6 +56,17 @@ def test_attractors_of_a_study_have_the_gradients_of_a_call(client, tmp_path):
     assert f"{len(several)} attractors have derivatives" in page
 
 
+def test_points_of_different_structure_have_separate_tables(client, tmp_path):
+    block = BLOCK | {"representation": "piecewise", "K_c": 1.4e4, "damping": [0.0, 20.0]}
+    block |= {"gap": [[4e-4, 4e-4], [np.inf, 4e-4]], "omega": 9.0, "initial_condition": [0.0, 0.0]}
+    run(TABLES | {"sweep": [block], "gradients": {"by": ["damping"]}}, client, tmp_path)
+    found, _ = files(tmp_path)
+    reason = found["reason"].squeeze()
+    assert (reason.sel(damping=0.0) == Reason.REFUSED).all()
+    assert (reason.sel(damping=20.0) == Reason.NONE).all()
+    assert "is 0" in found.attrs["refused"]
+
+
 def test_gradients_by_a_parameter_of_a_system_follow_its_sweep(client, tmp_path):
     tables = {
         "study": {"name": "gears"},

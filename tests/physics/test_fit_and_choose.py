@@ -105,6 +105,7 @@ def test_a_probability_that_is_never_small_says_where_it_is_least():
         ({"event": {"quantity": "amplitude"}}, "no threshold"),
         ({"uncertain": {"forcing": 0.03}}, "must be a distribution"),
         ({"samples": 100}, "power of two"),
+        ({"uncertain": {"omega": scipy.stats.norm(9.0, 0.1)}}, "omega: cannot be uncertain"),
     ],
 )
 def test_a_bad_probability_is_refused_in_one_line(change, words):
@@ -116,6 +117,13 @@ def test_a_bad_probability_is_refused_in_one_line(change, words):
     with pytest.raises(gs.ModelError, match=words) as raised:
         gs.probability(**(good | change))
     assert "\n" not in str(raised.value)
+
+
+def test_the_distribution_of_the_chosen_number_is_of_its_deviation():
+    event, far = {"quantity": "amplitude", "above": 0.1}, scipy.stats.norm(0.17, 0.01)
+    chance = gs.probability(event, 0.01, {"gap": far}, samples=2)
+    with pytest.raises(gs.ModelError, match=r"median 0\.17: must be the deviation .*norm\(0, 0\.0"):
+        gs.choose("gap", (0.1, 0.3), PUBLIC, PUBLIC_LAW, so_that=chance, omega=1.1)
 
 
 def test_a_probability_is_the_only_demand_of_a_call():
@@ -404,6 +412,8 @@ def test_sweeps_from_rpm_columns_of_both_directions_and_other_tables(tmp_path):
         ("frequency [Hz], amplitude [mm], sweep", [(9, 1, "left")] * 4, ["left", "up or down"]),
         ("frequency [Hz], amplitude [mm]", ROWS[:2], ["2 points"]),
         ("frequency [Hz], amplitude [mm]", [(-1.0, 1.0), *ROWS], ["> 0"]),
+        ("frequency [Hz], amplitude [mm]", [(1.0, -1.0), *ROWS], ["-1", ">= 0"]),
+        ("frequency [Hz], f [Hz], f [Hz]", [(9, 1, 1)] * 4, ["f [Hz]", "occurs twice"]),
     ],
 )
 def test_a_bad_table_is_refused_in_one_line(tmp_path, header, rows, words):

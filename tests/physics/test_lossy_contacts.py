@@ -501,6 +501,14 @@ REFUSED = [
     (refused(contact_force="as_written"), "as_written"),
     (refused(contact_force="as_written", engine="scipy"), "as_written"),
     (lambda: gs.HuntCrossley(1.0, gs.Gap(0.1, 0.1), chi=-1.0), r"chi = -1: must be >= 0"),
+    (
+        lambda: gs.HuntCrossley(1.0, gs.Gap(0.1, 0.1), chi="3 N"),
+        "chi = '3 N': must be a number in s/m",
+    ),
+    (
+        lambda: gs.Piecewise(1.0, gs.Gap(0.1, 0.1), pulls="no"),
+        "pulls = 'no': must be True or False",
+    ),
     (lambda: gs.HuntCrossley(1.0, gs.Gap(0.1, 0.1)), "missing.*chi"),
     (lambda: gs.HuntCrossley(1.0, gs.Gap(0.1, 0.1), chi=1.0, damping=2.0), "damping"),
     (lambda: gs.contact_law("huntcrossley-x", 1.0, gs.Gap(0.1, 0.1)), "huntcrossley-x.*>= 0"),

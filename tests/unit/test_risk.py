@@ -215,6 +215,21 @@ def test_samples_replace_values_of_points():
     assert set(rows.column("mass")) == {3.0}
 
 
+def test_ratios_of_distributions_have_no_unit():
+    factor = {"normal": 1.0, "sd": "5 %", "nominal": "times"}
+    uncertain = {"forcing": factor, "K_c": {"lognormal": "14 kN/m", "sd": "10 %"}}
+    read = study(uncertain=UNCERTAIN | uncertain).spec.uncertain.parameter
+    assert read["forcing"].sd == 0.05
+    assert (read["K_c"].lognormal, read["K_c"].sd) == (1.4e4, 0.1)
+    for name, wrong in (
+        ("forcing", factor | {"sd": "0.1 N"}),
+        ("K_c", {"lognormal": 1.0, "sd": "1 N/m"}),
+    ):
+        with pytest.raises(gs.StudyError, match=r"sd = '.*without dimension") as caught:
+            study(uncertain=UNCERTAIN | {name: wrong})
+        assert len(caught.value.problems) == 1
+
+
 def test_one_number_moves_both_walls_around_swept_gaps():
     gap = {"normal": 0.0, "sd": 1e-5, "nominal": "plus"}
     changes = {"sweep__0__gap": [[3e-4, 4e-4], [5e-4, 5e-4]], "sweep__0__omega": 9.0}
@@ -223,6 +238,13 @@ def test_one_number_moves_both_walls_around_swept_gaps():
     walls = np.stack([rows.column("j_1"), rows.column("j_2")]).reshape(2, 2, 16)
     np.testing.assert_allclose(walls[:, 0], [3e-4 + deviation, 4e-4 + deviation], rtol=1e-11)
     np.testing.assert_allclose(walls[:, 1], [5e-4 + deviation] * 2, rtol=1e-11)
+
+
+def test_an_uncertain_gap_adds_no_wall():
+    gap = {"gap": {"normal": 4e-4, "sd": 2e-5}}
+    rows = points(study(uncertain=UNCERTAIN | gap, sweep__0__gap=[math.inf, 4e-4]))
+    assert np.isinf(rows.column("j_1")).all()
+    assert len({*rows.column("j_2")}) == 16
 
 
 def test_parameters_of_systems_are_uncertain():
@@ -380,6 +402,11 @@ def test_a_tornado_has_the_number_of_points_left_out():
     assert "left out" not in whole.gapsweep.tornado("large").get_xlabel()
 
 
+def test_a_tornado_without_variance_says_so():
+    found = risk(of_ratio(0.05, 0.1), lambda samples: 1.0 + 0.0 * samples.row, indices=True)
+    assert "variance is 0" in found.gapsweep.tornado("large").get_xlabel()
+
+
 def test_safe_values_are_judged_by_whole_intervals():
     p = xr.DataArray([[0.001, 0.04, 0.06, 0.2]], dims=("event", "gap"))
     risk = xr.Dataset({"probability": p, "low": p - 0.001, "high": p + 0.02}, {"event": ["large"]})
@@ -404,6 +431,10 @@ MISTAKES = {
     "nothing wanted": ({"quantities": []}, r"give quantities = \['amplitude'\], or an event"),
     "no number": ({"gap": None}, r"no uncertain number; write gap ="),
     "kind": ({"gap": {"gamma": 4e-4}}, r"gap\.gamma = 0\.0004: unknown key"),
+    "text": ({"gap": "0.4 +- 0.05 mm"}, r"gap = '.*must be a distribution, as \{ normal"),
+    "number": ({"gap": 4e-4}, r"gap = 0\.0004: must be a distribution"),
+    "std": ({"gap": {"normal": 4e-4, "sdt": 1e-5}}, r"gap\.sdt = 1e-05: .*did you mean sd"),
+    "no name": ({"event": [{"quantity": "amplitude", "above": 1.0}]}, r"write name = \"large\""),
     "no sd": ({"gap": {"normal": 4e-4}}, r"normal needs sd"),
     "descending": ({"gap": {"uniform": [5e-4, 4e-4]}}, r"uniform: .*must be ascending"),
     "matrix": ({"correlation": [[1.0, 0.2], [0.2, 1.0]]}, r"must be 1 rows of 1 numbers"),
@@ -446,6 +477,12 @@ def test_mistakes_of_calls():
         "quantities = 'amplitude': must be a list": (gap, {"quantities": "amplitude"}),
         "events = 3: must be events by name": (gap, {"events": 3}),
         "events = {'large': 3}: must be events by name": (gap, {"events": {"large": 3}}),
+        "omega: cannot be uncertain": ({"omega": st.norm(9.0, 0.1)}, {}),
+        "risk: got an unexpected keyword argument 'sample'": (gap, {"sample": 8}),
+        "above = 0.2: must be < below = 0.1": (
+            gap,
+            {"events": {"both": {"quantity": "amplitude", "above": 0.2, "below": 0.1}}},
+        ),
         "'gapp': must be one of": ({"gapp": gap["gap"]}, {}),
         "v_1: must be|'v_1': must be": ({"v_1": gap["gap"]}, {}),
     }
@@ -454,6 +491,9 @@ def test_mistakes_of_calls():
             gs.risk(
                 OSCILLATOR, law, uncertain, OMEGA, **({"samples": 8, "events": LARGE} | options)
             )
+    hunt_crossley = gs.HuntCrossley(2.0, law.gap, chi=1.0)
+    with pytest.raises(gs.ModelError, match=r"'damping': must be one of .*chi"):
+        gs.risk(OSCILLATOR, hunt_crossley, {"damping": st.uniform(1, 2)}, OMEGA, events=LARGE)
     with pytest.raises(gs.ModelError, match=r"omega = \[\]: must be at least one"):
         gs.risk(OSCILLATOR, law, gap, [], samples=8, events=LARGE)
     with pytest.raises(gs.StudyError, match="uncertain: missing"):

@@ -52,7 +52,7 @@ class Window:
         ModelError
             If `between` is not two numbers in ascending order, or out of the parameter's range.
         """
-        ends = without_units(f"between of {name}", between)
+        ends = without_units(f"range of {name}", between)
         try:
             low, high = map(float, ends)
         except (TypeError, ValueError):
@@ -60,8 +60,8 @@ class Window:
                 f"range of {name} = {between!r:.80}: must be its two ends, as (1e-4, 1e-3)"
             ) from None
         is_positive = name in ("omega", AMPLITUDE)
-        checked(f"between of {name}", low, low=0.0 if is_positive else -math.inf, strict=True)
-        checked(f"between of {name}", high)
+        checked(f"range of {name}", low, low=0.0 if is_positive else -math.inf, strict=True)
+        checked(f"range of {name}", high)
         if not low < high:
             raise ModelError(
                 f"range of {name} = {between!r:.80}: must be ascending, of two different values"

@@ -176,15 +176,20 @@ def _numbers(where: str, column: _Column, values: Any) -> Array:
         example = {"Hz": "Hz", "m": "mm"}.get(units, written(units))
         raise ModelError(f"{where}: {column.title}: has no unit; write {column.title} [{example}]")
     try:
-        found = np.ravel(np.asarray(values, float))
+        found: Array = np.atleast_1d(np.squeeze(np.asarray(values, float)))
+        if found.ndim > 1:
+            raise ValueError(found.shape)
     except (TypeError, ValueError):
-        raise ModelError(f"{where}: {column.title}: must be numbers") from None
+        raise ModelError(f"{where}: {column.title}: must be one column of numbers") from None
     wrong = np.flatnonzero(~np.isfinite(found))
     if wrong.size:
         said = f"row {wrong[0] + 1} is {found[wrong[0]]}"
         raise ModelError(f"{where}: {column.title}: {said}; leave out rows without a number")
-    if column.name == "omega" and found.size and found.min() <= 0.0:
-        raise ModelError(f"{where}: {column.title}: {found.min():g}: must be > 0")
+    least = found.min(initial=1.0)
+    if column.name == "omega" and least <= 0.0:
+        raise ModelError(f"{where}: {column.title}: {least:g}: must be > 0")
+    if column.name == AMPLITUDE and least < 0.0:
+        raise ModelError(f"{where}: {column.title}: {least:g}: must be >= 0")
     return found * (1.0 if factor is None else factor)
 
 
@@ -225,6 +230,9 @@ def _csv(path: Path) -> dict[str, Any]:
     """Columns of a CSV file by their titles."""
     found = read_columns(path)
     named = list(enumerate(found.titles))
+    for title in found.titles:
+        if found.titles.count(title) > 1:
+            raise ModelError(f"{path}: column {title}: occurs twice; name one of both otherwise")
     has_numbers = [_column(title).name in ("omega", *QUANTITIES) for title in found.titles]
     return {
         title: found.numbers(k) if has_numbers[k] else np.array(found.texts(k))

@@ -287,6 +287,9 @@ class Piecewise(ContactLaw):
     def __post_init__(self) -> None:
         super().__post_init__()
         object.__setattr__(self, "damping", checked("damping", self.damping, low=0.0))
+        for name in ("located", "pulls"):
+            if getattr(self, name) not in (True, False):
+                raise ModelError(f"{name} = {getattr(self, name)!r}: must be True or False")
         if self.damping and not self.located:
             raise ModelError(
                 f"damping = {self.damping:g}: needs located contacts; leave located=False out"

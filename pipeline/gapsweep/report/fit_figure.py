@@ -57,7 +57,11 @@ def draw(above: Axes, below: Axes, found: xr.Dataset) -> None:
     above.set(ylabel=label, xlim=(omega.min(), omega.max()))
     noise = shown_unit(found["measured"])[0] * found.attrs["noise"]
     marks.put(below, [marks.level(y=sign * noise) for sign in (-1.0, 1.0)])
-    below.set(xlabel="forcing frequency [Hz]", ylabel="residual", xlim=above.get_xlim())
+    below.set(
+        xlabel="forcing frequency [Hz]",
+        ylabel=axis_label(found["measured"], "residual"),
+        xlim=above.get_xlim(),
+    )
     if orbits is not None:
         branch_lines.name_points(above, orbits, "omega", quantity)
     above.legend(fontsize=8)

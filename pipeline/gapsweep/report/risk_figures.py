@@ -112,7 +112,7 @@ def tornado(
 
     A wide pale bar is the total index, a narrow one inside it the first index, a line the 95 %
     interval of the total index. Sobol points with an undecided sample are left out; the label of
-    the axis has their number.
+    the axis has their number, or says that there is no variance.
 
     Parameters
     ----------
@@ -146,6 +146,7 @@ def tornado(
     axes.set_yticks(y, labels)
     n = int(shown[left_out])
     words = f"\n{n} Sobol points with an undecided sample are left out" if n else ""
+    words = words if np.isfinite(total).any() else "\nthe variance is 0: all samples agree"
     axes.set(xlabel=f"share of the variance (Sobol index){words}", ylim=(-0.6, len(order) - 0.4))
     axes.set_xlim(left=0.0)
     return titled(axes, shown)

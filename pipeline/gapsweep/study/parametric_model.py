@@ -320,7 +320,8 @@ class ParametricModel:
         for name, value in swept.items():
             swept[name] = _at(name, value, axes, places)
             if name in ("j_1", "j_2"):
-                swept[name] = _drawn("gap", swept[name], axes, places)
+                drawn = _drawn("gap", swept[name], axes, places)
+                swept[name] = np.where(np.isinf(swept[name]), np.inf, drawn)  # no wall, no gap
         columns = []
         for contact in self.contacts:
             own = {name: self._own(contact, name) for name in ("K_c", *OF_WALLS)}

@@ -45,6 +45,8 @@ EXAMPLES = {
     "t_end": "t_end = 20.0, in s",
     "start": "start = 1.0",
     "stop": "stop = 30.0",
+    "event": 'name = "large"',
+    "rays": "rays = 32",
     "x": "x = [-2e-3, 2e-3], in m",
     "v": "v = [-0.05, 0.05], in m/s",
 }
@@ -56,6 +58,7 @@ _FORMS = {
     "{ sobol = ..., x = ..., v = ... }, { grid = ..., x = ..., v = ... }, or a list",
     "x": _RANGES,
     "v": _RANGES,
+    "uncertain": "must be a distribution, as { normal = 4e-4, sd = 2e-5 }",
 }
 # Allowed form of keys of a system, also for problems inside.
 _MATRIX = "must be a matrix, a list for each row, as [[2.0, 0.0], [0.0, 1.0]]"
@@ -128,7 +131,8 @@ def _message(error: Any, spec: type[BaseModel], names: Collection[str]) -> str:
     if kind == "extra_forbidden":
         return f"unknown key{_likely(loc, spec, names)}"
     if kind == "missing":
-        return f"missing; write {EXAMPLES[loc[-1]]}" if loc[-1] in EXAMPLES else "missing"
+        key = "event" if "event" in loc else loc[-1]
+        return f"missing; write {EXAMPLES[key]}" if key in EXAMPLES else "missing"
     if kind == "float_type":
         return f"must be {_number(loc, value)}{_instead(loc, value)}"
     text = str(error["msg"]).removeprefix("Value error, ").replace("Input should be", "must be")
@@ -153,6 +157,8 @@ def _instead(loc: Loc, value: Any) -> str:
         return "; write swept values in [[sweep]]"
     if loc[:2] == ("oscillator", "forcing") and isinstance(value, str) and "." in value:
         return '; write forcing = { table = "force.csv", period = "20 ms" } for a file'
+    if value in ("inf", None) and {"gap", "j_1", "j_2"} & {*loc}:
+        return "; write inf, without quotes, where there is no wall"
     if isinstance(value, str) and ":" in value:
         return "; write a range as { start = 1.0, stop = 30.0, step = 0.5 }"
     return ""
@@ -160,6 +166,8 @@ def _instead(loc: Loc, value: Any) -> str:
 
 def _form_at(loc: Loc) -> str:
     """Return the key of `_FORMS` at the end of a location without tags and numbers; else empty."""
+    if loc[:2] == ("uncertain", _APART):
+        return "uncertain" if len(loc) == 3 else ""
     names = [part for part in loc if isinstance(part, str) and part not in _TAGS - {"sweep"}]
     return names[-1] if names and names[-1] in _FORMS else ""
 
@@ -184,7 +192,8 @@ def _tables(loc: Loc, spec: type[BaseModel]) -> list[type[BaseModel]]:
     """Return the classes of tables that a location allows; an empty list if it allows none."""
     found = [spec]
     for i, part in enumerate(loc):
-        fields = [table.model_fields[part] for table in found if part in table.model_fields]
+        name = _PARAMETERS if part == _APART and loc[i + 1 :] else part
+        fields = [table.model_fields[name] for table in found if name in table.model_fields]
         if fields and not (part in _TAGS and i > 2):  # nor do numbers and protocols lead further in
             found = [table for field in fields for table in _of(field.annotation)]
     return found

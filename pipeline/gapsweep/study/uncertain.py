@@ -18,6 +18,7 @@ from gapsweep.study.axes import MAX_VALUES, Number, Positive, Range, TomlTable
 from gapsweep.study.oscillator_table import OscillatorTable
 from gapsweep.study.problems import problems
 from gapsweep.study.samples import Distribution, Measured, Samples, drawn
+from gapsweep.study.units import ratios
 
 _CLASSES = tuple(one.name.lower() for one in ResponseClass)
 _KINDS = ("normal", "lognormal", "uniform", "triangular", "truncated", "data")
@@ -41,6 +42,12 @@ class DistributionTable(TomlTable):
     low: Number | None = None
     high: Number | None = None
     nominal: Literal["plus", "times"] | None = None
+
+    @model_validator(mode="before")
+    @classmethod
+    def _without_units(cls, given: Any) -> Any:
+        names = ratios(given) if isinstance(given, Mapping) else []
+        return {**given, **{n: without_units(n, given[n], "1") for n in names}} if names else given
 
     @model_validator(mode="after")
     def _one_kind(self) -> "DistributionTable":
@@ -150,6 +157,8 @@ class EventTable(TomlTable):
         if has_limit == (self.quantity is None):
             words = "has no threshold; write above = 1e-3 or below = 1e-3"
             raise ValueError(f"quantity = {self.quantity!r} {words}" if self.quantity else words)
+        if None not in (self.above, self.below) and not self.above < self.below:  # type: ignore[operator]  # both are numbers
+            raise ValueError(f"above = {self.above:g}: must be < below = {self.below:g}")
         return self
 
 

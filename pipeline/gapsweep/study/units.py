@@ -1,6 +1,6 @@
 """Quantities in the tables of a study, as text or as objects of pint: their numbers in SI units."""
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import Any
 
 from gapsweep.errors import ModelError
@@ -40,6 +40,15 @@ def units_of(path: Path, own: Collection[str] = ()) -> str | None:
     return None
 
 
+def ratios(table: Mapping[str, Any]) -> list[str]:
+    """Return the keys of a distribution that are ratios, in no unit of the uncertain number.
+
+    They are all keys of a factor of the nominal value, and the deviation of a logarithm.
+    """
+    of = ("sd",) if "lognormal" in table else ()
+    return [key for key in table if table.get("nominal") == "times" or key in of]
+
+
 def _numbers(value: Any, path: Path, own: Collection[str]) -> Any:
     if isinstance(value, dict):
         return {n: _numbers(each, (*path, _parameter(n, value)), own) for n, each in value.items()}
@@ -63,4 +72,6 @@ def _parameter(key: Any, table: dict[Any, Any]) -> Any:
         return table.get("quantity", key)
     if key == "period":
         return "forcing: period"
+    if key in ratios(table):
+        return "ratio"
     return table.get("second", key) if key == "range" else key

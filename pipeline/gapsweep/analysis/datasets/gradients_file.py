@@ -133,12 +133,13 @@ def _tables(
         row_of = np.full(len(cells), -1)
         row_of[some] = np.arange(len(some))
         rows = np.flatnonzero(row_of[which] >= 0)
-        groups = [rows]
+        # Numbers that are zero, and walls that are absent, change the structure of a model.
+        numbers = points.numbers[row_of[which[rows]], : -points.kind.n_states]
+        same = [numbers == 0.0, np.isinf(numbers)]
         if study.model.along(by, {}) is not None:  # a function of values that differ
-            at = cell[rows][:, [grid.dims.index(name) for name in swept]]
-            number = np.unique(at, axis=0, return_inverse=True)[1].ravel() if swept else 0 * rows
-            groups = [rows[number == k] for k in range(number.max(initial=-1) + 1)]
-        for group in groups:
+            same.append(cell[rows][:, [grid.dims.index(name) for name in swept]])
+        number = np.unique(np.hstack(same), axis=0, return_inverse=True)[1].ravel()
+        for group in (rows[number == k] for k in range(number.max(initial=-1) + 1)):
             values = {n: grid.axes[n][cell[group[0], grid.dims.index(n)]] for n in swept}
             function = study.model.along(by, values)
             own = {n: {**study.spec.model, **values}[n] for n in by if n in study.spec.model}

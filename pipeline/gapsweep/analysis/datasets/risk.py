@@ -1,7 +1,7 @@
 """Probabilities of events, quantiles and Sobol indices of responses with uncertain numbers.
 
 `risk_of` works on responses with a dimension `sample`: those of a study with ``[uncertain]``, for
-``risk.nc``, and those that `risk_of_call` computes from a model and distributions.
+``risk.nc``, and those that `risk` computes from a model and distributions.
 """
 
 import re
@@ -42,6 +42,7 @@ _PART = 4096  # responses computed in one call
 _AT_ONCE = 2**22  # values of a variable in memory
 _CELLS = (..., None, None, None)
 STATE = re.compile(r"[xqvz]_0(\[\d+\])?")  # names of initial states
+_FAR = 2.5  # median over twice the standard deviation, of a distribution that is no deviation
 _OUTER = 0.975  # share up to the upper end of a 95 % interval
 # Variables of `risk.nc`, over the dimensions of a sweep point without `sample`, and `dims`.
 RISK = {
@@ -325,7 +326,7 @@ def safety(risk: xr.Dataset, along: str, event: str, limit: float) -> xr.Dataset
     return worst.assign(safe=is_safe.astype("i1") - is_not.astype("i1"))
 
 
-def risk_of_call(
+def risk(
     oscillator: Model | Callable[..., Model],
     law: AnyLaw | None,
     uncertain: Mapping[str, Distribution],
@@ -450,9 +451,9 @@ def probability(
         if "gap" in uncertain and name in ("j_1", "j_2"):
             raise ModelError("uncertain: 'gap' sets both walls; write 'j_1' or 'j_2'")
         walls = {"gap", "j_1", "j_2"} if name == "gap" else {name}
-        here = {n: _Shifted(one, value) if n in walls else one for n, one in uncertain.items()}
+        here = {n: _shifted(n, one, value) if n in walls else one for n, one in uncertain.items()}
         about: dict[str, Any] = {"events": {"event": event}, **settings, **initial}
-        found = risk_of_call(model, laws, here, omega, **about)
+        found = risk(model, laws, here, omega, **about)
         return np.array([np.ravel(found[each].values) for each in ("probability", "low", "high")])
 
     return Chance(f"P({words}) at most {limit:g}", limit, of)
@@ -472,9 +473,22 @@ class _Shifted:
         return self.of.cdf(x - self.value)
 
 
+def _shifted(name: str, of: Distribution, value: float) -> _Shifted:
+    """Return a distribution around a value; a ModelError for one that is of no deviation."""
+    low, middle, high = (float(of.ppf(share)) for share in (0.16, 0.5, 0.84))
+    if abs(middle) > _FAR * (high - low):
+        raise ModelError(
+            f"uncertain: {name} has the median {middle:g}: must be the deviation from the chosen "
+            f"{name}, as scipy.stats.norm(0, {0.5 * (high - low):.3g})"
+        )
+    return _Shifted(of, value)
+
+
 def _checked(uncertain: Any) -> Mapping[str, Distribution]:
     """Return distributions by name; a ModelError for anything else."""
     given = uncertain if isinstance(uncertain, Mapping) else {"uncertain": uncertain}
+    if "omega" in given:
+        raise ModelError("omega: cannot be uncertain; pass several frequencies, as omega=[8.8, 9]")
     for name, one in given.items():
         if not (hasattr(one, "ppf") and hasattr(one, "cdf")):
             example = "{'gap': scipy.stats.norm(4e-4, 2e-5)}"
