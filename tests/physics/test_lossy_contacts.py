@@ -842,3 +842,31 @@ def test_a_label_has_the_restitution_of_rigid_walls():
     assert law == gs.Rigid(gs.Gap(0.1, 0.2), restitution=0.8)
     assert gs.canonical_label("rigid-8e-1") == "rigid-0.8"
     assert law.force([0.0, 0.2, -0.1]).tolist() == [0.0, math.inf, -math.inf]
+
+
+@pytest.mark.extended  # layouts of systems
+@pytest.mark.parametrize("pulls", [True, False])
+def test_a_damped_wall_does_not_move_what_a_rigid_wall_holds(pulls):
+    """The other coordinate moves as if it were alone, and counts are those of recorded times."""
+    damped = gs.Piecewise(20.0, gs.Gap(None, 0.1), damping=3.0, pulls=pulls)
+    k, load = np.array([[2.0, -1.0], [-1.0, 2.0]]), {"k": 0, "amplitude": [5.0, 0.0]}
+    both = gs.System(
+        mass=np.eye(2), stiffness=k, damping=0.1 * k,
+        contacts={"stop": [1.0, 0.0], "wall": [-1.0, 1.0]},
+        forcing=[gs.Harmonic(**load), gs.Harmonic(amplitude=[0.0, 1.0])],
+    )  # fmt: skip
+    alone = gs.System(
+        mass=[[1.0]], stiffness=[[2.0]], damping=[[0.2]], contacts={"wall": [1.0]},
+        forcing=[gs.Harmonic(amplitude=[1.0])],
+    )  # fmt: skip
+    laws = {"stop": gs.Rigid(gs.Gap(None, 0.0), restitution=0.0), "wall": damped}
+    expected = gs.simulate(alone, {"wall": damped}, 0.2, n_periods=3, tangent=True, **TIGHT)
+    assert expected.n_contacts > 4
+    for engine in ("compiled", "scipy"):
+        run = gs.simulate(
+            both, laws, 0.2, n_periods=3, tangent=True, engine=engine, rtol=1e-11, atol=1e-13
+        )
+        assert run.q_end == pytest.approx([0.0, expected.q_end[0]], abs=1e-9)
+        assert run.n_contacts == len(run.t_contacts["wall"]) == expected.n_contacts
+        assert run.monodromy[::2] == pytest.approx(np.zeros((2, 4)), abs=1e-15)
+        assert run.monodromy[1::2, 1::2] == pytest.approx(expected.monodromy, abs=1e-7)

@@ -31,6 +31,7 @@ from gapsweep.integrate.problem import Integrate, Models, Problems, Solver
 from gapsweep.integrate.reference_impacts import (
     Meeting,
     has_dependent_holds,
+    held_tangent,
     hold_force,
     is_inside,
     meet,
@@ -400,7 +401,7 @@ def _located(
             continue
         previous, modes = modes, scene.passed(t, y, modes, segment.hit)
         if passed.force is None:
-            y = scene.jumped(y, previous, modes)
+            y = held_tangent(scene, scene.jumped(y, previous, modes), modes)
         run.contacts += [(t, contact)] * _n_changes(previous[contact], modes[contact])
     return t, y
 

@@ -154,11 +154,19 @@ def meet(
     if has_dependent_holds(scene, found):
         return Meeting(y, found, [], 0.0, loss)
     if held := _held(scene, found):
-        project = _projection(scene, held)
-        after[n : 2 * n] = project @ after[n : 2 * n]
+        after[n : 2 * n] = _projection(scene, held) @ after[n : 2 * n]
+    met = held_tangent(scene, (*after, *images.ravel()), found)
+    return Meeting(met, found, changes, rest, loss)
+
+
+def held_tangent(scene: ReferenceScene, y: State, modes: tuple[int, ...]) -> State:
+    """Return a state, the tangent of which is without the components along held contacts."""
+    n, n_states, found = scene.n, scene.n_states, np.array(y)
+    if held := _held(scene, modes):
+        images = found[n_states:].reshape(-1, n_states)  # a view
         for part in (images[:, :n], images[:, n : 2 * n]):
-            part[:] = part @ project.T
-    return Meeting((*after, *images.ravel()), found, changes, rest, loss)
+            part[:] = part @ _projection(scene, held).T
+    return tuple(found.tolist())
 
 
 def _height(scene: ReferenceScene, contact: int, side: int) -> float:

@@ -335,7 +335,7 @@ def _change_others(at, lanes, k, contact, work):
 @internal
 def turn_tangent(at, lanes, k, first, work):
     """Change a solution of the variational equation, in rows from `first` on, by what has met."""
-    has_met = is_held = False
+    is_held = False
     for contact in range(at.contacts):
         share = work.shares[contact]
         is_held = is_held or abs(lanes[at.mode + contact, k]) == HOLD
@@ -348,7 +348,6 @@ def turn_tangent(at, lanes, k, first, work):
                 lanes[first + at.n + i, k] -= pull * speed
             for i in range(at.n + at.m):
                 lanes[first + at.n + i, k] += work.kicks[contact, i] * place
-            has_met = True
-    if has_met and is_held:
+    if is_held:  # also of what the damping of other contacts adds
         _project(at, lanes, k, first, work)
         _project(at, lanes, k, first + at.n, work)

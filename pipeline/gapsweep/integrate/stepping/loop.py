@@ -242,7 +242,7 @@ def _resolve(at, lanes, k, coefficients, work, rtol):
             kept += (at.n + at.m) * at.n_terms
             if at.is_damped and at.is_taylor:
                 _jump(at, lanes, k, first, j >= at.n_states)
-            if at.has_impacts:
+            if at.has_impacts and has_passed:
                 turn_tangent(at, lanes, k, first, work)
     return is_done
 

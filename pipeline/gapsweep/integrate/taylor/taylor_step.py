@@ -43,7 +43,7 @@ from gapsweep.integrate.vectors import (
     sqrt,
     where,
 )
-from gapsweep.model.contact_modes import MODES, ON
+from gapsweep.model.contact_modes import MODES
 
 from .series import Equation, Modes, StepSeries
 from .step_size import Sizes, longest_step, step_size
@@ -371,14 +371,15 @@ def _commit_slack(lanes, modes, motion, exits, state):
         mode, has_gap = lanes[layout.mode + k], lanes[layout.lower + k] < lanes[layout.upper + k]
         at_wall, at_zero, side = exits.passes[k], exits.passes[n + k], exits.sides[k]
         at_zero = at_zero & ~at_wall
-        new, acted = mode, none
+        new, acted, acts = mode, none, none
         for number, row in enumerate(MODES):
             is_here = absolute(mode).equals(number)
             beyond = side if row.after_wall else where(has_gap, none, side)
             zero = copysign(none + row.after_zero, mode)
             new = where(is_here & at_wall, beyond, where(is_here & at_zero, zero, new))
             acted = where(is_here, float(row.acts), acted)
-        acts = where(absolute(new).equals(ON), 1.0, none)
+        for number, row in enumerate(MODES):
+            acts = where(absolute(new).equals(number), float(row.acts), acts)
         # from one wall to the other one without a gap
         is_swapped = at_wall & (acted > 0.0) & (acts > 0.0)
         changes = where(is_swapped, 2.0, absolute(acts - acted))
