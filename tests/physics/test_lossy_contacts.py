@@ -870,3 +870,26 @@ def test_a_damped_wall_does_not_move_what_a_rigid_wall_holds(pulls):
         assert run.n_contacts == len(run.t_contacts["wall"]) == expected.n_contacts
         assert run.monodromy[::2] == pytest.approx(np.zeros((2, 4)), abs=1e-15)
         assert run.monodromy[1::2, 1::2] == pytest.approx(expected.monodromy, abs=1e-7)
+
+
+@BOTH
+@pytest.mark.parametrize("second", [[], [0.0, 1.0]])
+def test_what_a_rigid_wall_holds_all_the_time_is_a_response(second, engine):
+    """A load of 5 N presses the first coordinate on its wall; the second one is linear."""
+    n = 2 if second else 1
+    k = np.array([[2.0, -1.0], [-1.0, 2.0]])[:n, :n]
+    loads = [gs.Harmonic(k=0, amplitude=[5.0, 0.0][:n]), gs.Harmonic(amplitude=[0.3, 1.0][:n])]
+    pressed = gs.System(
+        mass=np.eye(n), stiffness=k, damping=0.1 * k, contacts={"stop": np.eye(n)[0]}, forcing=loads
+    )
+    law = gs.Rigid(gs.Gap(0.5, 0.2), restitution=0.6)
+    found = gs.respond(pressed, law, 0.2, engine=engine, rtol=1e-9)
+    assert found.response_class is gs.ResponseClass.PERIODIC, found.message
+    assert (found.contact_share, found.contacts_per_period) == (1.0, 0.0)
+    peak, trough = np.atleast_1d(found.x_max), np.atleast_1d(found.x_min)
+    assert (peak[0], trough[0]) == pytest.approx((0.2, 0.2), rel=1e-12)
+    assert found.multipliers[-2:] == pytest.approx(0.0, abs=1e-15)
+    if second:
+        w = 0.2 * TURN
+        reach = 1.0 / abs(2.0 - w**2 + 0.2j * w)
+        assert (peak[1], trough[1]) == pytest.approx((0.1 + reach, 0.1 - reach), rel=1e-6)

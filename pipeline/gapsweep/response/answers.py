@@ -40,6 +40,7 @@ Numbers = NDArray[np.intp]
 # Smallest motion of a contact relative to the whole motion. At 1e-6, chaos of a part of a system
 # was classified as periodic; down to 1e-5 all classes were right.
 _FAINT = 1e-5
+_ROUNDING = 1e-12  # of the largest displacement: amplitude of what rigid walls hold
 _KINDS = int(ExtremumKind.MAXIMUM), int(ExtremumKind.MINIMUM), int(ExtremumKind.INFLECTION)
 _LINEAR = 1e-3  # of a spring's stiffness: a cubic spring that adds less is negligible
 
@@ -221,13 +222,16 @@ def _precision(
 ) -> dict[str, Array | Counts]:
     """Columns of noise and tolerance; responses with an amplitude near the noise are unresolved.
 
-    A system without loads is exempt: it may come to rest, with zero amplitude.
+    A system without loads is exempt: it may come to rest, with zero amplitude. So is one that rigid
+    walls hold.
     """
     ensemble, stopped = windows.ensemble, found.has_stopped[points]
     offset, swing = found.offset[points], np.asarray(read["amplitude"], float)
     noise = windows.noise(points, np.where(found.is_periodic, shooting.n, 1)[points])
     amplitude = reach_of(swing.T, ensemble.unit[:, points])
     is_noisy = (limit.NOISY * noise > amplitude) & found.is_classified[points] & ~stopped
+    rests = _is_held(points, windows).any(axis=0) & (amplitude <= _ROUNDING * windows.reach[points])
+    is_noisy &= ~rests
     for k in np.flatnonzero(is_noisy).tolist():
         system = ensemble.system(points[k])
         loads = [[system.is_loaded]] if isinstance(system, Oscillator) else system.forcing
@@ -399,7 +403,13 @@ def _hidden_contacts(
     # A smooth law changes its stiffness near the same walls: faint motion there is hidden, too.
     walls = ensemble.felt_walls[:, :, points]
     near = ((gap_min - margin <= walls) & (walls <= gap_max + margin)).any(axis=0)
-    return np.asarray((faint & near).any(axis=0))
+    return np.asarray((faint & near & ~_is_held(points, windows)).any(axis=0))
+
+
+def _is_held(points: Numbers, windows: RecordedWindows) -> Mask:
+    """Contacts that a rigid wall holds all the time: they do not move, shape (n_contacts, m)."""
+    always = windows.contact_share[:, points] > 1.0 - _FAINT
+    return np.asarray(always & windows.ensemble.is_rigid[:, points])
 
 
 def _hidden_springs(points: Numbers, windows: RecordedWindows, half: Array) -> Mask:
