@@ -413,7 +413,7 @@ def _emit_step(builder, lanes, coefficients, scalars):
     equation = Equation(lanes, coefficients, modes, is_tight)
     motion = (TanhMotion if layout.is_tanh else StepSeries)(lanes, modes, equation)
     kept = motion.q if layout.is_plain else motion.q + motion.z + motion.gaps
-    padding = [lanes["tau"].constant(0.0)] * layout.n_terms
+    padding = [equation.zero] * layout.n_terms
     kept = kept + [(force + padding)[: layout.n_terms] for force in motion.forces]
     for number, series in enumerate(kept):
         for n, term in enumerate(series):
