@@ -457,12 +457,13 @@ def test_bad_arguments_of_a_fit_are_refused_in_one_line(tmp_path, arguments, wor
         ({"parameter": "gapp"}, "gapp"),
         ({"starts": [[0.0, 0.0, 0.0]]}, "starts"),
         ({"parameter": "K_c", "between": (-0.1, 0.1)}, "K_c"),
+        ({"law": gs.Rigid(gs.Gap(0.2, 0.2), restitution=0.8)}, "rigid walls are not covered"),
     ],
 )
 def test_bad_arguments_of_choose_are_refused_in_one_line(arguments, word):
     good = {"parameter": "gap", "between": (0.1, 0.3), "so_that": gs.no_chaos(), "omega": RATE}
     with pytest.raises(gs.ModelError, match=word) as raised:
-        gs.choose(oscillator=PUBLIC, law=PUBLIC_LAW, **(good | arguments))
+        gs.choose(oscillator=PUBLIC, **({"law": PUBLIC_LAW} | good | arguments))
     assert "\n" not in str(raised.value)
 
 
