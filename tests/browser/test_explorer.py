@@ -12,8 +12,9 @@ from tests.browser.tab import model, tab
 from tests.builders.datasets import datasets, periodic, tables
 
 import gapsweep as gs
+from gapsweep.explorer.first_question import of_model
 from gapsweep.explorer.page_results import from_rest
-from gapsweep.explorer.question import EXACT, asked, numbers, of_model
+from gapsweep.explorer.question import EXACT, asked, numbers
 from gapsweep.explorer.widget import explore_path
 
 pytestmark = pytest.mark.browser

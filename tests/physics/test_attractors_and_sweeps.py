@@ -123,6 +123,16 @@ def test_the_smallest_disturbance_leaves_and_no_smaller_one_does():
         assert not leaves[1:].any()
 
 
+def test_a_disturbance_after_which_the_motion_diverges_has_left():
+    """A softening spring pulls back at rest up to x = 1, where k x = -alpha x^3."""
+    softening = gs.Oscillator(mass=1.0, omega_n=0.5 / math.pi, zeta=0.1, alpha=-1.0, forcing=0.0)
+    law, axis = gs.Piecewise(0.0, gs.Gap(10.0, 10.0)), np.linspace(-2.0, 2.0, 3)
+    found = gs.basins(softening, law, 0.2, x=axis, v=axis, rays=8)
+    assert_allclose(found["single_up_x"], 1.0, rtol=1e-9)
+    assert_allclose(found["single_down_x"], -1.0, rtol=1e-9)
+    assert found["disturbance"].item() < 1.0
+
+
 def bistable_scenes(n):
     """Random oscillators with two attractors of the forcing period, in a grid of initial states."""
     rng = np.random.default_rng(11)

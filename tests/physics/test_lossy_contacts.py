@@ -408,6 +408,23 @@ def test_a_graze_without_a_jump_is_one_orbit_of_its_branch(pulls):
     assert names[ds["special"].values.max()] == "grazing"
 
 
+def test_a_branch_that_enters_and_leaves_contact_has_both_sides_of_each_graze_in_order():
+    """At the two frequencies at which the amplitude of the free motion is the wall's distance."""
+    ds = gs.branches(
+        oscillator(0.01), stop(damping=1.2), "omega", between=(0.96 / TURN, 1.05 / TURN)
+    ).isel(branch=0)
+    here = np.isfinite(ds["omega"].values)
+    rate, n_contacts = TURN * ds["omega"].values[here], ds["n_contacts"].values[here]
+    (rows,) = np.nonzero(np.diff(n_contacts))
+    assert n_contacts[rows].tolist() == [0, 2]
+    # (1 - r^2)^2 + (r / 20)^2 = (F / j)^2 / k^2
+    middle, size = 1.0 - 0.5 * 0.05**2, 0.01 / 0.1745
+    apart = math.sqrt(middle**2 - 1.0 + size**2)
+    grazes = np.sqrt([middle - apart, middle + apart])
+    assert rate[rows] == pytest.approx(grazes, rel=1e-9)
+    assert rate[rows + 1] == pytest.approx(grazes, rel=1e-9)
+
+
 def test_two_orbits_meet_at_a_border_fold_and_none_is_beyond():
     """Newton's method of another integrator finds both before the graze."""
     rate, damping = 1.3, 2.0
@@ -515,6 +532,18 @@ REFUSED = [
     (lambda: gs.Tanh(1.0, gs.Gap(0.1, 0.1), 1e3, damping=-1.0), r"damping = -1: must be >= 0"),
     (lambda: gs.Polynomial(1.0, gs.Gap(0.1, 0.1), 5, damping=1.0), "damping.*Piecewise"),
     (lambda: gs.contact_law("poly-5", 1.0, gs.Gap(0.1, 0.1), damping=1.0), "poly-5 has none.*tanh"),
+    (lambda: rigid("120 %"), r"restitution = 1\.2: must be in 0\.\.1"),
+    (
+        lambda: gs.branches(
+            gs.Oscillator(mass=1.0, omega_n=1.0, zeta=0.1, forcing=1.0),
+            rigid(0.8),
+            "omega",
+            (1.0, 2.0),
+            1.5,
+            [9.0, 0.0],
+        ),
+        r"start = \[9\.0, 0\.0\]: no motion from there",
+    ),
     (lambda: rigid(1.2), r"restitution = 1\.2: must be in 0\.\.1"),
     (lambda: rigid(-0.2), r"restitution = -0\.2: must be in 0\.\.1"),
     (lambda: rigid(math.nan), "restitution = nan"),

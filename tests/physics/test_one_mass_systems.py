@@ -11,7 +11,8 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 import gapsweep as gs
 from gapsweep.explorer import page_results
-from gapsweep.explorer.question import EXACT, of_model
+from gapsweep.explorer.first_question import of_model
+from gapsweep.explorer.question import EXACT
 from gapsweep.model.doubts import doubts
 from gapsweep.model.structure import general_form
 from gapsweep.response.respond import respond_models

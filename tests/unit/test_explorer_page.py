@@ -29,6 +29,7 @@ import gapsweep as gs
 from gapsweep.cli.main import exit_code
 from gapsweep.errors import GapsweepError, ModelError
 from gapsweep.explorer import page_results as shown
+from gapsweep.explorer.first_question import not_computed, of_model, of_study
 from gapsweep.explorer.latest import Latest
 from gapsweep.explorer.page import Page
 from gapsweep.explorer.page_figures import Figures, legend
@@ -51,16 +52,7 @@ from gapsweep.explorer.page_results import (
     response_map,
     sweeps,
 )
-from gapsweep.explorer.question import (
-    EXACT,
-    asked,
-    dials,
-    labels,
-    not_computed,
-    numbers,
-    of_model,
-    of_study,
-)
+from gapsweep.explorer.question import EXACT, asked, dials, labels, numbers
 from gapsweep.explorer.stored import StoredRun
 from gapsweep.report.style import NOT_PERIODIC, NOT_SETTLED
 

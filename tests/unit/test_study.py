@@ -16,7 +16,8 @@ from tests.builders.studies import PAPER, TOML
 
 import gapsweep as gs
 from gapsweep.cli.options import selected
-from gapsweep.explorer import question
+from gapsweep.explorer.first_question import of_model
+from gapsweep.explorer.question import numbers as slider_numbers
 from gapsweep.model.oscillator import OSCILLATOR
 from gapsweep.report.inputs import Inputs
 from gapsweep.report.sections import model as report_model
@@ -627,7 +628,7 @@ def test_every_number_of_the_oscillator_is_known_wherever_they_are_listed(tables
     numbers = set(OSCILLATOR)
     assert set(OscillatorTable.model_fields) == numbers
     assert numbers <= set(COORDINATES)
-    assert numbers <= set(question.numbers(question.of_model()))
+    assert numbers <= set(slider_numbers(of_model()))
     values = {name: 1.125 + i for i, name in enumerate(OSCILLATOR)} | {"base_damping": 0.625}
     tables["sweep"][0] |= {"representation": "piecewise", "omega": [7.0]}
     study = study_of(tables, oscillator=values)

@@ -1,10 +1,9 @@
 """A setting of the page's sliders, and the ranges of the sliders."""
 
-import inspect
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, fields, replace
-from functools import cached_property, partial
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -12,23 +11,14 @@ from numpy.typing import NDArray
 
 from gapsweep.errors import ModelError
 from gapsweep.integrate.problem import Laws, Model
-from gapsweep.integrate.simulate import AnyLaw
 from gapsweep.model.contact import FIT_RANGE, OF_WALLS, ContactLaw, Piecewise
 from gapsweep.model.labels import EXACT, Representation, canonical_label, contact_law
-from gapsweep.model.oscillator import Gap, Oscillator, checked, is_number
-from gapsweep.model.parameters import made_model
-from gapsweep.model.system import System
-from gapsweep.model.systems import paper_oscillator
-from gapsweep.study.study import Study
+from gapsweep.model.oscillator import Gap, Oscillator, checked
 from gapsweep.variables import CONTACT, COORDINATE
 
 Array = NDArray[np.float64]
 
 MAX_APPROXIMATIONS = 3
-DEFAULT_APPROXIMATIONS = ("tanh-1e4",)
-# First frequency of the page in natural frequencies: above resonance, where contacts matter.
-_LOOKED_AT = 1.8
-_MODES = 20.0  # largest natural frequency in the first response, over the smallest
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,7 +46,7 @@ class SliderModel:
     parameters : mapping of str to float
         Initial values of the model's parameters.
     walls : mapping of str to mapping of str to (str or float)
-        For every contact its `_WALLS`: each the name of a slider, or a number.
+        For every contact its `WALLS`: each the name of a slider, or a number.
     laws : mapping of str to str
         Labels of the laws of contacts that do not follow the page's.
     exact : mapping of str to Piecewise
@@ -80,7 +70,7 @@ class SliderModel:
     @cached_property
     def names(self) -> tuple[str, ...]:
         """Names of the sliders: walls, frequency, parameters."""
-        several = [walls.get(name) for name in _WALLS for walls in self.walls.values()]
+        several = [walls.get(name) for name in WALLS for walls in self.walls.values()]
         of_walls = dict.fromkeys(one for one in several if isinstance(one, str))
         return (*of_walls, "omega", *self.parameters)
 
@@ -232,7 +222,7 @@ class Question:
                 continue
             # A law with losses in its label has no damper in addition.
             loses = law != EXACT and Representation(law).is_located
-            others = {_CHI, "damping"} if loses else {_CHI}
+            others = {CHI, "damping"} if loses else {CHI}
             of_walls = {name: of_walls[name] for name in of_walls.keys() - others}
             found.append(contact_law(law, fit_range=self.fit_range, **of_walls))
         return tuple(found)
@@ -338,18 +328,18 @@ class Dial:
         return tuple(map(self.at, places.tolist()))
 
 
-_CHI = "chi"
-_WALLS = ("K_c", "j_1", "j_2", *OF_WALLS, _CHI)
+CHI = "chi"
+WALLS = ("K_c", "j_1", "j_2", *OF_WALLS, CHI)
 _OVER_DECADES = ("K_c", "zeta", "mass")
 # Scale and range: lower and upper end as multiples of the initial value, and the smallest upper end
 # in SI units, of an oscillator.
-_DIALS: dict[str, tuple[Scale, float, float, float]] = {
+DIALS: dict[str, tuple[Scale, float, float, float]] = {
     "K_c": (Scale("Contact stiffness K_c", "N/m"), 1e-2, 1e2, 1e4),
     "j_1": (Scale("Lower wall −j₁", "mm", 1e-3), 0.0, 3.0, 2e-3),
     "j_2": (Scale("Upper wall j₂", "mm", 1e-3), 0.0, 3.0, 2e-3),
     "K_ratio": (Scale("Stiffness of lower over upper wall"), 0.0, 2.0, 2.0),
     "damping": (Scale("Contact damping c_c", "N s/m"), 0.0, 5.0, 100.0),
-    _CHI: (Scale("χ of Hunt–Crossley contact", "s/m"), 0.0, 5.0, 1.0),
+    CHI: (Scale("χ of Hunt–Crossley contact", "s/m"), 0.0, 5.0, 1.0),
     "omega": (Scale("Frequency of the motion ω", "Hz"), 0.0, 0.0, 0.0),
     "forcing": (Scale("Forcing p", "N"), 0.0, 5.0, 1.0),
     "zeta": (Scale("Damping ratio ζ"), 0.05, 10.0, 0.1),
@@ -408,9 +398,9 @@ def _dial(name: str, value: float, given: Sequence[float] | None, model: Model) 
     wall, _, contact = name.partition(" of ")
     in_metres = {*model.part_units[CONTACT]} <= {"m"}
     if is_oscillator := isinstance(model, Oscillator):
-        scale, least, most, smallest_end = _DIALS[name]
-    elif wall in _WALLS or name == "omega":
-        known, least, most, _ = _DIALS[wall]
+        scale, least, most, smallest_end = DIALS[name]
+    elif wall in WALLS or name == "omega":
+        known, least, most, _ = DIALS[wall]
         title = f"{known.title} of {contact}" if contact else known.title
         is_known = in_metres or name == "omega"
         scale, smallest_end = replace(known, title=title) if is_known else Scale(title), 0.0
@@ -426,224 +416,3 @@ def _dial(name: str, value: float, given: Sequence[float] | None, model: Model) 
     low, high, value = (each / scale.factor for each in (low, high, value))
     decades = name in _OVER_DECADES if is_oscillator else wall == "K_c"
     return Dial(name, scale, low, high, value, decades)
-
-
-# --- where it starts ------------------------------------------------------------------------------
-
-_OSCILLATOR = tuple(name for name in _DIALS if name in {each.name for each in fields(Oscillator)})
-
-
-def _machine(
-    model: Any,
-    walls: Mapping[str, Mapping[str, str | float]],
-    widest: float,
-    laws: Mapping[str, str] | None = None,
-    exact: Mapping[str, Piecewise] | None = None,
-) -> SliderModel:
-    """The machine of a model, or of a function that returns it for keywords with defaults.
-
-    `widest` is the distance of a wall; those of a system decide the power of ten that is shown.
-    """
-    several = laws or {}, exact or {}
-    if isinstance(model, Oscillator):
-        numbers_of = {name: getattr(model, name) for name in _OSCILLATOR}
-        return SliderModel(lambda values: replace(model, **values), numbers_of, walls, *several)
-    factor = 10.0 ** (3 * round(math.log10(widest) / 3)) if widest else 1.0
-    if isinstance(model, System):
-        return SliderModel(lambda _: model, {}, walls, *several, factor)
-    made = partial(made_model, model)
-    return SliderModel(made, _defaults(model), walls, *several, factor)
-
-
-def _defaults(function: Any) -> dict[str, float]:
-    """The arguments of a function that are numbers, and their defaults."""
-    try:
-        several = inspect.signature(function).parameters.values()
-    except (TypeError, ValueError):
-        raise ModelError(
-            f"oscillator = {function!r:.80}: must be a gapsweep.Oscillator, a gapsweep.System, or "
-            "a function that returns one for keywords"
-        ) from None
-    for one in several:
-        if one.default is one.empty:
-            raise ModelError(
-                f"{one.name}: has no default; write functools.partial(function, {one.name}=1.0)"
-            )
-    return {one.name: float(one.default) for one in several if is_number(one.default)}
-
-
-def of_model(
-    oscillator: Model | Callable[..., Model] | None = None,
-    law: AnyLaw | None = None,
-    *,
-    approximations: Sequence[str] = DEFAULT_APPROXIMATIONS,
-) -> Question:
-    """The initial question of the page for a model and its contact laws.
-
-    Raises
-    ------
-    ModelError
-        If an argument has another type or is out of range.
-    """
-    typed = [approximations] if isinstance(approximations, str) else approximations
-    if not (isinstance(typed, Sequence) and all(isinstance(each, str) for each in typed)):
-        raise ModelError(f"approximations = {typed!r:.80}: must be labels, as ['tanh-1e4']")
-    model = paper_oscillator() if oscillator is None else oscillator
-    example = model
-    if not isinstance(example, Oscillator | System):
-        example = made_model(example, _defaults(example))
-    if not (example.is_forced and example.contacts):
-        raise ModelError(f"oscillator = {model!r:.80}: {_NOT_SHOWN}")
-    law = Piecewise(K_c=1.4e4, gap=Gap(0.4e-3, 0.4e-3)) if law is None else law
-    several = law if isinstance(law, Mapping) else dict.fromkeys(example.contacts, law)
-    for one in several.values():
-        if not isinstance(one, ContactLaw):
-            raise ModelError(f"law = {one!r:.80}: must be a contact law, as gapsweep.Piecewise")
-    if set(several) != set(example.contacts):
-        raise ModelError(f"law: of {list(several)}: must name {list(example.contacts)}")
-    is_one = len(set(map(id, several.values()))) == 1
-    of_laws = {contact: _numbers_of(several[contact]) for contact in example.contacts}
-    walls: dict[str, dict[str, str | float]] = {contact: {} for contact in of_laws}
-    values: dict[str, float] = {"omega": _LOOKED_AT * example.slowest}
-    for contact, of_law in of_laws.items():
-        for name, value in of_law.items():
-            slider = name if is_one else f"{name} of {contact}"
-            is_wall = value < math.inf
-            walls[contact][name] = slider if is_wall else value
-            values |= {slider: value} if is_wall else {}
-    exact = {k: one for k, one in several.items() if isinstance(one, Piecewise) and one.located}
-    widest = max(one.gap.size for one in several.values())
-    machine = _machine(model, walls, widest, exact=exact)
-    values |= machine.parameters
-    low, fastest = example.slowest, min(example.fastest, _MODES * example.slowest)
-    return Question(
-        machine=machine,
-        values=tuple(values[name] for name in machine.names),
-        approximations=labels(" ".join(typed)),
-        band=(0.4 * low, max(3.0 * low, 1.5 * fastest)),
-    )
-
-
-def _numbers_of(law: ContactLaw) -> dict[str, float]:
-    """The numbers of a contact law that have sliders, by name, in SI units."""
-    exact = law if isinstance(law, Piecewise) else law.exact
-    own = {each.name for each in fields(exact) if each.init}
-    places = {"j_1": law.gap.j_1, "j_2": law.gap.j_2}
-    return places | {name: getattr(exact, name) for name in _WALLS if name in own}
-
-
-_NOT_SHOWN = (
-    "explore needs a forcing and a contact, since its figures are over the forcing frequency; use "
-    "gapsweep.respond, gapsweep.map and gapsweep.basins"
-)
-
-
-def refuse_code(tables: Mapping[str, Any], source: object) -> None:
-    """Raise an error for the tables of a run of systems that user code made.
-
-    The code is not imported, since a folder of results may come from elsewhere.
-
-    Raises
-    ------
-    ModelError
-    """
-    function = (tables.get("system") or {}).get("function") or ""
-    if ":" in function:
-        raise ModelError(
-            f"{source}: the system is made by {function!r}; no code named in a run is executed: "
-            "explore the study file"
-        )
-
-
-def of_study(study: Study) -> tuple[Question, dict[str, tuple[float, float]]]:
-    """The initial question of the page for a study, and its swept ranges.
-
-    Raises
-    ------
-    ModelError
-        If a value of the study is out of the range of the page.
-    """
-    grid, spec, example = study.grid, study.spec, study.model.default
-    if not (example.is_forced and example.contacts):
-        raise ModelError(f"{study.source}: {_NOT_SHOWN}")
-    gaps = grid.gaps if {"gap", "j_1"} & grid.axes.keys() else ()
-    machine = _machine_of(study, gaps)
-    ranges = {
-        name: (min(axis), max(axis)) for name, axis in grid.axes.items() if name in machine.names
-    }
-    for name in {"j_1", "j_2"}.intersection(machine.names) if gaps else ():
-        walls = [getattr(gap, name) for gap in gaps]
-        ranges[name] = min(walls), max(walls)
-    band = ranges.pop("omega")
-    is_one = band[0] == band[1]
-    if is_one:
-        band = 0.5 * band[0], 2.0 * band[1]
-    # The first requested cell: in a union of blocks, other cells may be no points.
-    first = np.argwhere(grid.requested)[0]
-    point = {name: axis[k] for (name, axis), k in zip(grid.axes.items(), first, strict=True)}
-    values: dict[str, Any] = {**OF_WALLS, "j_1": 0.0, "j_2": 0.0, **spec.model, **point}
-    if "gap" in point:
-        values |= {"j_1": point["gap"].j_1, "j_2": point["gap"].j_2}
-    if not is_one:
-        values["omega"] = min(max(_LOOKED_AT * example.slowest, band[0]), band[1])
-    ours = [law for law in _plain(grid.representations) if not law.is_own]
-    others = [law for law in ours if law != EXACT and not law.is_auto]
-    question = Question(
-        machine=machine,
-        values=tuple(float(values[name]) for name in machine.names),
-        band=band,
-        approximations=tuple(others[:1]),
-        fit_range=spec.approximation.range,
-    )
-    return question, ranges
-
-
-def _machine_of(study: Study, gaps: Sequence[Gap]) -> SliderModel:
-    """The model of a study; numbers of a contact in [contact] have no slider."""
-    walls: dict[str, dict[str, str | float]] = {}
-    laws, widths = {}, [gap.size for gap in gaps]
-    places = dict[str, str | float]()
-    for name in ("j_1", "j_2"):
-        is_absent = [getattr(gap, name) == math.inf for gap in gaps]
-        if any(is_absent) and not all(is_absent):
-            raise ModelError(
-                f"{study.source}: {name} = inf next to other values: explore draws machines with "
-                "equal walls; give a study of either"
-            )
-        places |= {name: math.inf} if any(is_absent) else {}
-    for contact in study.model.contacts:
-        table = study.spec.contact.get(contact)
-        own = {} if table is None else table.model_dump(exclude_none=True)
-        if law := own.pop("representation", None):
-            laws[contact] = Representation(law).law
-            if laws[contact].is_own:
-                raise ModelError(
-                    f"{study.source}: contact {contact}: {law}: user laws are not computed here"
-                )
-        if "gap" in own:
-            own["j_1"], own["j_2"] = own.pop("gap")
-            widths.append(Gap(own["j_1"], own["j_2"]).size)
-        # A contact with a separate law has the damping that the study gives it, if any.
-        names = [name for name in _WALLS if name != _CHI]
-        names = [name for name in names if name in own or contact not in laws or name != "damping"]
-        walls[contact] = {name: own.get(name, places.get(name, name)) for name in names}
-    model = study.model.along(tuple(study.spec.model), {}) or study.model.default
-    pulling = Piecewise(0.0, Gap(0.0, 0.0), pulls=True)  # with the numbers of the sliders
-    exact = dict.fromkeys(walls, pulling) if study.spec.study.pulls else {}
-    return _machine(model, walls, max(widths, default=0.0), laws, exact)
-
-
-def not_computed(study: Study) -> str:
-    """A note that the page does not compute user-defined laws; empty if there are none."""
-    own = [law for law in _plain(study.grid.representations) if law.is_own]
-    if not own:
-        return ""
-    return (
-        f"Not computed here: the user-defined {', '.join(own)}. Squares: stored results; black: "
-        "the piecewise-linear law, with K_c and the gap of the sliders."
-    )
-
-
-def _plain(representations: Sequence[Representation]) -> list[Representation]:
-    """Distinct representations without their protocols."""
-    return list(dict.fromkeys(one.law for one in representations))

@@ -8,8 +8,9 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from gapsweep.explorer.first_question import not_computed, of_study, refuse_code
 from gapsweep.explorer.page_results import STORED, Curve, peak
-from gapsweep.explorer.question import Question, not_computed, of_study, refuse_code
+from gapsweep.explorer.question import Question
 from gapsweep.model.labels import Representation
 from gapsweep.quantities import written
 from gapsweep.report import branch_lines

@@ -9,13 +9,13 @@ from typing import Any
 import numpy as np
 
 from gapsweep.errors import ModelError
-from gapsweep.explorer.question import (
+from gapsweep.explorer.first_question import (
     DEFAULT_APPROXIMATIONS,
-    Question,
     not_computed,
     of_model,
     of_study,
 )
+from gapsweep.explorer.question import Question
 from gapsweep.explorer.server import Explorer
 from gapsweep.explorer.stored import StoredRun
 from gapsweep.integrate.problem import Model

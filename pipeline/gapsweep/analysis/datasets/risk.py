@@ -69,17 +69,17 @@ _OF_NUMBERS = {
     "total": "total Sobol index: share of the variance with the number's interactions",
     "total_error": "half-width of the 95 % interval of the total index",
 }
-_OF_WHAT = (("", EVENT), ("quantity_", QUANTITY))
+_PREFIXES = (("", EVENT), ("quantity_", QUANTITY))
 # Those of a study or call that asks for Sobol indices: of events, and of quantities.
 INDICES = {
     f"{prefix}{name}": Variable("f8", "1", text, dims=(dim, NUMBER))
-    for prefix, dim in _OF_WHAT
+    for prefix, dim in _PREFIXES
     for name, text in _OF_NUMBERS.items()
 } | {
     f"{prefix}n_left_out": Variable(
         "f8", "1", "Sobol points left out of the indices: a sample is undecided", dims=(dim,)
     )
-    for prefix, dim in _OF_WHAT
+    for prefix, dim in _PREFIXES
 }
 AXES = {
     EVENT: Variable("str", "1", "event"),

@@ -23,7 +23,7 @@ from gapsweep.report.tables import number
 from gapsweep.study.grid import CONTACT
 
 _WIDTH = 9.5  # inches
-_DAMPING, _MOST = "damping", 5  # values of the damping whose loops are shown
+_DAMPING, _MOST = "damping", 5  # number of values of the damping with a loop
 _TITLE = "Energy lost in contacts"
 _HEADER = ["Representation", "Response", "J per forcing period", "J per contact"]
 _SENTENCE = (
