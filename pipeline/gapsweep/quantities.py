@@ -19,7 +19,9 @@ UNITS = {
     **dict.fromkeys(("t", "t_0", "t_end", "t_max", "time_limit", "timeout"), "s"),
     "forcing: period": "s",
     **dict.fromkeys(("forcing", "mean_load", "forcing: amplitude", "F", "f", "f(t)", "noise"), "N"),
-    **dict.fromkeys(("zeta", "K_ratio", "depth", "rtol", "settle_tol", "error", "ratio"), "1"),
+    **dict.fromkeys(
+        ("zeta", "K_ratio", "restitution", "depth", "rtol", "settle_tol", "error", "ratio"), "1"
+    ),
     **dict.fromkeys(("epsilon", "gamma"), "m-1"),
     "chi": "s m-1",
     **dict.fromkeys(("K_c", "stiffness"), "N m-1"),

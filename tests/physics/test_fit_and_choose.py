@@ -388,6 +388,15 @@ def test_sweeps_from_rpm_columns_of_both_directions_and_other_tables(tmp_path):
     np.testing.assert_allclose(down.values, [6e-6, 4e-6, 2e-6], rtol=1e-14)
     savemat(tmp_path / "a.mat", {"omega_rpm": [600, 660, 720], "x_max_um": [1.0, 3.0, 5.0]})
     np.testing.assert_allclose(sweeps(tmp_path / "a.mat")[1][0].values, up.values)
+    both = {"f_Hz": up.omega, "x_max_up_um": [1.0, 3.0, 5.0], "x_max_down_um": [2.0, 4.0, 6.0]}
+    savemat(tmp_path / "a.mat", both)
+    for one, other in zip(sweeps(tmp_path / "a.mat")[1], (up, down), strict=True):
+        assert one.direction == other.direction
+        np.testing.assert_allclose(one.values, other.values, rtol=1e-14)
+    with pytest.raises(gs.ModelError, match="x_max_m: must be one column of numbers"):
+        sweeps({"f_Hz": up.omega, "x_max_m": up.values + 1j})
+    with pytest.raises(gs.ModelError, match="x_max_m: must be one column of numbers"):
+        sweeps({"f_Hz": [1.0, 2.0, 3.0, 4.0], "x_max_m": np.ones((2, 2))})
     frame = pd.DataFrame({"omega [Hz]": up.omega, "x_max [m]": up.values})
     np.testing.assert_array_equal(sweeps(frame)[1][0].values, up.values)
     dataset = frame.rename(columns={"omega [Hz]": "omega", "x_max [m]": "x_max"})
@@ -457,12 +466,13 @@ def test_bad_arguments_of_a_fit_are_refused_in_one_line(tmp_path, arguments, wor
         ({"parameter": "gapp"}, "gapp"),
         ({"starts": [[0.0, 0.0, 0.0]]}, "starts"),
         ({"parameter": "K_c", "between": (-0.1, 0.1)}, "K_c"),
+        ({"law": gs.Rigid(gs.Gap(0.2, 0.2), restitution=0.8)}, "rigid walls are not covered"),
     ],
 )
 def test_bad_arguments_of_choose_are_refused_in_one_line(arguments, word):
     good = {"parameter": "gap", "between": (0.1, 0.3), "so_that": gs.no_chaos(), "omega": RATE}
     with pytest.raises(gs.ModelError, match=word) as raised:
-        gs.choose(oscillator=PUBLIC, law=PUBLIC_LAW, **(good | arguments))
+        gs.choose(oscillator=PUBLIC, **({"law": PUBLIC_LAW} | good | arguments))
     assert "\n" not in str(raised.value)
 
 

@@ -532,6 +532,18 @@ REFUSED = [
     (lambda: gs.Tanh(1.0, gs.Gap(0.1, 0.1), 1e3, damping=-1.0), r"damping = -1: must be >= 0"),
     (lambda: gs.Polynomial(1.0, gs.Gap(0.1, 0.1), 5, damping=1.0), "damping.*Piecewise"),
     (lambda: gs.contact_law("poly-5", 1.0, gs.Gap(0.1, 0.1), damping=1.0), "poly-5 has none.*tanh"),
+    (lambda: rigid("120 %"), r"restitution = 1\.2: must be in 0\.\.1"),
+    (
+        lambda: gs.branches(
+            gs.Oscillator(mass=1.0, omega_n=1.0, zeta=0.1, forcing=1.0),
+            rigid(0.8),
+            "omega",
+            (1.0, 2.0),
+            1.5,
+            [9.0, 0.0],
+        ),
+        r"start = \[9\.0, 0\.0\]: no motion from there",
+    ),
     (lambda: rigid(1.2), r"restitution = 1\.2: must be in 0\.\.1"),
     (lambda: rigid(-0.2), r"restitution = -0\.2: must be in 0\.\.1"),
     (lambda: rigid(math.nan), "restitution = nan"),

@@ -254,6 +254,8 @@ def _periods(equations: OrbitEquations, value: float, state: Array) -> int:
     models = equations.family.models(windows, np.asarray(windows[0].place([[value]])))
     t_end = Steady().max_period_multiple / models.omega
     section = motions(models, equations.solver, state[None, :], t_end, 0.0).events().section
+    if not len(section):
+        raise ModelError(f"start = {state.tolist()}: no motion from there; start between the walls")
     apart = np.abs(section - state).max(axis=1) / np.abs(state).max(initial=1e-300)
     return 1 + int(np.argmax(apart <= limit.COMES_BACK))
 

@@ -29,6 +29,7 @@ from gapsweep.errors import ModelError
 from gapsweep.integrate.problem import Model
 from gapsweep.integrate.simulate import AnyLaw
 from gapsweep.model.arrays import numbers
+from gapsweep.model.contact import Rigid
 from gapsweep.model.oscillator import called_as, checked
 from gapsweep.quantities import UNITS, without_units, written
 from gapsweep.response.result import Response, Responses
@@ -512,6 +513,11 @@ def choose(
         if starts is not None or rtol is not None:
             raise ModelError("starts, rtol: leave them out; gs.probability has the initial state")
         return _by_chance(machine, window, demands[0], band, omega)
+    laws = machine.family.laws_at({window.name: window.value(0.5)})
+    if any(isinstance(each, Rigid) for each in laws):
+        # The largest force is no number, and the depth beyond a wall is 0 with and without impacts.
+        said = "rigid walls are not covered; write gs.probability, or gs.Piecewise with a large K_c"
+        raise ModelError(f"law: {said}")
     survey = _Survey(
         machine, window, demands, band, _states(machine, window, starts), follows=starts is None
     )

@@ -3,9 +3,9 @@
 A table has a column of frequencies (``omega`` or ``frequency``), a column of one quantity
 (``amplitude``, ``x_max`` or ``peak``, ``x_min``, ``force_max``) and, if it is known, a column
 ``sweep`` with the words up and down. The name of a column ends in its unit: ``frequency [Hz]``,
-``amplitude (mm)``, ``peak_um``. Without a column ``sweep``, rising frequencies are a sweep up and
-falling ones a sweep down. ``amplitude up [mm]`` and ``amplitude down [mm]`` in two columns are two
-sweeps.
+``amplitude (mm)``, ``peak_up_um``. Without a column ``sweep``, rising frequencies are a sweep up
+and falling ones a sweep down. ``amplitude up [mm]`` and ``amplitude down [mm]`` in two columns are
+two sweeps.
 """
 
 from __future__ import annotations
@@ -176,6 +176,8 @@ def _numbers(where: str, column: _Column, values: Any) -> Array:
         example = {"Hz": "Hz", "m": "mm"}.get(units, written(units))
         raise ModelError(f"{where}: {column.title}: has no unit; write {column.title} [{example}]")
     try:
+        if np.iscomplexobj(values):
+            raise ValueError(column.title)
         found: Array = np.atleast_1d(np.squeeze(np.asarray(values, float)))
         if found.ndim > 1:
             raise ValueError(found.shape)
@@ -196,12 +198,12 @@ def _numbers(where: str, column: _Column, values: Any) -> Array:
 def _column(title: str) -> _Column:
     """The quantity and direction that the title of a column names."""
     text = re.sub(r"[\s_]+", "_", split_title(title)[0].lower())
-    direction = next((each for each in DIRECTIONS if text.endswith(f"_{each}")), "")
-    text = text.removesuffix(f"_{direction}") if direction else text
-    name = _OTHER_NAMES.get(text, text)
-    if name not in _NAMES:  # a unit as of amplitude_mm
-        start = text.rpartition("_")[0]
-        name = _OTHER_NAMES.get(start, start)
+    for start in (text, text.rpartition("_")[0]):  # without a unit as of amplitude_up_mm
+        direction = next((each for each in DIRECTIONS if start.endswith(f"_{each}")), "")
+        quantity = start.removesuffix(f"_{direction}") if direction else start
+        name = _OTHER_NAMES.get(quantity, quantity)
+        if name in _NAMES:
+            break
     return _Column(name, direction, title.strip())
 
 

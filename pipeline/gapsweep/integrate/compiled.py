@@ -102,8 +102,8 @@ def _check_columns(models: Models, solver: Solver, shifts: Shifts) -> None:
     """Raise a `ModelError` if motions of the models have no parameter columns."""
     if not _is_exact(models) or any(law.losses.is_rigid for law in models.laws[0]):
         raise ModelError(
-            f"law = {models.laws[0][0]}: gradients need located contacts, as gs.Piecewise(1.4e4, "
-            "gs.Gap(4e-4, 4e-4))"
+            f"law = {models.laws[0][0]}: gradients need located contacts with a stiffness, as "
+            "gs.Piecewise(1.4e4, gs.Gap(4e-4, 4e-4))"
         )
     if solver.runge_kutta_setting:
         raise ModelError(f"{solver.runge_kutta_setting}: gradients need Taylor steps; leave it out")

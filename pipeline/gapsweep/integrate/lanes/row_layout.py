@@ -331,6 +331,10 @@ class RowLayout:
             # inverse of B'M^-1 B of the held contacts, speeds before impacts at the end of a step
             **dict.fromkeys(("rigid", "restitution", "of_impact"), k * self.has_impacts),
             **{"held": k * k * self.has_impacts, "v_in": n * self.has_impacts},
+            # of impacts at the end of a step, for single lanes, see `stepping.impacts`
+            **dict.fromkeys(("impact_share", "hold_force"), k * self.has_impacts),
+            **dict.fromkeys(("acceleration", "unprojected"), n * self.has_impacts),
+            "impact_kick": k * (n + m) * self.has_impacts,
             # smoothing: 2 epsilon [1/m], half-width of the layers [m], whether one is near, longest
             # step [s]; what to add to the time of the contact that ended the last step [s]
             **dict.fromkeys(("sharpness", "layer", "is_near", "longest"), 1 * self.is_tanh),

@@ -62,7 +62,7 @@ class WorkSpace:
         self.coefficients = aligned(at.n_coefficients, at.width)
         self.lane_point = np.empty(at.width, np.int64)
         self.progress, self.fill = np.empty(2, np.int64), np.empty(len(record.LOGS), np.int64)
-        self.work = work_space(at.order, at.contacts, at.n, at.m)
+        self.work = work_space(at.order, at.contacts)
         per_step, widths = record.rows_per_step.py_func(at), _log_columns(at)
         self._sizes = [
             (max(_LOG_VALUES // columns, rows), columns)

@@ -129,21 +129,21 @@ def set_held(at, lanes, k):
 
 
 @internal
-def _project(at, lanes, k, first, work):
+def _project(at, lanes, k, first):
     """Remove components along held contacts from the vector in rows from `first` on."""
-    whole, n = work.rates[1], at.contacts
+    n = at.contacts
     for i in range(at.n):
-        whole[i] = lanes[first + i, k]
+        lanes[at.unprojected + i, k] = lanes[first + i, k]
     for j in range(n):
         along = 0.0
         for i in range(n):
             for c in range(at.n):
                 part = 1.0 if at.is_plain else lanes[at.direction + i * at.n + c, k]
-                along += lanes[at.held + j * n + i, k] * part * whole[c]
+                along += lanes[at.held + j * n + i, k] * part * lanes[at.unprojected + c, k]
         for c in range(at.n):
             lanes[first + c, k] -= _pull(at, lanes, k, c, j) * along
     for c in range(at.n):
-        if abs(lanes[first + c, k]) <= _STILL * abs(whole[c]):
+        if abs(lanes[first + c, k]) <= _STILL * abs(lanes[at.unprojected + c, k]):
             lanes[first + c, k] = 0.0
 
 
@@ -159,11 +159,12 @@ def release(at, lanes, k, contact):
 @internal
 def begin_impacts(at, lanes, k, step, coefficients, work):
     """Store speeds and accelerations at the end of a step, before impacts there."""
-    work.shares[:] = 0.0
+    for contact in range(at.contacts):
+        lanes[at.impact_share + contact, k] = 0.0
     for i in range(at.n):
         lanes[at.v_in + i, k] = lanes[at.v + i, k]
         load_series(coefficients, i * at.n_terms, k, work.series)
-        work.rates[0, i] = _second(work.series, step)
+        lanes[at.acceleration + i, k] = _second(work.series, step)
 
 
 @internal
@@ -212,16 +213,16 @@ def meet(at, lanes, k, contact, side, step, coefficients, work):
         lanes[at.side + contact, k] = side
         lanes[at.n_contacts, k] += 1.0
     set_held(at, lanes, k)
-    _project(at, lanes, k, at.v, work)
+    _project(at, lanes, k, at.v)
 
 
 @internal
 def _rebound(at, lanes, k, contact, speed, step, coefficients, work):
     """Change speeds by an impact of a gap at `speed`; return the change of its acceleration.
 
-    Store in `work` what solutions of the variational equation need, as `tangent._impacts` does.
+    Store what solutions of the variational equation need, as `tangent._impacts` does.
     """
-    kick, rates, n = work.kicks[contact], work.rates[0], at.n
+    n, kick = at.n, at.impact_kick + contact * (at.n + at.m)
     _, size = _along(at, lanes, k, contact, at.v)
     per_speed = 1.0 / speed if abs(speed) > _STILL * size else 0.0
     compliance = 1.0 if at.is_plain else lanes[at.compliance + contact, k]
@@ -229,65 +230,72 @@ def _rebound(at, lanes, k, contact, speed, step, coefficients, work):
     towards = changed = 0.0
     for i in range(n):
         direction = 1.0 if at.is_plain else lanes[at.direction + contact * n + i, k]
-        towards += share * direction * rates[i]
-    kick[:] = 0.0
+        towards += share * direction * lanes[at.acceleration + i, k]
+    for i in range(n + at.m):
+        lanes[kick + i, k] = 0.0
     _add_rates(at, lanes, k, -1.0, kick)
     for j in range(at.contacts):  # as without holds
-        work.forces[j] = 0.0
+        lanes[at.hold_force + j, k] = force = 0.0
         if abs(lanes[at.mode + j, k]) == HOLD:
             load_series(coefficients, (at.first_hold + j) * at.n_terms, k, work.series)
-            work.forces[j], _ = polynomial(work.series, at.order, step)
+            force, _ = polynomial(work.series, at.order, step)
+            lanes[at.hold_force + j, k] = force
             for i in range(n):
-                kick[i] += _pull(at, lanes, k, i, j) * work.forces[j]
+                lanes[kick + i, k] += _pull(at, lanes, k, i, j) * force
     for i in range(n):
         before = lanes[at.v + i, k]
         after = before - share * speed * _pull(at, lanes, k, i, contact)
         lanes[at.v + i, k] = 0.0 if abs(after) <= _STILL * abs(before) else after
-    _change_others(at, lanes, k, contact, work)
+    _change_others(at, lanes, k, contact)
     _add_rates(at, lanes, k, 1.0, kick)
-    work.shares[contact] = share
-    _hold_rates(at, lanes, k, kick, rates, work.forces)
+    lanes[at.impact_share + contact, k] = share
+    _hold_rates(at, lanes, k, kick)
     for i in range(n):
-        change, pull = kick[i], _pull(at, lanes, k, i, contact)
-        kick[i] = (change + towards * pull) * per_speed
-        rates[i] += change
+        change, pull = lanes[kick + i, k], _pull(at, lanes, k, i, contact)
+        lanes[kick + i, k] = (change + towards * pull) * per_speed
+        lanes[at.acceleration + i, k] += change
         changed += change * (1.0 if at.is_plain else lanes[at.direction + contact * n + i, k])
     for i in range(at.m):
-        kick[n + i] *= per_speed
+        lanes[kick + n + i, k] *= per_speed
     return changed
 
 
 @internal
-def _hold_rates(at, lanes, k, change, rates, forces):
-    """Remove accelerations along held contacts from the sum of accelerations and their change."""
+def _hold_rates(at, lanes, k, change):
+    """Remove accelerations along held contacts from the sum of accelerations and their change.
+
+    The change is in rows from `change` on.
+    """
     n = at.contacts
     for j in range(n):
-        forces[j] = 0.0
+        force = 0.0
         for i in range(n):
             for c in range(at.n):
                 part = 1.0 if at.is_plain else lanes[at.direction + i * at.n + c, k]
-                forces[j] += lanes[at.held + j * n + i, k] * part * (rates[c] + change[c])
+                rate = lanes[at.acceleration + c, k] + lanes[change + c, k]
+                force += lanes[at.held + j * n + i, k] * part * rate
+        lanes[at.hold_force + j, k] = force
     for j in range(n):
         for c in range(at.n):
-            change[c] -= _pull(at, lanes, k, c, j) * forces[j]
+            lanes[change + c, k] -= _pull(at, lanes, k, c, j) * lanes[at.hold_force + j, k]
 
 
 @internal
-def _add_rates(at, lanes, k, sign, rates):
-    """Add what speeds contribute to accelerations and to rates of first-order states."""
+def _add_rates(at, lanes, k, sign, first):
+    """Add what speeds contribute to accelerations and rates of first-order states, in rows."""
     n = at.n
     for i in range(n):
         for j in range(n):
-            rates[i] -= sign * lanes[at.damping + i * n + j, k] * lanes[at.v + j, k]
+            lanes[first + i, k] -= sign * lanes[at.damping + i * n + j, k] * lanes[at.v + j, k]
     for i in range(at.m):
         for j in range(n):
-            rates[n + i] += sign * lanes[at.of_speed + i * n + j, k] * lanes[at.v + j, k]
+            lanes[first + n + i, k] += sign * lanes[at.of_speed + i * n + j, k] * lanes[at.v + j, k]
     for contact in range(at.contacts if at.is_damped else 0):
         mode = lanes[at.mode + contact, k]
         if abs(mode) == ON:
             force = _force(at, lanes, k, contact, mode)
             for i in range(n):
-                rates[i] -= sign * _pull(at, lanes, k, i, contact) * force
+                lanes[first + i, k] -= sign * _pull(at, lanes, k, i, contact) * force
 
 
 @internal
@@ -305,7 +313,7 @@ def _force(at, lanes, k, contact, mode):
 
 
 @internal
-def _change_others(at, lanes, k, contact, work):
+def _change_others(at, lanes, k, contact):
     """Change the modes of the other contacts that an impact ends: holds, and on and slack."""
     is_disturbed = False
     for j in range(at.contacts):
@@ -314,7 +322,9 @@ def _change_others(at, lanes, k, contact, work):
             continue
         if abs(mode) == HOLD:
             speed, size = _along(at, lanes, k, j, at.v)
-            pressing = math.copysign(1.0, mode) * work.forces[j] * lanes[at.compliance + j, k]
+            pressing = (
+                math.copysign(1.0, mode) * lanes[at.hold_force + j, k] * lanes[at.compliance + j, k]
+            )
             if abs(speed) <= _STILL * size:
                 continue
             if _is_low(at, lanes, k, j, speed, pressing):
@@ -329,15 +339,15 @@ def _change_others(at, lanes, k, contact, work):
                 lanes[at.side + j, k] = side
                 lanes[at.n_contacts, k] += 1.0
     if is_disturbed:
-        _project(at, lanes, k, at.v, work)
+        _project(at, lanes, k, at.v)
 
 
 @internal
-def turn_tangent(at, lanes, k, first, work):
+def turn_tangent(at, lanes, k, first):
     """Apply the impacts of a step to a solution of the variational equation, rows from `first`."""
     has_met = is_held = False
     for contact in range(at.contacts):
-        share = work.shares[contact]
+        share = lanes[at.impact_share + contact, k]
         is_held = is_held or abs(lanes[at.mode + contact, k]) == HOLD
         if share != 0.0:
             place, _ = _along(at, lanes, k, contact, first)
@@ -346,9 +356,10 @@ def turn_tangent(at, lanes, k, first, work):
                 pull = share * _pull(at, lanes, k, i, contact)
                 lanes[first + i, k] -= pull * place
                 lanes[first + at.n + i, k] -= pull * speed
+            kick = at.impact_kick + contact * (at.n + at.m)
             for i in range(at.n + at.m):
-                lanes[first + at.n + i, k] += work.kicks[contact, i] * place
+                lanes[first + at.n + i, k] += lanes[kick + i, k] * place
             has_met = True
     if has_met and is_held:
-        _project(at, lanes, k, first, work)
-        _project(at, lanes, k, first + at.n, work)
+        _project(at, lanes, k, first)
+        _project(at, lanes, k, first + at.n)

@@ -243,7 +243,7 @@ def _resolve(at, lanes, k, coefficients, work, rtol):
             if at.is_damped and at.is_taylor:
                 _jump(at, lanes, k, first, j >= at.n_states)
             if at.has_impacts:
-                turn_tangent(at, lanes, k, first, work)
+                turn_tangent(at, lanes, k, first)
     return is_done
 
 

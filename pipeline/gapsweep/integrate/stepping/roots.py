@@ -39,15 +39,10 @@ class Work(NamedTuple):
     multiplicity: np.ndarray
     # shape (2 n_contacts, 2): time and side at which a gap, or then a force, leaves its interval
     exits: np.ndarray
-    # of impacts at the end of a step, see `impacts`
-    shares: np.ndarray  # shape (n_contacts,)
-    forces: np.ndarray  # of holds, of the same shape
-    kicks: np.ndarray  # shape (n_contacts, n_coordinates + n_lags)
-    rates: np.ndarray  # shape (2, n_coordinates)
 
 
-def work_space(degree: int, n_contacts: int, n: int = 1, m: int = 0) -> Work:
-    """Return work space for polynomials up to `degree`, and impacts of n coordinates and m lags."""
+def work_space(degree: int, n_contacts: int) -> Work:
+    """Return work space for polynomials up to `degree`."""
     n, depth = degree + 1, MAX_DEPTH + 3
     return Work(
         np.empty(n),
@@ -57,10 +52,6 @@ def work_space(degree: int, n_contacts: int, n: int = 1, m: int = 0) -> Work:
         np.empty(n),
         np.empty(n, np.int64),
         np.empty((2 * n_contacts, 2)),
-        np.zeros(n_contacts),
-        np.empty(n_contacts),
-        np.empty((n_contacts, n + m)),
-        np.empty((2, n)),
     )
 
 

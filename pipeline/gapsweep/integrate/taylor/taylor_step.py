@@ -319,16 +319,15 @@ def _commit_contacts(lanes, modes, motion, exits, state):
     n_walls = lanes["tau"].constant(0.0)
     for k, side in enumerate(exits.sides):
         passes, touching = exits.passes[k], modes.touching[k]
-        n_passed = where(passes, 1.0, 0.0 * n_walls)
         if layout.has_impacts:  # which leave the mode, and end a contact at once
             is_rigid = lanes[layout.rigid + k] > 0.0
-            n_passed = where(is_rigid, n_passed * 2.0, n_passed)
+            n_walls = n_walls + where(passes & is_rigid, 2.0, 0.0 * n_walls)
             passes = passes & ~is_rigid
         mode, has_gap = lanes[layout.mode + k], lanes[layout.lower + k] < lanes[layout.upper + k]
         # Leaving contact without a gap is entering contact with the other wall.
         lanes[layout.mode + k] = where(passes, where(touching & has_gap, 0.0 * side, side), mode)
         lanes[layout.mode_0 + k], lanes[layout.side + k] = mode, side
-        n_walls = n_walls + where(passes & touching & ~has_gap, n_passed * 2.0, n_passed)
+        n_walls = n_walls + where(passes, where(touching & ~has_gap, side.constant(2.0), 1.0), 0.0)
         if not layout.is_plain:
             # Exactly on the wall that it passes; proved to be inside of the others.
             lo, hi, old = modes.lo[k], modes.hi[k], motion.gaps[k][0]
@@ -414,7 +413,7 @@ def _emit_step(builder, lanes, coefficients, scalars):
     equation = Equation(lanes, coefficients, modes, is_tight)
     motion = (TanhMotion if layout.is_tanh else StepSeries)(lanes, modes, equation)
     kept = motion.q if layout.is_plain else motion.q + motion.z + motion.gaps
-    padding = [lanes["tau"].constant(0.0)] * layout.n_terms
+    padding = [equation.zero] * layout.n_terms
     kept = kept + [(force + padding)[: layout.n_terms] for force in motion.forces]
     for number, series in enumerate(kept):
         for n, term in enumerate(series):
