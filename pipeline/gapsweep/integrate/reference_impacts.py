@@ -14,6 +14,7 @@ Array = NDArray[np.float64]
 
 _LOW = 1e-13  # of the wall's distance: height of flights that are summed
 _LONGEST_REST = 1e-3  # of a radian of the forcing and of the fastest oscillation
+_AT_WALL = 16.0 * np.finfo(float).eps  # of the displacements that a gap is the sum of
 _STILL = 64.0 * np.finfo(float).eps  # of the speeds that a gap's speed is the sum of
 
 
@@ -91,24 +92,22 @@ def is_inside(scene: ReferenceScene, y: State) -> bool:
     """Whether all gaps are between their rigid walls, or by rounding on them."""
     for k, law in enumerate(scene.laws):
         if law.losses.is_rigid:
-            gap, (low, high) = scene.gap(k, y), law.walls
-            slack = (
-                16.0
-                * np.finfo(float).eps
-                * float(np.abs(scene.directions[k]) @ np.abs(y[: scene.n]))
-            )
+            gap, (low, high), slack = scene.gap(k, y), law.walls, _rounding(scene, k, y)
             if not low - slack <= gap <= high + slack:
                 return False
     return True
+
+
+def _rounding(scene: ReferenceScene, contact: int, y: State) -> float:
+    """Distance [m] from a rigid wall within which a gap is on it."""
+    return _AT_WALL * float(np.abs(scene.directions[contact]) @ np.abs(y[: scene.n]))
 
 
 def on_rigid_walls(scene: ReferenceScene, y: State) -> list[tuple[int, int]]:
     """Contacts, and sides, that are on rigid walls up to rounding and do not leave them."""
     found = []
     for k, law in enumerate(scene.laws):
-        near = (
-            16.0 * np.finfo(float).eps * float(np.abs(scene.directions[k]) @ np.abs(y[: scene.n]))
-        )
+        near = _rounding(scene, k, y)
         for side in (1, -1) if law.losses.is_rigid else ():
             size = _STILL * float(np.abs(scene.directions[k]) @ np.abs(y[scene.n : 2 * scene.n]))
             speed = side * scene.gap(k, y[scene.n :])

@@ -145,13 +145,13 @@ class _Search:
         """Return the disturbances after all rounds."""
         n_states, n = self._unit.shape
         axes = np.concatenate([-np.eye(n_states), np.eye(n_states)])
-        bases, directions = self._crossed(np.arange(len(self.of)), axes)
+        bases, directions = self._crossed(axes)
         radii = self._first_leaving(bases, directions, self.far[bases], _FINE)
         self._keep(bases, directions, radii)
         single = np.full((n, 2 * n_states), np.inf)
         np.minimum.at(single, self.of, radii.reshape(-1, 2 * n_states))
         for rays in _rays(n_states, n_rays):
-            bases, directions = self._crossed(np.arange(len(self.of)), rays)
+            bases, directions = self._crossed(rays)
             far = np.minimum(self.size[self.of[bases]], self.far[bases])
             if self._improve(bases, directions, far, _FINE).size:
                 self._refine()
@@ -165,7 +165,7 @@ class _Search:
         )
 
     def _refine(self) -> None:
-        """Turn the best directions to those whose rays leave at the smallest radius."""
+        """Turn the best directions until their rays leave at the smallest radius."""
         width = np.full(len(self.size), _WIDEST)
         for _ in range(_TURNS):
             some = np.flatnonzero((width > _NARROWEST) & np.isfinite(self.size))
@@ -201,8 +201,9 @@ class _Search:
         )
         return best
 
-    def _crossed(self, bases: Numbers, directions: Array) -> tuple[Numbers, Array]:
+    def _crossed(self, directions: Array) -> tuple[Numbers, Array]:
         """Return all pairs of section points and directions."""
+        bases = np.arange(len(self.of))
         return np.repeat(bases, len(directions)), np.tile(directions, (len(bases), 1))
 
     def _first_leaving(

@@ -2,7 +2,7 @@
 
 An impact changes the speed of the gap from u to -e u. A body that a load presses on the wall with
 the acceleration a bounces in ever shorter flights to the height ``(e u)^2 / (2 a)``. From a height
-below `LOW` times the largest displacement on, all further flights are summed: after
+below `_LOW` times the largest displacement on, all further flights are summed: after
 ``2 e u / (a (1 - e))`` the wall holds the body. The hold ends where its force falls to zero.
 
 Impacts that meet at one time are taken one after the other, by the numbers of their contacts. One
@@ -20,7 +20,7 @@ from gapsweep.model.contact_modes import HOLD, ON, SLACK
 from .record import load_series
 from .roots import polynomial
 
-LOW = 1e-13
+_LOW = 1e-13  # of the largest displacement: height of flights that are summed
 # Flights are summed only if they end within this time, in rad of the fastest frequency.
 _LONGEST_REST = 1e-3
 _STILL = 64.0 * np.finfo(float).eps  # of the speeds that a gap's speed is the sum of
@@ -92,7 +92,7 @@ def while_accurate(at, lanes, k, coefficients, h, rtol, work):
 
 @internal
 def set_held(at, lanes, k):
-    """Set the inverse of B'M^-1 B of the held contacts; without one, the motion has failed.
+    """Store the inverse of B'M^-1 B of the held contacts; without one, the motion has failed.
 
     By elimination in place: the matrix is symmetric and positive.
     """
@@ -130,7 +130,7 @@ def set_held(at, lanes, k):
 
 @internal
 def _project(at, lanes, k, first):
-    """Take the components along held contacts from the vector in rows from `first` on."""
+    """Remove components along held contacts from the vector in rows from `first` on."""
     n = at.contacts
     for i in range(at.n):
         lanes[at.unprojected + i, k] = lanes[first + i, k]
@@ -148,7 +148,7 @@ def _project(at, lanes, k, first):
 
 
 @internal
-def released(at, lanes, k, contact):
+def release(at, lanes, k, contact):
     """End the hold of a contact."""
     lanes[at.side + contact, k] = math.copysign(1.0, lanes[at.mode + contact, k])
     lanes[at.mode + contact, k] = 0.0
@@ -158,7 +158,7 @@ def released(at, lanes, k, contact):
 
 @internal
 def begin_impacts(at, lanes, k, step, coefficients, work):
-    """Keep speeds and accelerations at the end of a step, before impacts there."""
+    """Store speeds and accelerations at the end of a step, before impacts there."""
     for contact in range(at.contacts):
         lanes[at.impact_share + contact, k] = 0.0
     for i in range(at.n):
@@ -169,13 +169,13 @@ def begin_impacts(at, lanes, k, step, coefficients, work):
 
 @internal
 def _is_low(at, lanes, k, contact, speed, pressing):
-    """Whether a body that leaves a wall at a speed comes back, from a height below `LOW`."""
+    """Whether a body that leaves a wall at a speed comes back, from a height below `_LOW`."""
     reach = lanes[at.reach, k]
     if not at.is_plain:
         reach = 0.0
         for i in range(at.n):
             reach += abs(lanes[at.direction + contact * at.n + i, k]) * lanes[at.reach + i, k]
-    return pressing >= 0.0 and speed * speed <= 2.0 * pressing * LOW * reach
+    return pressing >= 0.0 and speed * speed <= 2.0 * pressing * _LOW * reach
 
 
 @internal
@@ -220,7 +220,7 @@ def meet(at, lanes, k, contact, side, step, coefficients, work):
 def _rebound(at, lanes, k, contact, speed, step, coefficients, work):
     """Change speeds by an impact of a gap at `speed`; return the change of its acceleration.
 
-    Keep what solutions of the variational equation need, as in `tangent._impacts`.
+    Store what solutions of the variational equation need, as `tangent._impacts` does.
     """
     n, kick = at.n, at.impact_kick + contact * (at.n + at.m)
     _, size = _along(at, lanes, k, contact, at.v)
@@ -262,7 +262,7 @@ def _rebound(at, lanes, k, contact, speed, step, coefficients, work):
 
 @internal
 def _hold_rates(at, lanes, k, change):
-    """Take the accelerations along held contacts from the sum of accelerations and their change.
+    """Remove accelerations along held contacts from the sum of accelerations and their change.
 
     The change is in rows from `change` on.
     """
@@ -330,7 +330,7 @@ def _change_others(at, lanes, k, contact):
             if _is_low(at, lanes, k, j, speed, pressing):
                 is_disturbed = True
             else:
-                released(at, lanes, k, j)
+                release(at, lanes, k, j)
         elif at.has_slack and lanes[at.slack_damping + j, k] > 0.0:
             side = math.copysign(1.0, mode)
             new = side * (ON if side * _force(at, lanes, k, j, mode) >= 0.0 else SLACK)
@@ -344,7 +344,7 @@ def _change_others(at, lanes, k, contact):
 
 @internal
 def turn_tangent(at, lanes, k, first):
-    """Change a solution of the variational equation, in rows from `first` on, by what has met."""
+    """Apply the impacts of a step to a solution of the variational equation, rows from `first`."""
     is_held = False
     for contact in range(at.contacts):
         share = lanes[at.impact_share + contact, k]

@@ -25,7 +25,7 @@ from gapsweep.status import Status
 from .impacts import (
     begin_impacts,
     meet,
-    released,
+    release,
     set_held,
     settle_on_wall,
     turn_tangent,
@@ -120,7 +120,7 @@ def _pass_zero(at, lanes, k, contact, side):
     """Change the mode of a contact where its force passes zero, and count it."""
     mode = lanes[at.mode + contact, k]
     if abs(mode) == HOLD:
-        released(at, lanes, k, contact)
+        release(at, lanes, k, contact)
     else:
         lanes[at.side + contact, k] = side
         lanes[at.mode + contact, k] = math.copysign(SLACK if abs(mode) == ON else ON, mode)
