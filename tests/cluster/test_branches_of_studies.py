@@ -460,7 +460,7 @@ def counted(expected):
         ({"second": "forcing", "range": [0.04, 0.02]}, r"must be ascending"),
         ({"second": "forcing", "range": [0.04, 0.05]}, "must contain forcing = 0.03"),
         ({"second": "gap", "range": [0.2, 0.3]}, "must contain gap = 0.1745"),
-        ({"second": "K_c", "range": [-0.1, 2.0]}, "K_c = -0.1: must be >= 0"),
+        ({"second": "zeta", "range": [-0.1, 2.0]}, "zeta = -0.1: must be >= 0"),
         ({"second": "K_c", "range": [1.0, 3.0]}, "branches.second = 'K_c': must have one value"),
         ({"range": [0.02, 0.04]}, "give both or neither"),
     ],

@@ -198,7 +198,7 @@ class UserLaw(ContactLaw):
         except (ValueError, OverflowError, ZeroDivisionError):  # as sqrt(-1.0)
             return math.nan
 
-    @cached_property
+    @property
     def continued(self) -> Continued:
         """The force and its derivatives in an interval of displacements."""
         return continued(self._as_compiled)

@@ -110,7 +110,7 @@ class Ensemble:
         self.valid_range, self.walls, self.felt_walls = (
             models.of_laws(_places).reshape(n, n_contacts, 3, 2).transpose(2, 3, 1, 0)
         )
-        self.is_rigid = models.of_laws(attrgetter("losses.is_rigid")).T
+        self.is_rigid = models.of_laws(attrgetter("losses.is_rigid")).astype(bool).T
         self._directions: Array = self._alike.of_systems(attrgetter("directions"))
         self.is_modulated = self._alike.of_systems(attrgetter("is_modulated")).T
         forces = Forces(models.laws[0], solver)
