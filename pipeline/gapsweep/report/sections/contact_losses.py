@@ -53,7 +53,8 @@ def sections(inputs: Inputs) -> Iterator[Part]:
     """
     responses = inputs.responses
     system = json.loads(responses.attrs["study_json"]).get("system") or {}
-    if "omega" not in responses.dims or ":" in (system.get("function") or ""):
+    is_shown = "omega" in responses.dims and "force_max" in responses  # forced, with contacts
+    if not is_shown or ":" in (system.get("function") or ""):
         return
     labels = [label for label in labels_of(responses) if not (label.protocol or label.is_own)]
     found = [each for label in labels for each in _loops(responses, label)]
