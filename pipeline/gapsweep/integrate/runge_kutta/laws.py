@@ -268,7 +268,7 @@ def _pressures(at, kinds, q, lane, gap, speed, i):
 
 
 def all_slopes(at, kinds, q, lane, gap, speed, i):
-    """As `pressures`, the derivatives by x into these rows, those by v into rows `drag_rate`."""
+    """Compute derivatives of `pressures`: by x into the same rows, by v into rows `drag_rate`."""
     raise NotImplementedError("compiled code only")
 
 

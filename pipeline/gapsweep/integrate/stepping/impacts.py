@@ -25,7 +25,7 @@ _LOW = 1e-13  # of the largest displacement: height of flights that are summed
 _LONGEST_REST = 1e-3
 _STILL = 64.0 * np.finfo(float).eps  # of the speeds that a gap's speed is the sum of
 _ACCURATE = 0.1  # of the relative tolerance: last terms of the series of a hold force
-_DEPENDENT = 1e-12  # of b'M^-1 b: what is left of it by the other held contacts, if that is nothing
+_DEPENDENT = 1e-12  # of b'M^-1 b: with the other contacts held, a smaller remainder is zero
 
 
 @internal
