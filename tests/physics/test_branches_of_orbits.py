@@ -37,6 +37,7 @@ from tests.oracles.exact_orbits import (
 
 import gapsweep as gs
 from gapsweep.continuation.family import Window
+from gapsweep.model.parameters import Parameter
 from gapsweep.model.system import first_order
 
 RATE = 1.0 / TURN  # Hz at 1 rad/s
@@ -1220,6 +1221,22 @@ def test_branches_go_along_a_parameter_of_an_own_law():
         periods = int(found.period_multiple[0, step])
         run = gs.simulate(o, law, 9.0, *state[step], n_periods=periods, **given)
         assert_allclose([run.x_end, run.v_end], state[step], rtol=1e-5, atol=1e-8)
+
+
+def _stop(x, v, c):
+    return max(1.4e4 * (x - 0.4e-3) + c * v, 0.0) if x > 0.4e-3 else 0.0
+
+
+def test_a_name_of_the_oscillator_and_of_an_own_law_is_no_parameter():
+    o = gs.Oscillator(mass=3.0, omega_n=5.0, zeta=0.03, forcing=4.0)
+    law = gs.law(_stop, 1.4e4, gs.Gap(None, 0.4e-3), c=60.0)
+    named = {"oscillator": o, "law": law, "omega": 9.0}
+    with pytest.raises(gs.ModelError, match=r"'c': the oscillator has one.*_stop"):
+        gs.branches(**named, along="c", between=(10.0, 60.0))
+    with pytest.raises(gs.ModelError, match=r"'c': the oscillator has one.*_stop"):
+        gs.choose("c", (10.0, 60.0), so_that=gs.at_most("amplitude", 5e-4), **named)
+    with pytest.raises(gs.ModelError, match=r"'c': the oscillator has one.*_stop"):
+        Parameter("c").values(o, [law], 9.0)
 
 
 def test_curves_of_grazes_end_where_the_wall_loses_its_stiffness():

@@ -15,7 +15,7 @@ from gapsweep.integrate.problem import Model, Models
 from gapsweep.integrate.simulate import AnyLaw
 from gapsweep.model.contact import ContactLaw, checked_law
 from gapsweep.model.oscillator import Oscillator, checked
-from gapsweep.model.parameters import GAP, made_model, numbers_of, with_numbers
+from gapsweep.model.parameters import GAP, check_owner, made_model, numbers_of, with_numbers
 from gapsweep.model.structure import general_form
 from gapsweep.model.system import System
 from gapsweep.model.user_law import UserLaw
@@ -142,6 +142,7 @@ class Family:
             return
         if name in self._arguments:
             return
+        check_owner(name, self.model, laws)
         if isinstance(self.model, Oscillator) and name in numbers_of(self.model):
             return
         if any(name in GAP or name in numbers_of(law) for law in laws):

@@ -91,6 +91,7 @@ class Parameter:
             return [self.arguments[self.name]]
         if self.name == "omega" and model.is_forced:
             return [omega]
+        check_owner(self.name, model, laws)
         if self._is_of_model(model):
             return [1.0 if isinstance(model, System) else float(getattr(model, self.name))]
         if found := [value for own in self._of_laws(model, laws) for value in own.values()]:
@@ -119,6 +120,17 @@ class Parameter:
         found = zip(laws, self._of_laws(model, laws), strict=True)
         moved = [(law, {name: value + by for name, value in own.items()}) for law, own in found]
         return model, tuple(with_numbers(law, own) for law, own in moved), omega
+
+
+def check_owner(name: str, model: Any, laws: Sequence[ContactLaw]) -> None:
+    """Raise a `ModelError` if a name is both an oscillator's and an argument of a user's law."""
+    if isinstance(model, Oscillator) and name in OSCILLATOR:
+        for law in laws:
+            if isinstance(law, UserLaw) and name in law.parameters:
+                raise ModelError(
+                    f"parameter {name!r}: the oscillator has one, and so has {law}; give the "
+                    "argument of the function another name"
+                )
 
 
 def numbers_of(of: Any) -> dict[str, float]:
