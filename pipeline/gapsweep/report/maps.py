@@ -37,28 +37,19 @@ _HANDLE = 7  # letters as wide as the handle of an entry and the space after it
 
 @dataclass
 class MapImage:
-    """Contents of a map: axes, kinds of cells and numbers.
+    """Contents of a map: axes, kinds of cells and numbers."""
 
-    Attributes
-    ----------
-    x, y : DataArray, shapes (n_x,) and (n_y,)
-    kind : ndarray of int, shape (n_y, n_x)
-        Position in `names`; -1: the cell shows a number, or is blank.
-    names, colours : list of str
-        Name and colour of each kind.
-    numbers : DataArray, shape (n_y, n_x)
-        Values of the colour bar; NaN for cells without a number.
-    blank : str
-        Meaning of a cell without a colour.
-    """
-
+    # `x`, `y`: shapes (n_x,) and (n_y,).
     x: xr.DataArray
     y: xr.DataArray
+    # Shape (n_y, n_x); values of the colour bar; NaN for cells without a number.
     numbers: xr.DataArray
+    # Shape (n_y, n_x); position in `names`; -1: the cell shows a number, or is blank.
     kind: NDArray[np.int64]
+    # `names`, `colours`: name and colour of each kind.
     names: list[str] = field(default_factory=list)
     colours: list[str] = field(default_factory=list)
-    blank: str = "no value"
+    blank: str = "no value"  # meaning of a cell without a colour
 
     def mark(self, where: NDArray[np.bool_], name: str, colour: str) -> None:
         """Give cells a named kind with a colour, instead of their number."""

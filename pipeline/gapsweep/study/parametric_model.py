@@ -61,19 +61,11 @@ class AlongParameter:
 
 @dataclass(frozen=True)
 class ParametricModel:
-    """The model that a study sweeps: `Oscillator` or, with ``[system]``, `System` of parameters.
-
-    Attributes
-    ----------
-    spec : StudySpec
-    source : str
-        Name of the study, for messages.
-    folders : tuple of Path
-        Folders in which the function's module is searched after Python's path.
-    """
+    """The model that a study sweeps: `Oscillator` or, with ``[system]``, `System` of parameters."""
 
     spec: StudySpec
-    source: str
+    source: str  # name of the study, for messages
+    # Folders in which the function's module is searched after Python's path.
     folders: tuple[Path, ...]
 
     @property

@@ -166,20 +166,11 @@ class ContactTable(TomlTable):
 
 @dataclass(frozen=True)
 class Maker:
-    """Function that makes the system of a study from parameter values; it can be pickled.
-
-    Attributes
-    ----------
-    table : SystemTable
-    source : str
-        Name of the study, for messages.
-    own : OwnLaw, optional
-        The code of the user's function.
-    """
+    """Function that makes the system of a study from parameter values; it can be pickled."""
 
     table: SystemTable
-    source: str
-    own: OwnLaw | None
+    source: str  # name of the study, for messages
+    own: OwnLaw | None  # the code of the user's function
 
     def __call__(self, parameters: Mapping[str, float]) -> System:
         """Return the system at some values of the parameters.
