@@ -109,12 +109,8 @@ def answers(question: Question) -> Iterator[Curve | Motion | Plane]:
     The exact law from rest and its motion, the same for every approximation, then sweeps of the
     exact law in growing parts, and the planes of the exact law and the first approximation. The
     caller may stop iterating at any time. An approximation that cannot be built, as a fit outside
-    its range, is a motion with a `problem` only.
-
-    Raises
-    ------
-    ModelError
-        If the exact law cannot be built.
+    its range, is a motion with a `problem` only. Raises `ModelError` if the exact law cannot be
+    built.
     """
     walls = np.abs([each for each in question.clearance if math.isfinite(each)])
     least = _LEAST if question.machine.is_oscillator else 1e-3 * question.model.deflection
@@ -381,7 +377,6 @@ def nearest(
 
     Parameters
     ----------
-    shown : sequence of Curve
     omega, x_max : float
         The place [Hz], [m].
     scale : (float, float)

@@ -233,10 +233,7 @@ _OF_NO_PLANE: dict[str, Any] = {"approximations": (), "start": ()}
 def labels(text: str) -> tuple[Representation, ...]:
     """Approximations from a text that the user typed, as ``"tanh-1e4, poly-13"``.
 
-    Raises
-    ------
-    ModelError
-        If a label is unknown or is of a user law, or there are too many.
+    Raises `ModelError` if a label is unknown or is of a user law, or there are too many.
     """
     typed = map(canonical_label, text.replace(",", " ").split())
     found = tuple(dict.fromkeys(map(Representation, typed)))
@@ -326,7 +323,6 @@ def dials(question: Question, ranges: Mapping[str, Sequence[float]] | None = Non
 
     Parameters
     ----------
-    question : Question
     ranges : mapping of str to sequence of float, optional
         Smallest and largest value that a study sweeps, in SI units; others get a range about
         their initial value.
@@ -351,10 +347,7 @@ def asked(
 ) -> Question:
     """The question with these values of the sliders, in SI units.
 
-    Raises
-    ------
-    ModelError
-        If one is out of range.
+    Raises `ModelError` if one is out of range.
     """
     several = tuple(values[name] for name in question.machine.names)
     return replace(question, values=several, band=band or question.band, **others)

@@ -67,6 +67,9 @@ def picture(
 ) -> tuple[MapImage, xr.Dataset]:
     """A map of a variable, and the part of the dataset that it shows.
 
+    Raises `DatasetError` if a variable or coordinate is missing, or another dimension has several
+    values.
+
     Parameters
     ----------
     x, y : str
@@ -74,11 +77,6 @@ def picture(
         is the longest other numeric dimension if None.
     wanted : mapping
         As for `gapsweep.analysis.dimensions.selected`; all other dimensions must have one value.
-
-    Raises
-    ------
-    DatasetError
-        If a variable or coordinate is missing, or another dimension has several values.
     """
     if variable not in dataset.data_vars:
         raise DatasetError(missing_variable(dataset, variable))
@@ -109,10 +107,7 @@ def numeric_axes(dataset: xr.Dataset) -> list[str]:
 def on_grid(starts: xr.Dataset, y: str = "v_0", x: str = "x_0") -> xr.Dataset:
     """Variables over initial conditions, reshaped to a grid of two coordinates, without sweeps.
 
-    Raises
-    ------
-    DatasetError
-        If the fixed initial conditions do not form a full grid.
+    Raises `DatasetError` if the fixed initial conditions do not form a full grid.
     """
     here = starts.isel({_START: np.isfinite(starts[x].values) & np.isfinite(starts[y].values)})
     others = [name for name, held in here.coords.items() if held.ndim and name not in (x, y)]

@@ -89,10 +89,7 @@ def slabs(
 def stored(slab: Slab) -> Stored:
     """Decode the contents of a slab.
 
-    Raises
-    ------
-    ValueError
-        If the slab is not in the form in which a run writes it.
+    Raises `ValueError` if the slab is not in the form in which a run writes it.
     """
     try:
         n, at, unpacking = slab.n_points, 0, zlib.decompressobj()

@@ -144,10 +144,7 @@ def advise(
 def check_error(error: float) -> float:
     """Return `error` as a float, if it is within 1e-9..0.1.
 
-    Raises
-    ------
-    ModelError
-        If `error` is out of this range.
+    Raises `ModelError` if `error` is out of this range.
     """
     error = checked("error", error)
     if not SMALLEST_ERROR <= error <= LARGEST_ERROR:

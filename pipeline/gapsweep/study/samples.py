@@ -106,10 +106,8 @@ def drawn(
 
     Parameters
     ----------
-    distributions : dict of str to Distribution
     samples : int
         Sobol points of a repeat, a power of two.
-    repeats, seed : int
     indices : bool
         Whether to add the samples that Sobol indices need: ``2 + d`` times as many for d numbers.
     correlation : array_like, shape (d, d), optional

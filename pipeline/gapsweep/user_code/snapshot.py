@@ -89,10 +89,7 @@ class Snapshot:
     def of_module(cls, name: str, folders: Iterable[Path] = ()) -> "Snapshot":
         """Read a module by its name, from Python's path or else from `folders`.
 
-        Raises
-        ------
-        ModelError
-            If it is not found, or one of its files cannot be read or is not Python.
+        Raises `ModelError` if it is not found, or one of its files cannot be read or is not Python.
         """
         search = _ImportScan(name.partition(".")[0], [*folders])
         search.follow(name)
@@ -116,10 +113,7 @@ class Snapshot:
     def of_file(cls, path: Path, folders: Iterable[Path] = ()) -> "Snapshot":
         """Read a file outside packages; it may import files of its folder, relatively too.
 
-        Raises
-        ------
-        ModelError
-            If a file cannot be read or is not Python.
+        Raises `ModelError` if a file cannot be read or is not Python.
         """
         path = path.absolute()
         name, search = f"{LOOSE}.{path.stem}", _ImportScan(path.stem, [path.parent, *folders])

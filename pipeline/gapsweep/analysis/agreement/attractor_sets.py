@@ -59,7 +59,6 @@ def matching(ours: LawTable, theirs: LawTable, width: float, *, symmetric: bool)
 
     Parameters
     ----------
-    ours, theirs : LawTable
     width : float
         Width of the gap [m], the scale of distances.
     symmetric : bool
