@@ -38,10 +38,7 @@ class Machine:
     ) -> Machine:
         """Return a machine after its model was built at both ends of all ranges.
 
-        Raises
-        ------
-        ModelError
-            If a parameter is unknown, or invalid within its range.
+        Raises `ModelError` if a parameter is unknown, or invalid within its range.
         """
         low, high = ({name: ends[k] for name, ends in ranges.items()} for k in (0, 1))
         first = None if omega is None else float(np.min(omega))

@@ -131,10 +131,7 @@ def words_of(x_max: xr.DataArray) -> str:
 def with_losses(dataset: xr.Dataset) -> xr.Dataset:
     """Return responses with `energy_lost`; every response is simulated once more from its section.
 
-    Raises
-    ------
-    DatasetError
-        If the dataset lacks the study or a part of the state.
+    Raises `DatasetError` if the dataset lacks the study or a part of the state.
     """
     dims = point_dims(dataset)
     of_contacts = (CONTACT,) if CONTACT in dataset.dims else ()
