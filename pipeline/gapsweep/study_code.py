@@ -26,10 +26,8 @@ if TYPE_CHECKING:
 def own_datasets(study: Study) -> dict[str, Callable[[Study], Any]]:
     """The functions in ``DATASETS`` of a study's claims module, by the name of their files.
 
-    Raises
-    ------
-    StudyError
-        If the module cannot be imported, or its ``DATASETS`` is no dict of functions.
+    Raises `StudyError` if the module cannot be imported, or its ``DATASETS`` is no dict of
+    functions.
     """
     path = study.claims_module
     if path is None:
@@ -68,10 +66,7 @@ def dataset_key(study: Study, function: Any) -> str:
 def check_modules(study: Study) -> None:
     """Import the code that a study names, to report its errors before the computation.
 
-    Raises
-    ------
-    StudyError
-        If it cannot be imported, or lacks claims or the function ``sections``.
+    Raises `StudyError` if it cannot be imported, or lacks claims or the function ``sections``.
     """
     own_datasets(study)
     if study.claims_code is not None:

@@ -148,7 +148,7 @@ COMPILED = SWEEP.replace('engine = "scipy"', 'engine = "compiled"')
 BAD = {
     "T = {'a': 1.0}\ndef law(x):\n    return T['a'] * x\n": "numba cannot compile it .*'T'",
     "def law(x):\n    return 5.0 if x > 0.4e-3 else 0.0\n": "jumps by 5 N at x = 0.0004 m",
-    "def law(x, v):\n    return x\n": "loses energy",
+    "def law(x, v, n):\n    return x\n": r"\(x, v, n\) with {}: must be a function of x",
 }
 
 

@@ -39,10 +39,7 @@ class Machine:
     ) -> Machine:
         """Return a machine after its model was built at both ends of all ranges.
 
-        Raises
-        ------
-        ModelError
-            If a parameter is unknown, or invalid within its range.
+        Raises `ModelError` if a parameter is unknown, or invalid within its range.
         """
         if AMPLITUDE in ranges:
             raise ModelError("parameter 'amplitude': is a result; name a parameter of the model")

@@ -75,10 +75,7 @@ def of_model(
 ) -> Question:
     """The initial question of the page for a model and its contact laws.
 
-    Raises
-    ------
-    ModelError
-        If an argument has another type or is out of range.
+    Raises `ModelError` if an argument has another type or is out of range.
     """
     typed = [approximations] if isinstance(approximations, str) else approximations
     if not (isinstance(typed, Sequence) and all(isinstance(each, str) for each in typed)):
@@ -134,13 +131,9 @@ _NOT_SHOWN = (
 
 
 def refuse_code(tables: Mapping[str, Any], source: object) -> None:
-    """Raise an error for the tables of a run of systems that user code made.
+    """Raise a `ModelError` for the tables of a run of systems that user code made.
 
     The code is not imported, since a folder of results may come from elsewhere.
-
-    Raises
-    ------
-    ModelError
     """
     function = (tables.get("system") or {}).get("function") or ""
     if ":" in function:
@@ -153,10 +146,7 @@ def refuse_code(tables: Mapping[str, Any], source: object) -> None:
 def of_study(study: Study) -> tuple[Question, dict[str, tuple[float, float]]]:
     """The initial question of the page for a study, and its swept ranges.
 
-    Raises
-    ------
-    ModelError
-        If a value of the study is out of the range of the page.
+    Raises `ModelError` if a value of the study is out of the range of the page.
     """
     grid, spec, example = study.grid, study.spec, study.model.default
     if not (example.is_forced and example.contacts):

@@ -37,30 +37,18 @@ class Scale:
 
 @dataclass(frozen=True, eq=False)
 class SliderModel:
-    """A model and the walls of its contacts as functions of the sliders.
+    """A model and the walls of its contacts as functions of the sliders."""
 
-    Attributes
-    ----------
-    make : callable
-        From the values of `parameters`, by name, to the model.
-    parameters : mapping of str to float
-        Initial values of the model's parameters.
-    walls : mapping of str to mapping of str to (str or float)
-        For every contact its `WALLS`: each the name of a slider, or a number.
-    laws : mapping of str to str
-        Labels of the laws of contacts that do not follow the page's.
-    exact : mapping of str to Piecewise
-        Exact laws of contacts, of which the numbers of `walls` are replaced.
-    factor : float
-        Displacement that is shown as 1, of those that are no lengths.
-    """
-
+    # From the values of `parameters`, by name, to the model.
     make: Callable[[Mapping[str, float]], Model]
-    parameters: Mapping[str, float]
+    parameters: Mapping[str, float]  # initial values of the model's parameters
+    # For every contact its `WALLS`: each the name of a slider, or a number.
     walls: Mapping[str, Mapping[str, str | float]]
+    # Labels of the laws of contacts that do not follow the page's.
     laws: Mapping[str, str] = field(default_factory=dict)
+    # Exact laws of contacts, of which the numbers of `walls` are replaced.
     exact: Mapping[str, Piecewise] = field(default_factory=dict)
-    factor: float = 1.0
+    factor: float = 1.0  # displacement that is shown as 1, of those that are no lengths
 
     @cached_property
     def example(self) -> Model:
@@ -133,45 +121,23 @@ def _power(factor: float) -> str:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Question:
-    """A setting of the page: all values that its figures depend on.
-
-    Attributes
-    ----------
-    machine : SliderModel
-    values : tuple of float
-        Values of the sliders in SI units, in the order of `SliderModel.names`.
-    approximations : tuple of str
-        Labels of the other laws.
-    band : (float, float)
-        First and last frequency [Hz] of the response.
-    start : tuple of float
-        Initial state of the motion that is shown; empty: rest.
-    shown : str
-        Name of the displacement that is shown; empty: the first coordinate.
-    plane : tuple of str
-        Names of the two states that differ in the basins; empty: the first coordinate and its
-        velocity.
-    fit_range : float
-        Half-width [m] of the range on which polynomials are fitted.
-    over : str
-        Name of the parameter on the second axis of the map.
-    over_values : tuple of float
-        Its values there, in SI units; without values there is no map.
-    model : Model
-        The model at these values.
-    """
+    """A setting of the page: all values that its figures depend on."""
 
     machine: SliderModel
+    # Values of the sliders in SI units, in the order of `SliderModel.names`.
     values: tuple[float, ...]
-    band: tuple[float, float]
-    approximations: tuple[str, ...] = ()
-    start: tuple[float, ...] = ()
-    shown: str = ""
+    band: tuple[float, float]  # first and last frequency [Hz] of the response
+    approximations: tuple[str, ...] = ()  # labels of the other laws
+    start: tuple[float, ...] = ()  # initial state of the motion that is shown; empty: rest
+    shown: str = ""  # name of the displacement that is shown; empty: the first coordinate
+    # Names of the two states that differ in the basins; empty: the first coordinate and its
+    # velocity.
     plane: tuple[str, ...] = ()
-    fit_range: float = FIT_RANGE
-    over: str = ""
+    fit_range: float = FIT_RANGE  # half-width [m] of the range on which polynomials are fitted
+    over: str = ""  # name of the parameter on the second axis of the map
+    # Its values there, in SI units; without values there is no map.
     over_values: tuple[float, ...] = ()
-    model: Model = field(init=False, compare=False, repr=False)
+    model: Model = field(init=False, compare=False, repr=False)  # the model at these values
 
     def __post_init__(self) -> None:
         machine, given = self.machine, numbers(self)
@@ -268,10 +234,7 @@ _OF_NO_PLANE: dict[str, Any] = {"approximations": (), "start": ()}
 def labels(text: str) -> tuple[Representation, ...]:
     """Approximations from a text that the user typed, as ``"tanh-1e4, poly-13"``.
 
-    Raises
-    ------
-    ModelError
-        If a label is unknown or is of a user law, or there are too many.
+    Raises `ModelError` if a label is unknown or is of a user law, or there are too many.
     """
     typed = map(canonical_label, text.replace(",", " ").split())
     found = tuple(dict.fromkeys(map(Representation, typed)))
@@ -361,7 +324,6 @@ def dials(question: Question, ranges: Mapping[str, Sequence[float]] | None = Non
 
     Parameters
     ----------
-    question : Question
     ranges : mapping of str to sequence of float, optional
         Smallest and largest value that a study sweeps, in SI units; others get a range about
         their initial value.
@@ -386,10 +348,7 @@ def asked(
 ) -> Question:
     """The question with these values of the sliders, in SI units.
 
-    Raises
-    ------
-    ModelError
-        If one is out of range.
+    Raises `ModelError` if one is out of range.
     """
     several = tuple(values[name] for name in question.machine.names)
     return replace(question, values=several, band=band or question.band, **others)

@@ -37,28 +37,19 @@ _HANDLE = 7  # letters as wide as the handle of an entry and the space after it
 
 @dataclass
 class MapImage:
-    """Contents of a map: axes, kinds of cells and numbers.
+    """Contents of a map: axes, kinds of cells and numbers."""
 
-    Attributes
-    ----------
-    x, y : DataArray, shapes (n_x,) and (n_y,)
-    kind : ndarray of int, shape (n_y, n_x)
-        Position in `names`; -1: the cell shows a number, or is blank.
-    names, colours : list of str
-        Name and colour of each kind.
-    numbers : DataArray, shape (n_y, n_x)
-        Values of the colour bar; NaN for cells without a number.
-    blank : str
-        Meaning of a cell without a colour.
-    """
-
+    # `x`, `y`: shapes (n_x,) and (n_y,).
     x: xr.DataArray
     y: xr.DataArray
+    # Shape (n_y, n_x); values of the colour bar; NaN for cells without a number.
     numbers: xr.DataArray
+    # Shape (n_y, n_x); position in `names`; -1: the cell shows a number, or is blank.
     kind: NDArray[np.int64]
+    # `names`, `colours`: name and colour of each kind.
     names: list[str] = field(default_factory=list)
     colours: list[str] = field(default_factory=list)
-    blank: str = "no value"
+    blank: str = "no value"  # meaning of a cell without a colour
 
     def mark(self, where: NDArray[np.bool_], name: str, colour: str) -> None:
         """Give cells a named kind with a colour, instead of their number."""
@@ -76,6 +67,9 @@ def picture(
 ) -> tuple[MapImage, xr.Dataset]:
     """A map of a variable, and the part of the dataset that it shows.
 
+    Raises `DatasetError` if a variable or coordinate is missing, or another dimension has several
+    values.
+
     Parameters
     ----------
     x, y : str
@@ -83,11 +77,6 @@ def picture(
         is the longest other numeric dimension if None.
     wanted : mapping
         As for `gapsweep.analysis.dimensions.selected`; all other dimensions must have one value.
-
-    Raises
-    ------
-    DatasetError
-        If a variable or coordinate is missing, or another dimension has several values.
     """
     if variable not in dataset.data_vars:
         raise DatasetError(missing_variable(dataset, variable))
@@ -118,10 +107,7 @@ def numeric_axes(dataset: xr.Dataset) -> list[str]:
 def on_grid(starts: xr.Dataset, y: str = "v_0", x: str = "x_0") -> xr.Dataset:
     """Variables over initial conditions, reshaped to a grid of two coordinates, without sweeps.
 
-    Raises
-    ------
-    DatasetError
-        If the fixed initial conditions do not form a full grid.
+    Raises `DatasetError` if the fixed initial conditions do not form a full grid.
     """
     here = starts.isel({_START: np.isfinite(starts[x].values) & np.isfinite(starts[y].values)})
     others = [name for name, held in here.coords.items() if held.ndim and name not in (x, y)]

@@ -33,16 +33,13 @@ _SOON = 100e6  # bytes, read in a quarter of a second at worst, or a second from
 def replacing(path: Path, is_ours: Callable[[Path], bool] | None = None) -> Iterator[Path]:
     """A temporary path that takes the place of `path` when the block ends without error.
 
+    Raises `StoreError` if the folder or file cannot be written, or `is_ours` forbids the
+    replacement.
+
     Parameters
     ----------
-    path : Path
     is_ours : callable, optional
         Returns whether an existing file may be replaced; None allows it.
-
-    Raises
-    ------
-    StoreError
-        If the folder or file cannot be written, or `is_ours` forbids the replacement.
     """
     if is_ours is not None and path.exists() and not is_ours(path):
         raise StoreError(
@@ -121,7 +118,6 @@ def checked(folder: Path, most: float = _SOON) -> tuple[list[str], list[str]]:
 
     Parameters
     ----------
-    folder : Path
     most : float
         Bytes to read in total, the smallest files first.
     """
@@ -205,13 +201,7 @@ def reading(folder: Path) -> Iterator[None]:
 
 
 def remove(folder: Path, names: Collection[str]) -> None:
-    """Remove files of a folder and their checksums.
-
-    Raises
-    ------
-    StoreError
-        If one cannot be removed.
-    """
+    """Remove files of a folder and their checksums; StoreError if one cannot be removed."""
     if names:
         _write_sums(folder, [pair for pair in _sums(folder) if pair[1] not in names])
     for name in names:

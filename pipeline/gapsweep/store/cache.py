@@ -120,12 +120,8 @@ class Cache:
     def found(self, places: NDArray[np.void], structure: AnyStructure = _OSCILLATOR) -> Found:
         """Stored results at places, as of `held`, of one structure.
 
-        Damaged results are left out, as if missing.
-
-        Raises
-        ------
-        StoreError
-            If a frame is as it was written, but holds no result.
+        Damaged results are left out, as if missing. Raises `StoreError` if a frame is as it was
+        written, but holds no result.
         """
         at, parts, hosts, versions = [], [], [], set()
         for slab, contents, asked, rows in self._contents_of(places):

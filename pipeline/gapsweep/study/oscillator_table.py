@@ -76,10 +76,7 @@ def with_points(tables: Any, source: str) -> Any:
     study; ``period`` is the period [s] if its times are in seconds. The study then has all numbers,
     as keys and results do.
 
-    Raises
-    ------
-    StudyError
-        If a file cannot be read.
+    Raises `StudyError` if a file cannot be read.
     """
     if not isinstance(tables, dict):
         return tables

@@ -62,19 +62,11 @@ class AlongParameter:
 
 @dataclass(frozen=True)
 class ParametricModel:
-    """The model that a study sweeps: `Oscillator` or, with ``[system]``, `System` of parameters.
-
-    Attributes
-    ----------
-    spec : StudySpec
-    source : str
-        Name of the study, for messages.
-    folders : tuple of Path
-        Folders in which the function's module is searched after Python's path.
-    """
+    """The model that a study sweeps: `Oscillator` or, with ``[system]``, `System` of parameters."""
 
     spec: StudySpec
-    source: str
+    source: str  # name of the study, for messages
+    # Folders in which the function's module is searched after Python's path.
     folders: tuple[Path, ...]
 
     @property
@@ -210,10 +202,8 @@ class ParametricModel:
     def at(self, some: Mapping[str, float]) -> Model:
         """Return the model with these values of some parameters, and defaults of the others.
 
-        Raises
-        ------
-        StudyError
-            If the model is invalid, or its structure differs from that of the default.
+        Raises `StudyError` if the model is invalid, or its structure differs from that of the
+        default.
         """
         given = {**self.spec.model, **some}
         values = {name: canonical(value) for name, value in given.items()}
@@ -247,10 +237,7 @@ class ParametricModel:
     def check(self) -> None:
         """Refuse tables that do not fit the model.
 
-        Raises
-        ------
-        StudyError
-            One line per problem.
+        Raises `StudyError` with one line per problem.
         """
         spec, names = self.spec, self.contacts
         wrong = [

@@ -91,7 +91,6 @@ def coordinates(
 
     Parameters
     ----------
-    dims : collection of str
     structure : Structure or OscillatorStructure
         Structure of the models; it adds the dimensions within a point.
     units : mapping of str to sequence of str

@@ -335,13 +335,9 @@ class StudySpec(TomlTable):
         """Return a study's tables, each block and history with its parameters in a table within it.
 
         A missing number of the oscillator that all blocks sweep gets its first value there, and
-        blocks with only user laws, without walls, get zeros for `K_c` and `gap`.
-
-        Raises
-        ------
-        ValueError
-            If a name in [parameters] is reserved or no identifier, or if a table is not allowed
-            with [system].
+        blocks with only user laws, without walls, get zeros for `K_c` and `gap`. Raises
+        `ValueError` if a name in [parameters] is reserved or no identifier, or if a table is not
+        allowed with [system].
         """
         if not isinstance(given, dict):
             return given
@@ -550,10 +546,8 @@ def read(path: str | PathLike[str]) -> StudySpec:
 def parse(text: str, source: str = "study") -> StudySpec:
     """Check the text of a study file.
 
-    Raises
-    ------
-    StudyError
-        One line per problem, each naming `source`, the key, the value and what is allowed.
+    Raises `StudyError` with one line per problem, each naming `source`, the key, the value and what
+    is allowed.
     """
     try:
         tables = tomllib.loads(text)

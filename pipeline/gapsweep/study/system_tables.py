@@ -172,28 +172,16 @@ class ContactTable(TomlTable):
 
 @dataclass(frozen=True)
 class Maker:
-    """Function that makes the system of a study from parameter values; it can be pickled.
-
-    Attributes
-    ----------
-    table : SystemTable
-    source : str
-        Name of the study, for messages.
-    own : OwnLaw, optional
-        The code of the user's function.
-    """
+    """Function that makes the system of a study from parameter values; it can be pickled."""
 
     table: SystemTable
-    source: str
-    own: OwnLaw | None
+    source: str  # name of the study, for messages
+    own: OwnLaw | None  # the code of the user's function
 
     def __call__(self, parameters: Mapping[str, float]) -> System:
         """Return the system at some values of the parameters.
 
-        Raises
-        ------
-        StudyError
-            If the system is invalid, or the function raises.
+        Raises `StudyError` if the system is invalid, or the function raises.
         """
         name = self.table.function
         try:
@@ -208,18 +196,14 @@ class Maker:
 def maker(table: SystemTable, source: str, folders: Iterable[Path] = ()) -> Maker:
     """Return the `Maker` of the system of a study, with the present code of its function.
 
+    Raises `StudyError` if the code cannot be read.
+
     Parameters
     ----------
-    table : SystemTable
     source : str
         Name of the study, for messages.
     folders : iterable of Path
         Folders in which the function's module is searched after Python's path.
-
-    Raises
-    ------
-    StudyError
-        If the code cannot be read.
     """
     try:
         own = OwnLaw.of(table.user_function, folders) if table.user_function else None

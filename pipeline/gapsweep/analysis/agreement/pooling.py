@@ -25,7 +25,6 @@ def summaries(ours: LawTable, exact: LawTable, values: dict[str, Array]) -> Summ
 
     Parameters
     ----------
-    ours, exact : LawTable
     values : dict of str to ndarray, shape (n_omega, n_starts) or (n_omega,)
         The point-wise and frequency-wise metrics.
     """

@@ -35,7 +35,6 @@ def floor_labels(study_json: str, labels: Sequence[str]) -> list[str]:
     ----------
     study_json : str
         The checked study, as in the attribute of ``responses.nc``; empty if there is none.
-    labels : sequence of str
     """
     study = json.loads(study_json) if study_json else {}
     plain, protocols = study.get("solver", {}), study.get("protocol", {})

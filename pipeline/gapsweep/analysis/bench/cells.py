@@ -90,7 +90,6 @@ def cell_table(
 
     Parameters
     ----------
-    scenarios, methods : sequence
     timeout : float
         Processor time [s] of a scenario, and of a user law in a scenario. Cells that take longer
         have the status `timed_out`.

@@ -28,7 +28,6 @@ def stability(
 
     Parameters
     ----------
-    study : Study
     say, timeout
         As for `gapsweep.analysis.bench.cells.cell_table`.
 

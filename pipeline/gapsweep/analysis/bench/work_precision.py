@@ -88,7 +88,6 @@ def work_precision(
 
     Parameters
     ----------
-    study : Study
     say : callable
         Called with a line of text before each step.
     timeout : float

@@ -60,24 +60,14 @@ OF_STUDY = {
 
 @dataclass(slots=True, kw_only=True)
 class _SceneBranches:
-    """A case of a study, and the result of the continuation of its branches.
+    """A case of a study, and the result of the continuation of its branches."""
 
-    Attributes
-    ----------
-    at : mapping of str to int
-        Position of the case on the axes of the study.
-    numbers : ndarray of int, shape (n, 2)
-        Positions of its n periodic attractors along the parameter and in ``attractors.nc``.
-    scene : BranchScene
-        Inputs of the continuation.
-    found : Followed
-        Its outcome, with the branches or curves.
-    """
-
-    at: Mapping[str, int]
+    at: Mapping[str, int]  # position of the case on the axes of the study
+    # Shape (n, 2); positions of its n periodic attractors along the parameter and in
+    # ``attractors.nc``.
     numbers: NDArray[np.intp]
-    scene: BranchScene
-    found: Followed
+    scene: BranchScene  # inputs of the continuation
+    found: Followed  # its outcome, with the branches or curves
 
 
 def branches(

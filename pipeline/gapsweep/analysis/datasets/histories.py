@@ -64,7 +64,6 @@ def histories(study: Study, timeout: float = DEFAULT_TIMEOUT) -> xr.Dataset | No
 
     Parameters
     ----------
-    study : Study
     timeout : float
         Processor time [s] of a motion with a user law, which runs in a separate process.
 
