@@ -713,6 +713,9 @@ def test_numbers_of_losses_are_drawn_within_their_range():
             drawn("piecewise", **{name: uniform})
         with pytest.raises(StudyError, match=f"{name}: {family}-0.5 has it in its label"):
             drawn(f"{family}-0.5", **{name: uniform})
+    for representation in ("poly-5", "huntcrossley-0.5"):
+        with pytest.raises(StudyError, match=f"damping: {representation} has none"):
+            drawn(representation, damping=uniform)
     with pytest.raises(StudyError, match="restitution > 1"):
         drawn("rigid", restitution={"uniform": [0.9, 1.1]})
 
