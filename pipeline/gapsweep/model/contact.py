@@ -275,7 +275,8 @@ class Piecewise(ContactLaw):
     is_numbers: ClassVar[bool] = True
     examples: ClassVar[tuple[str, ...]] = ("piecewise", "piecewise-noevents")
     words: ClassVar[str] = (
-        "K_c (x − j₂) for x > j₂, r K_c (x + j₁) for x < −j₁, 0 between; also of "
+        "K_c (x − j₂) for x > j₂, r K_c (x + j₁) for x < −j₁, 0 between; with damping c, c ẋ is "
+        "added beyond a wall, and the wall pulls only with pulls = true; also of "
         "piecewise-noevents, which does not locate contacts"
     )
     formulas: ClassVar[Formulas] = Formulas(_piecewise_force, _piecewise_slope)

@@ -360,7 +360,7 @@ def worst(exact: Sequence[Values]) -> Values:
 def _unjudged(exact: Row) -> str:
     """Reason why no law can be judged in a case; empty if laws can be judged."""
     if np.isnan(exact[SHOWN["found"]]):  # no attractors
-        return "the exact law has no steady response"
+        return "the exact law was not computed, or has no steady response"
     return "" if exact[_CONTACTS] else "no steady response of the exact law crosses a wall"
 
 

@@ -26,11 +26,16 @@ _WIDTH = 9.5  # inches
 _DAMPING, _MOST = "damping", 5  # number of values of the damping with a loop
 _TITLE = "Energy lost in contacts"
 _HEADER = ["Representation", "Response", "J per forcing period", "J per contact"]
-_SENTENCE = (
-    "Shown: the response with the largest contact force of each representation and damping. The "
-    "area of a loop is the energy lost. ds.gapsweep.force_loop() draws the loops of other "
-    "responses; with_losses() computes the energies of all."
+_SHOWN = (
+    "Shown: of each representation and damping the response with the largest contact force or, "
+    "where that is not stored (rigid walls, periodic stiffness), the largest product of amplitude "
+    "and frequency. with_losses() computes the energies of all."
 )
+_OF_LOOPS = (
+    "The area of a loop is the energy lost. ds.gapsweep.force_loop() draws the loops of other "
+    "responses."
+)
+_OF_IMPACTS = "Impacts on rigid walls have no loop: their force is infinite and takes no time."
 
 
 class _Loop(NamedTuple):
@@ -40,6 +45,11 @@ class _Loop(NamedTuple):
     name: str  # of the representation, with the damping where that is swept
     response: xr.Dataset
     run: Trajectory
+
+    @property
+    def has_force(self) -> bool:
+        """Whether the contact force is finite, not that of a rigid wall."""
+        return not self.run.laws[self.number].losses.is_rigid
 
     def of_contact(self) -> xr.Dataset:
         """The response, reduced to this contact."""
@@ -60,26 +70,33 @@ def sections(inputs: Inputs) -> Iterator[Part]:
     found = [each for label in labels for each in _loops(responses, label)]
     if found:
         table = Table(_TITLE, _HEADER, list(map(_row, found)))
-        yield Part("contact-losses", _TITLE, [_SENTENCE], [table], _figures(found))
+        loops = [one for one in found if one.has_force]
+        words = [_SHOWN, *[_OF_LOOPS] * bool(loops), *[_OF_IMPACTS] * (len(loops) < len(found))]
+        yield Part("contact-losses", _TITLE, [" ".join(words)], [table], _figures(loops))
 
 
 def _loops(responses: xr.Dataset, label: Representation) -> Iterator[_Loop]:
-    """Contacts that lose energy, in the response with the largest force of a law and damping."""
+    """Contacts that lose energy, in the largest response of a law and damping."""
     of_law = responses.isel({REPRESENTATION: labels_of(responses).index(label)})
-    force = of_law["force_max"].load()
-    force = force.max(CONTACT) if CONTACT in force.dims else force
     dims = point_dims(of_law)
-    n = force.sizes.get(_DAMPING, 1)
+    force, amplitude = (
+        each.load().max([dim for dim in each.dims if dim not in dims], skipna=False)
+        for each in (of_law["force_max"], of_law["amplitude"])
+    )
+    # The force of impacts is infinite, that of periodic stiffness not computed: both are NaN.
+    size = (amplitude * of_law["omega"]).where(force.isnull())
+    size = size if size.notnull().any() else force
+    n = size.sizes.get(_DAMPING, 1)
     for k in np.unique(np.linspace(0, n - 1, _MOST).round().astype(int)).tolist():
         at = {_DAMPING: [k]} if _DAMPING in dims else {}
-        if not force.isel(at).notnull().any():
+        if not size.isel(at).notnull().any():
             continue
-        one = of_law.isel(at).isel(force.isel(at).argmax(dims)).load()
+        one = of_law.isel(at).isel(size.isel(at).argmax(dims)).load()
         unit = shown_unit(one[_DAMPING])[1] if at else ""
         for _, run in motions(one, (REPRESENTATION,), {}, losses.LOOP_PERIODS):
             for contact, law in enumerate(run.laws):
                 if law.losses:
-                    is_named = at and not law.losses.chi
+                    is_named = at and law.losses.damping > 0.0
                     name = f"{label}, {law.losses} {unit}".strip() if is_named else label
                     yield _Loop(contact, name, one, run)
 
