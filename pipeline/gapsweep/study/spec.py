@@ -13,13 +13,7 @@ from os import PathLike
 from pathlib import Path, PurePath
 from typing import Annotated, Any, Literal
 
-from pydantic import (
-    AfterValidator,
-    BeforeValidator,
-    Field,
-    ValidationError,
-    model_validator,
-)
+from pydantic import AfterValidator, BeforeValidator, Field, ValidationError, model_validator
 
 from gapsweep.errors import StudyError
 from gapsweep.integrate.problem import LARGEST_RTOL, SMALLEST_RTOL

@@ -38,13 +38,7 @@ from gapsweep.study.least_model import (
 from gapsweep.study.parametric_model import ParametricModel
 from gapsweep.study.points import FIXED, SWEEPS, Kind, Points, canonical, columns_of
 from gapsweep.study.samples import SAMPLE, Samples
-from gapsweep.study.spec import (
-    HistoryTable,
-    ModuleTable,
-    StudySpec,
-    check,
-    read,
-)
+from gapsweep.study.spec import HistoryTable, ModuleTable, StudySpec, check, read
 from gapsweep.user_code.snapshot import Snapshot
 
 

@@ -19,24 +19,12 @@ from typing import Any, TypeVar
 import numpy as np
 import xarray as xr
 
-from gapsweep.analysis.bench.cells import (
-    CELL,
-    Say,
-    cell_dataset,
-    cell_table,
-    sizes,
-)
+from gapsweep.analysis.bench.cells import CELL, Say, cell_dataset, cell_table, sizes
 from gapsweep.analysis.bench.cells import VARIABLES as CELL_VARIABLES
 from gapsweep.analysis.bench.costs import cost
 from gapsweep.analysis.bench.pareto import on_front
 from gapsweep.analysis.bench.references import LARGEST_GROWTH, TIGHT, growth, motion
-from gapsweep.analysis.bench.scenarios import (
-    Method,
-    Scenario,
-    law_or_none,
-    methods,
-    scenarios,
-)
+from gapsweep.analysis.bench.scenarios import Method, Scenario, law_or_none, methods, scenarios
 from gapsweep.analysis.dimensions import Array
 from gapsweep.execution.isolated import CallError, Isolated
 from gapsweep.execution.progress import DEFAULT_TIMEOUT
