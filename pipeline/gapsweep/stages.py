@@ -340,7 +340,7 @@ def _static(run: RunContext) -> "xr.Dataset":
         return static(run.study, found.get("responses"))
 
 
-def _agreement(run: RunContext) -> "Content":
+def _agreement(run: RunContext) -> "xr.Dataset":
     from gapsweep.analysis.agreement.comparison import agreement
 
     with run.datasets() as found:
@@ -354,7 +354,7 @@ def _timing(run: RunContext) -> "xr.Dataset":
         return timing(**found)
 
 
-def _histories(run: RunContext) -> "Content":
+def _histories(run: RunContext) -> "xr.Dataset":
     from gapsweep.analysis.datasets.histories import histories
 
     return histories(run.study, timeout=run.timeout)
@@ -401,13 +401,13 @@ def _claims(run: RunContext) -> dict[str, Any]:
         return decide_claims(run.study, found)
 
 
-def _work_precision(run: RunContext) -> "Content":
+def _work_precision(run: RunContext) -> "xr.Dataset":
     from gapsweep.analysis.bench.work_precision import work_precision
 
     return work_precision(run.study, say=run.say, timeout=run.timeout)
 
 
-def _stability(run: RunContext) -> "Content":
+def _stability(run: RunContext) -> "xr.Dataset":
     from gapsweep.analysis.bench.stability import stability
 
     return stability(run.study, say=run.say, timeout=run.timeout)

@@ -71,7 +71,7 @@ ERROR_SCALE = "gap width; for velocities, times the angular forcing frequency"
 
 def work_precision(
     study: Study, say: Say = lambda text: None, timeout: float = DEFAULT_TIMEOUT
-) -> xr.Dataset | None:
+) -> xr.Dataset:
     """Error, cost and status of every method on every scenario without a stated solution.
 
     Parameters
@@ -84,12 +84,9 @@ def work_precision(
     Returns
     -------
     Dataset
-        Over `scene`, `method` and `tolerance` (the rung of a method's ladder); None if the study
-        has no such scenario.
+        Over `scene`, `method` and `tolerance` (the rung of a method's ladder).
     """
     found, ladder = scenarios(study, with_answer=False), methods(study)
-    if not found:
-        return None
     assert study.spec.bench is not None
     # The load of other processes, before the measurements.
     load = os.getloadavg()[0] if hasattr(os, "getloadavg") else math.nan
