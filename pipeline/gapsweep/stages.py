@@ -216,7 +216,8 @@ def _own_stages(study: Study) -> list[Stage]:
     for file, function in own_datasets(study).items():
         name = file.removesuffix(".nc")
         if name in taken:
-            where = f"{study.claims_module}: DATASETS: {name!r}"
+            assert study.claims_code is not None, "datasets come from there"
+            where = f"{study.claims_code.path}: DATASETS: {name!r}"
             raise StudyError(f"{where}: the name of a file of gapsweep; choose another name")
         code = Source(f"code of {file}", partial(_own_code, function))
         stages.append(Stage(file, (), (SETTINGS, code), partial(_own_dataset, file, function)))
@@ -499,7 +500,7 @@ STAGES = (
         _DATASETS,
         (CLAIMS_MODULE,),
         _claims,
-        lambda study: study.claims_module is not None,
+        lambda study: study.spec.claims is not None,
     ),
     # Failures of methods are results; only a status of user code counts as a failure.
     Stage(
@@ -523,7 +524,7 @@ STAGES = (
         _DATASETS,
         (REPORT_MODULE,),
         _sections,
-        lambda study: study.report_module is not None,
+        lambda study: study.spec.report is not None,
         is_drawn=True,
     ),
     PAGE,
