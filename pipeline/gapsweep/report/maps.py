@@ -128,10 +128,8 @@ def numbered_as(starts: xr.Dataset, exact: xr.Dataset) -> xr.Dataset:
     Two attractors match if their periods are equal and their peaks within `_ALIKE`; the closest
     pair is matched first. Attractors without a match have numbers after those of the exact law.
 
-    Parameters
-    ----------
-    starts, exact : Dataset
-        ``attractor(initial_condition)``, ``period_multiple`` and ``x_max`` of each law.
+    `starts` and `exact`: ``attractor(initial_condition)``, ``period_multiple`` and ``x_max`` of
+    each law.
     """
     ours, theirs = _attractors(starts), _attractors(exact)
     pairs = sorted(
@@ -354,10 +352,7 @@ def edges(values: NDArray[np.float64], *, log: bool) -> NDArray[np.float64]:
 def mesh(axes: "Axes", x: xr.DataArray, y: xr.DataArray, cells: NDArray[Any], **style: Any) -> Any:
     """Draw cells as one image, with edges halfway between the values; returns the image.
 
-    Parameters
-    ----------
-    cells : ndarray, shape (n_y, n_x, ...)
-        Values or colours, as for `matplotlib.axes.Axes.imshow`.
+    `cells`: shape (n_y, n_x, ...); values or colours, as for `matplotlib.axes.Axes.imshow`.
     """
     scaled: dict[int, NDArray[np.float64]] = {}
     for axis, coordinate in ((1, x), (0, y)):
@@ -380,10 +375,7 @@ def mesh(axes: "Axes", x: xr.DataArray, y: xr.DataArray, cells: NDArray[Any], **
 def _even(cells: NDArray[Any], ends: NDArray[np.float64], axis: int) -> NDArray[Any]:
     """Cells of equal width along an axis: unchanged, or repeated to fit their edges.
 
-    Parameters
-    ----------
-    ends : ndarray, shape (n + 1,)
-        The edges on the scale of the axis.
+    `ends`: shape (n + 1,); the edges on the scale of the axis.
     """
     even = np.linspace(ends[0], ends[-1], ends.size)
     if np.allclose(ends, even, rtol=0.0, atol=0.01 * (even[1] - even[0])):

@@ -14,13 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from gapsweep.response.ragged import spans
 from gapsweep.response.result import ResponseClass, Responses
-from gapsweep.response.section import (
-    CLOUD_CLOSE,
-    cloud_distances,
-    own_neighbours,
-    reach_of,
-    scaled,
-)
+from gapsweep.response.section import CLOUD_CLOSE, cloud_distances, own_neighbours, reach_of, scaled
 from gapsweep.response.thresholds import DEVIATIONS
 
 Array = NDArray[np.float64]

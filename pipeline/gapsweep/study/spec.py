@@ -13,13 +13,7 @@ from os import PathLike
 from pathlib import Path, PurePath
 from typing import Annotated, Any, Literal
 
-from pydantic import (
-    AfterValidator,
-    BeforeValidator,
-    Field,
-    ValidationError,
-    model_validator,
-)
+from pydantic import AfterValidator, BeforeValidator, Field, ValidationError, model_validator
 
 from gapsweep.errors import StudyError
 from gapsweep.integrate.problem import LARGEST_RTOL, SMALLEST_RTOL
@@ -38,6 +32,8 @@ from gapsweep.study.axes import (
     Positive,
     PositiveAxis,
     Range,
+    Share,
+    ShareAxis,
     Starts,
     TomlTable,
     WallAxis,
@@ -85,6 +81,8 @@ class SweepTable(TomlTable):
     omega: PositiveAxis | None = None
     K_ratio: NonNegativeAxis | None = None
     damping: NonNegativeAxis | None = None
+    chi: NonNegativeAxis | None = None
+    restitution: ShareAxis | None = None
     parameter: dict[str, AnyAxis] = Field({}, alias="[parameters]")
     initial_condition: Starts | None = None  # None: at rest
 
@@ -169,6 +167,8 @@ class HistoryTable(TomlTable):
     gap: Pair
     K_ratio: NonNegative | None = None
     damping: NonNegative | None = None
+    chi: NonNegative | None = None
+    restitution: Share | None = None
     parameter: dict[str, Number] = Field({}, alias="[parameters]")
     omega: Positive
     t_end: Positive
@@ -286,14 +286,6 @@ def is_followed(one: Representation) -> bool:
     return not (one.protocol or one.is_auto or one == NOT_LOCATED)
 
 
-class ClaimsTable(ModuleTable):
-    """The module of the claims."""
-
-
-class ReportTable(ModuleTable):
-    """The module of additional sections of the report."""
-
-
 # Axes along which no branch is continued.
 _NO_PARAMETERS = ("representation", "gap", START)
 WALLS = ("gap", "j_1", "j_2")
@@ -320,8 +312,8 @@ class StudySpec(TomlTable):
     uncertain: UncertainTable | None = None
     fit: FitTable | None = None
     gradients: GradientsTable | None = None
-    claims: ClaimsTable | None = None
-    report: ReportTable | None = None
+    claims: ModuleTable | None = None
+    report: ModuleTable | None = None  # of additional sections of the report
 
     @model_validator(mode="before")
     @classmethod

@@ -25,10 +25,7 @@ COSTS = {
 def timing(responses: xr.Dataset) -> xr.Dataset:
     """Mean and median cost per point of every representation and parameter set.
 
-    Parameters
-    ----------
-    responses : Dataset
-        As stored in ``responses.nc``.
+    `responses`: as stored in ``responses.nc``.
     """
     host = responses["host"]
     requested = responses["status"] != Status.NOT_REQUESTED
@@ -57,10 +54,7 @@ def timing(responses: xr.Dataset) -> xr.Dataset:
 def repeatability(ratios: Array) -> float:
     """Half-width of the 95 % interval of the logarithm of ratios of equal quantities.
 
-    Parameters
-    ----------
-    ratios : ndarray
-        Measured ratios; NaN if not measured.
+    `ratios`: measured ratios; NaN if not measured.
     """
     known = np.log(ratios[np.isfinite(ratios) & (ratios > 0.0)])
     if not known.size:

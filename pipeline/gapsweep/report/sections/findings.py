@@ -15,10 +15,7 @@ from gapsweep.report.inputs import Inputs
 from gapsweep.report.parts import Part
 from gapsweep.report.scales import drawn, shown_unit
 from gapsweep.report.tables import tally
-from gapsweep.report.verdicts import (
-    COLUMNS,
-    Contact,
-)
+from gapsweep.report.verdicts import COLUMNS, Contact
 from gapsweep.response.result import ResponseClass
 from gapsweep.status import Status
 from gapsweep.study.grid import CONTACT, START
