@@ -934,6 +934,22 @@ def test_chatter_ends_in_a_hold_until_the_load_lets_go(restitution, omega, engin
     assert releases - before.max() == pytest.approx(share, rel=1e-6)
 
 
+def test_a_response_that_a_wall_at_zero_holds_is_that_at_a_shifted_wall():
+    """A ball on a table that shakes with 1.1 times gravity; rounding moves it off a wall at 0."""
+    g, shakes = 9.81, 5.0
+    ball = gs.Oscillator(
+        mass=1.0, omega_n=0.0, zeta=0.0, forcing=0.0, mean_load=g,
+        base_amplitude=1.1 * g / (TURN * shakes) ** 2,
+    )  # fmt: skip
+    found = [
+        gs.respond(ball, gs.Rigid(gs.Gap(None, wall), restitution=0.5), shakes, wall)
+        for wall in (0.0, 1.0)
+    ]
+    at_zero, shifted = ((one.amplitude, one.contact_share) for one in found)
+    assert [one.period_multiple for one in found] == [1, 1]
+    assert at_zero == pytest.approx(shifted, rel=1e-9)
+
+
 def test_responses_with_impacts_lose_what_the_forcing_supplies():
     from gapsweep.report.losses import energy_lost
 
