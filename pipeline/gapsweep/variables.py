@@ -35,8 +35,12 @@ _IN = {
         "N m-1": "N m rad-1",
         "N s m-1": "N m s rad-1",
         "m-1": "rad-1",
+        "s m-1": "s rad-1",
     },
-    "1": dict.fromkeys(("m", "mm", "m s-1", "N", "N m-1", "N s m-1", "m-1"), "1"),
+    "1": {
+        **dict.fromkeys(("m", "mm", "m s-1", "N", "N m-1", "N s m-1", "m-1"), "1"),
+        "s m-1": "s",
+    },
 }
 
 

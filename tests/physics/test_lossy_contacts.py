@@ -622,6 +622,101 @@ def test_studies_damp_all_laws_that_can_be_and_refuse_others():
         study(damping=[0.0, 1.2], representation=["piecewise-noevents"])
 
 
+@pytest.mark.parametrize(
+    ("family", "name", "axis"),
+    [("huntcrossley", "chi", [0.0, 0.3, 2.0]), ("rigid", "restitution", [0.0, 0.8, 1.0])],
+)
+def test_an_axis_has_the_laws_of_labels_with_its_values(family, name, axis):
+    by_axis = study(representation=["piecewise", family], **{name: axis})
+    by_label = study(representation=["piecewise", *(f"{family}-{value:g}" for value in axis)])
+    (_, exact), (_, swept) = by_axis.points(np.arange(6))
+    of_labels = [table for _, table in by_label.points(np.arange(4))]
+    assert laws_of(swept) == [law for table in of_labels[1:] for law in laws_of(table)]
+    assert len({*swept.keys().tolist()}) == 3
+    # Points of another law are computed once: their keys are equal along the axis.
+    assert {*exact.keys().tolist()} == {*of_labels[0].keys().tolist()}
+
+
+def test_each_parameter_of_losses_changes_the_points_of_its_law_alone():
+    laws = ["piecewise", "huntcrossley", "rigid"]
+    found = study(representation=laws, chi=[0.1, 0.3], restitution=[0.6, 0.8])
+    assert found.grid.dims[-3:-1] == ("chi", "restitution")
+    tables = [table for _, table in found.points(np.arange(12))]
+    assert [len({*table.keys().tolist()}) for table in tables] == [1, 2, 2]
+    numbers = [[*zip(*map(table.column, ("chi", "restitution")), strict=True)] for table in tables]
+    assert numbers[0] == [(0.0, 1.0)] * 4
+    assert numbers[1] == [(0.1, 1.0)] * 2 + [(0.3, 1.0)] * 2
+    assert numbers[2] == [(0.0, 0.6), (0.0, 0.8)] * 2
+    assert {*tables[2].column("K_c")} == {0.0}  # no parameter of a rigid wall
+
+
+def test_losses_have_one_value_each():
+    swept = {"chi": [0.1, 0.3], "representation": ["piecewise", "huntcrossley"]}
+    refused = {
+        "chi: missing, huntcrossley": {"chi": None},
+        "restitution: missing, rigid": {"representation": ["huntcrossley", "rigid"]},
+        "chi: huntcrossley-0.3 has it in its label": {
+            "representation": ["huntcrossley", "huntcrossley-0.3"]
+        },
+        "chi: no representation has it": {"representation": ["piecewise", "rigid-0.8"]},
+        r"chi\[1\] = -0.1: must be >= 0": {"chi": [0.1, -0.1]},
+        r"restitution\[0\] = 1.01: must be <= 1": {"representation": "rigid", "restitution": 1.01},
+        r"restitution\[0\] = -0.1: must be >= 0": {"representation": "rigid", "restitution": -0.1},
+        "damping: huntcrossley has none": {"damping": 1.2},
+    }
+    for words, changes in refused.items():
+        with pytest.raises(StudyError, match=words):
+            study(**{k: v for k, v in (swept | changes).items() if v is not None})
+    with pytest.raises(gs.ModelError, match=r"chi: missing; give it, or write huntcrossley-0\.3"):
+        gs.contact_law("huntcrossley", 20.0, gs.Gap(0.0, 0.1))
+    with pytest.raises(gs.ModelError, match=r"chi = 0\.5: huntcrossley-0\.3 has it in its label"):
+        gs.contact_law("huntcrossley-0.3", 20.0, gs.Gap(0.0, 0.1), chi=0.5)
+    with pytest.raises(gs.ModelError, match=r"restitution = 0\.5: piecewise has none; rigid has"):
+        gs.contact_law("piecewise", 20.0, gs.Gap(0.0, 0.1), restitution=0.5)
+    rigid = gs.contact_law("rigid", 20.0, gs.Gap(0.1, 0.1), restitution=0.5)
+    assert rigid == gs.Rigid(gs.Gap(0.1, 0.1), restitution=0.5)
+
+
+def test_a_wall_without_losses_in_another_block_is_at_the_elastic_value():
+    block = {"K_c": 20.0, "gap": [0.0, 0.1745], "omega": 0.95 / TURN}
+    tables = {
+        "study": {"name": "blocks"},
+        "oscillator": {"zeta": 0.025, "omega_n": 1.0 / TURN, "mass": 1.0, "forcing": 0.03},
+        "sweep": [
+            block | {"representation": "piecewise", "damping": [0.0, 1.2]},
+            block | {"representation": "huntcrossley", "chi": [0.1, 0.3]},
+        ],
+    }
+    found = gs.Study.from_dict(tables)
+    assert found.grid.axes["chi"] == (0.0, 0.1, 0.3)
+    assert found.grid.requested.sum() == 4
+    tables["sweep"][0]["representation"] = ["huntcrossley-0.3"]
+    del tables["sweep"][0]["damping"]
+    with pytest.raises(StudyError, match=r"chi: huntcrossley-0\.3 has it in its label"):
+        gs.Study.from_dict(tables)
+
+
+def test_numbers_of_losses_are_drawn_within_their_range():
+    def drawn(representation, **of):
+        tables = study().spec.tables | {"uncertain": {"samples": 8, "quantities": ["x_max"], **of}}
+        tables["sweep"][0]["representation"] = [representation]
+        return gs.Study.from_dict(tables)
+
+    uniform = {"uniform": [0.1, 0.9]}
+    for family, name in (("huntcrossley", "chi"), ("rigid", "restitution")):
+        found = drawn(family, **{name: uniform})
+        ((_, table),) = found.points(np.arange(8))
+        (law,) = {type(law) for law in laws_of(table)}
+        assert law.family == family
+        assert table.column(name).tolist() == found.grid.coordinates()[f"drawn_{name}"][:8].tolist()
+        with pytest.raises(StudyError, match=f"uncertain.{name}: cannot be uncertain"):
+            drawn("piecewise", **{name: uniform})
+        with pytest.raises(StudyError, match=f"{name}: {family}-0.5 has it in its label"):
+            drawn(f"{family}-0.5", **{name: uniform})
+    with pytest.raises(StudyError, match="restitution > 1"):
+        drawn("rigid", restitution={"uniform": [0.9, 1.1]})
+
+
 def laws_of(table):
     (_, models), refused = table.models()
     assert not refused
@@ -854,6 +949,38 @@ def test_a_motion_that_starts_beyond_a_rigid_wall_is_no_motion():
         run = gs.simulate(oscillator(), rigid(0.8, 0.5), 0.2, 0.6, t_end=1.0, engine=engine)
         assert run.status == gs.Status.MODEL_INVALID
     assert "beyond a rigid wall" in gs.respond(oscillator(), rigid(0.8, 0.5), 0.2, 0.6).message
+
+
+@pytest.mark.parametrize("at", [0.05, 0.15])
+def test_a_branch_passes_the_graze_of_a_rigid_wall(at):
+    """The free orbit grazes at F / (c omega) = 1; past it multipliers grow as 1 / u.
+
+    With one impact of speed u in a period, the free part of the motion is u d before the impact.
+    The rest, (1, u) - u d, has amplitude 10 F: least, at a fold, where F changes as 0 with u.
+    """
+    found = gs.branches(
+        oscillator(zeta=0.05), rigid(0.8), "forcing", (0.02, 0.3), at=at, omega=1.0 / TURN
+    ).isel(branch=0)
+    found = found.dropna("step", how="all", subset=["forcing"])
+    names = np.array(found["special"].attrs["flag_meanings"].split())[found["special"].values]
+    forcing, n_contacts = found["forcing"].values, found["n_contacts"].values
+    sums = found["multiplier_real"].sum("multiplier").values
+    w = math.sqrt(1.0 - 0.05**2)
+    c, s = math.cos(w * TURN), math.sin(w * TURN) / w
+    free = math.exp(-0.05 * TURN) * np.array([[c + 0.05 * s, s], [-s, c - 0.05 * s]])
+    d = free @ np.linalg.solve(np.eye(2) - free, [0.0, -1.8])
+
+    (row,) = np.flatnonzero(names == "grazing")
+    assert forcing[row] == pytest.approx(0.1, rel=1e-9)
+    assert sums[row] == pytest.approx(np.trace(free), rel=1e-9)
+    assert sorted(n_contacts[[row - 1, row + 1]]) == [0, 2]
+    assert np.abs(sums[[row - 1, row + 1]]).max() > 10.0
+    (fold,) = np.flatnonzero(names == "fold")
+    assert forcing[fold] == pytest.approx(
+        0.1 * (1.0 - d[1]) / math.hypot(d[0], 1.0 - d[1]), rel=1e-9
+    )
+    assert sums[fold] == pytest.approx(1.0 + 0.8**2 * np.linalg.det(free), rel=1e-5)
+    assert sorted(forcing[[0, -1]]) == pytest.approx([0.02, 0.3], rel=1e-12)
 
 
 def test_a_branch_along_the_restitution_has_its_determinants():

@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gapsweep.continuation.family import Family
+from gapsweep.continuation.family import AMPLITUDE, Family
+from gapsweep.errors import ModelError
 from gapsweep.integrate.problem import Laws, Model, Models, Solver
 from gapsweep.integrate.simulate import AnyLaw
 from gapsweep.model.doubts import doubts, warn_of
@@ -40,6 +41,8 @@ class Machine:
 
         Raises `ModelError` if a parameter is unknown, or invalid within its range.
         """
+        if AMPLITUDE in ranges:
+            raise ModelError("parameter 'amplitude': is a result; name a parameter of the model")
         low, high = ({name: ends[k] for name, ends in ranges.items()} for k in (0, 1))
         first = None if omega is None else float(np.min(omega))
         family = Family(oscillator, {} if law is None else law, first, tuple(ranges), low)

@@ -111,7 +111,8 @@ class Kind:
         K_c, j_1, j_2, *others = walls
         gap, of_walls = Gap(j_1, j_2), dict(zip(OF_WALLS, others, strict=True))
         if not one.is_own:
-            return contact_law(one, K_c, gap, self.fit_range, **of_walls, pulls=self.pulls)
+            taken = {name: value for name, value in of_walls.items() if one.takes(name)}
+            return contact_law(one, K_c, gap, self.fit_range, **taken, pulls=self.pulls)
         if self.own is None:
             raise ModelError(f"{one}: the code of this user law is not stored")
         return self.own.law(K_c, gap, of_walls["K_ratio"])

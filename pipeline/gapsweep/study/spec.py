@@ -32,6 +32,8 @@ from gapsweep.study.axes import (
     Positive,
     PositiveAxis,
     Range,
+    Share,
+    ShareAxis,
     Starts,
     TomlTable,
     WallAxis,
@@ -79,6 +81,8 @@ class SweepTable(TomlTable):
     omega: PositiveAxis | None = None
     K_ratio: NonNegativeAxis | None = None
     damping: NonNegativeAxis | None = None
+    chi: NonNegativeAxis | None = None
+    restitution: ShareAxis | None = None
     parameter: dict[str, AnyAxis] = Field({}, alias="[parameters]")
     initial_condition: Starts | None = None  # None: at rest
 
@@ -163,6 +167,8 @@ class HistoryTable(TomlTable):
     gap: Pair
     K_ratio: NonNegative | None = None
     damping: NonNegative | None = None
+    chi: NonNegative | None = None
+    restitution: Share | None = None
     parameter: dict[str, Number] = Field({}, alias="[parameters]")
     omega: Positive
     t_end: Positive

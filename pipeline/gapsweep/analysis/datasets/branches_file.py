@@ -33,6 +33,7 @@ from gapsweep.continuation.follow import DEFAULT_RTOL
 from gapsweep.continuation.seed import Attractor
 from gapsweep.errors import StoreError
 from gapsweep.execution.branch_tasks import BranchScene, Followed, followed
+from gapsweep.model.contact import OF_LABELS
 from gapsweep.response.result import ResponseClass
 from gapsweep.status import Status
 from gapsweep.store import netcdf
@@ -147,7 +148,8 @@ def cases(study: Study, attractors: xr.Dataset) -> Iterator[_SceneBranches]:
     kind = attractors["response_class"].transpose(*dims, along, ATTRACTOR).values
     for place in np.ndindex(*requested.shape[:-2]):
         at = dict(zip(dims, place, strict=True))
-        if not is_followed(axes["representation"][at["representation"]]):
+        law = axes["representation"][at["representation"]]
+        if not is_followed(law) or (along in OF_LABELS and not study.model.takes(law, along)):
             continue
         if not requested[place].any():
             continue
