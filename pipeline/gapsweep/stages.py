@@ -216,7 +216,8 @@ def _own_stages(study: Study) -> list[Stage]:
     for file, function in own_datasets(study).items():
         name = file.removesuffix(".nc")
         if name in taken:
-            where = f"{study.claims_module}: DATASETS: {name!r}"
+            assert study.claims_code is not None, "datasets come from there"
+            where = f"{study.claims_code.path}: DATASETS: {name!r}"
             raise StudyError(f"{where}: the name of a file of gapsweep; choose another name")
         code = Source(f"code of {file}", partial(_own_code, function))
         stages.append(Stage(file, (), (SETTINGS, code), partial(_own_dataset, file, function)))
@@ -340,7 +341,7 @@ def _static(run: RunContext) -> "xr.Dataset":
         return static(run.study, found.get("responses"))
 
 
-def _agreement(run: RunContext) -> "Content":
+def _agreement(run: RunContext) -> "xr.Dataset":
     from gapsweep.analysis.agreement.comparison import agreement
 
     with run.datasets() as found:
@@ -354,7 +355,7 @@ def _timing(run: RunContext) -> "xr.Dataset":
         return timing(**found)
 
 
-def _histories(run: RunContext) -> "Content":
+def _histories(run: RunContext) -> "xr.Dataset":
     from gapsweep.analysis.datasets.histories import histories
 
     return histories(run.study, timeout=run.timeout)
@@ -401,13 +402,13 @@ def _claims(run: RunContext) -> dict[str, Any]:
         return decide_claims(run.study, found)
 
 
-def _work_precision(run: RunContext) -> "Content":
+def _work_precision(run: RunContext) -> "xr.Dataset":
     from gapsweep.analysis.bench.work_precision import work_precision
 
     return work_precision(run.study, say=run.say, timeout=run.timeout)
 
 
-def _stability(run: RunContext) -> "Content":
+def _stability(run: RunContext) -> "xr.Dataset":
     from gapsweep.analysis.bench.stability import stability
 
     return stability(run.study, say=run.say, timeout=run.timeout)
@@ -499,7 +500,7 @@ STAGES = (
         _DATASETS,
         (CLAIMS_MODULE,),
         _claims,
-        lambda study: study.claims_module is not None,
+        lambda study: study.spec.claims is not None,
     ),
     # Failures of methods are results; only a status of user code counts as a failure.
     Stage(
@@ -523,7 +524,7 @@ STAGES = (
         _DATASETS,
         (REPORT_MODULE,),
         _sections,
-        lambda study: study.report_module is not None,
+        lambda study: study.spec.report is not None,
         is_drawn=True,
     ),
     PAGE,

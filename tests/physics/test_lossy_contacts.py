@@ -937,6 +937,22 @@ def test_chatter_ends_in_a_hold_until_the_load_lets_go(restitution, omega, engin
     assert releases - before.max() == pytest.approx(share, rel=1e-6)
 
 
+def test_a_response_that_a_wall_at_zero_holds_is_that_at_a_shifted_wall():
+    """A ball on a table that shakes with 1.1 times gravity; rounding moves it off a wall at 0."""
+    g, shakes = 9.81, 5.0
+    ball = gs.Oscillator(
+        mass=1.0, omega_n=0.0, zeta=0.0, forcing=0.0, mean_load=g,
+        base_amplitude=1.1 * g / (TURN * shakes) ** 2,
+    )  # fmt: skip
+    found = [
+        gs.respond(ball, gs.Rigid(gs.Gap(None, wall), restitution=0.5), shakes, wall)
+        for wall in (0.0, 1.0)
+    ]
+    at_zero, shifted = ((one.amplitude, one.contact_share) for one in found)
+    assert [one.period_multiple for one in found] == [1, 1]
+    assert at_zero == pytest.approx(shifted, rel=1e-9)
+
+
 def test_responses_with_impacts_lose_what_the_forcing_supplies():
     from gapsweep.report.losses import energy_lost
 
@@ -998,6 +1014,38 @@ def test_a_motion_that_starts_beyond_a_rigid_wall_is_no_motion():
         run = gs.simulate(oscillator(), rigid(0.8, 0.5), 0.2, 0.6, t_end=1.0, engine=engine)
         assert run.status == gs.Status.MODEL_INVALID
     assert "beyond a rigid wall" in gs.respond(oscillator(), rigid(0.8, 0.5), 0.2, 0.6).message
+
+
+@pytest.mark.parametrize("at", [0.05, 0.15])
+def test_a_branch_passes_the_graze_of_a_rigid_wall(at):
+    """The free orbit grazes at F / (c omega) = 1; past it multipliers grow as 1 / u.
+
+    With one impact of speed u in a period, the free part of the motion is u d before the impact.
+    The rest, (1, u) - u d, has amplitude 10 F: least, at a fold, where F changes as 0 with u.
+    """
+    found = gs.branches(
+        oscillator(zeta=0.05), rigid(0.8), "forcing", (0.02, 0.3), at=at, omega=1.0 / TURN
+    ).isel(branch=0)
+    found = found.dropna("step", how="all", subset=["forcing"])
+    names = np.array(found["special"].attrs["flag_meanings"].split())[found["special"].values]
+    forcing, n_contacts = found["forcing"].values, found["n_contacts"].values
+    sums = found["multiplier_real"].sum("multiplier").values
+    w = math.sqrt(1.0 - 0.05**2)
+    c, s = math.cos(w * TURN), math.sin(w * TURN) / w
+    free = math.exp(-0.05 * TURN) * np.array([[c + 0.05 * s, s], [-s, c - 0.05 * s]])
+    d = free @ np.linalg.solve(np.eye(2) - free, [0.0, -1.8])
+
+    (row,) = np.flatnonzero(names == "grazing")
+    assert forcing[row] == pytest.approx(0.1, rel=1e-9)
+    assert sums[row] == pytest.approx(np.trace(free), rel=1e-9)
+    assert sorted(n_contacts[[row - 1, row + 1]]) == [0, 2]
+    assert np.abs(sums[[row - 1, row + 1]]).max() > 10.0
+    (fold,) = np.flatnonzero(names == "fold")
+    assert forcing[fold] == pytest.approx(
+        0.1 * (1.0 - d[1]) / math.hypot(d[0], 1.0 - d[1]), rel=1e-9
+    )
+    assert sums[fold] == pytest.approx(1.0 + 0.8**2 * np.linalg.det(free), rel=1e-5)
+    assert sorted(forcing[[0, -1]]) == pytest.approx([0.02, 0.3], rel=1e-12)
 
 
 def test_a_branch_along_the_restitution_has_its_determinants():

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gapsweep.continuation import thresholds as limit
+from gapsweep.continuation.border import rigid_graze
 from gapsweep.continuation.crossing import crossing
 from gapsweep.continuation.hopf import hopf_point
 from gapsweep.continuation.locate import Step, orbits_at
@@ -75,6 +76,12 @@ class Continuation:
             for k, (i, orbit) in enumerate(zip(left.tolist(), found, strict=True)):
                 half, step, of = halves[i], float(size[i]), here.take([k])
                 turn = self._turn(half, orbit, step, of)
+                passed = None if turn is None else orbit
+                graze = rigid_graze(self.corrector, half.orbits, passed, step, of)
+                if graze:
+                    half.orbits += graze[:-1]
+                    half.references += [of] * (len(graze) - 1)
+                    orbit, turn, size[i] = graze[-1], math.inf, limit.PAST_RIGID[-1]
                 if turn is None:
                     size[i] = 0.5 * step
                     if size[i] >= limit.SMALLEST:

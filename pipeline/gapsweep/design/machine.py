@@ -62,9 +62,7 @@ class Machine:
     def parts(self, values: Array) -> tuple[list[Model], list[Laws], NDArray[np.intp]]:
         """Return the distinct models and laws of rows of parameter values, and each row's number.
 
-        Parameters
-        ----------
-        values : ndarray, shape (n, number of parameters)
+        `values`: shape (n, number of parameters).
         """
         rows, which = np.unique(values, axis=0, return_inverse=True)
         named = [dict(zip(self.family.names, row, strict=True)) for row in rows.tolist()]

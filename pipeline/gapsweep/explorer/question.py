@@ -322,11 +322,8 @@ _OF_A_SYSTEM = 0.2, 4.0  # range of a parameter as multiples of its value
 def dials(question: Question, ranges: Mapping[str, Sequence[float]] | None = None) -> list[Dial]:
     """The sliders of a page that starts with a question.
 
-    Parameters
-    ----------
-    ranges : mapping of str to sequence of float, optional
-        Smallest and largest value that a study sweeps, in SI units; others get a range about
-        their initial value.
+    `ranges`: smallest and largest value that a study sweeps, in SI units; others get a range about
+    their initial value.
     """
     given = {"omega": question.band, **(ranges or {})}
     example = question.machine.example

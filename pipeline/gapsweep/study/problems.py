@@ -88,10 +88,7 @@ def problems(
 ) -> list[str]:
     """Return one line per problem: location, value, and what is allowed.
 
-    Parameters
-    ----------
-    parameters : collection of str
-        Names of the model's parameters.
+    `parameters`: names of the model's parameters.
     """
     errors = error.errors(include_url=False)
     lines = [_problem(source, each, spec, parameters) for each in errors[:_MOST]]

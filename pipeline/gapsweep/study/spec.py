@@ -13,13 +13,7 @@ from os import PathLike
 from pathlib import Path, PurePath
 from typing import Annotated, Any, Literal
 
-from pydantic import (
-    AfterValidator,
-    BeforeValidator,
-    Field,
-    ValidationError,
-    model_validator,
-)
+from pydantic import AfterValidator, BeforeValidator, Field, ValidationError, model_validator
 
 from gapsweep.errors import StudyError
 from gapsweep.integrate.problem import LARGEST_RTOL, SMALLEST_RTOL
@@ -295,14 +289,6 @@ def is_followed(one: Representation) -> bool:
     return not (one.protocol or one.is_auto or one == NOT_LOCATED)
 
 
-class ClaimsTable(ModuleTable):
-    """The module of the claims."""
-
-
-class ReportTable(ModuleTable):
-    """The module of additional sections of the report."""
-
-
 # Axes along which no branch is continued.
 _NO_PARAMETERS = ("representation", "gap", START)
 WALLS = ("gap", "j_1", "j_2")
@@ -329,8 +315,8 @@ class StudySpec(TomlTable):
     uncertain: UncertainTable | None = None
     fit: FitTable | None = None
     gradients: GradientsTable | None = None
-    claims: ClaimsTable | None = None
-    report: ReportTable | None = None
+    claims: ModuleTable | None = None
+    report: ModuleTable | None = None  # of additional sections of the report
 
     @model_validator(mode="before")
     @classmethod

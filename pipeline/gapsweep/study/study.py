@@ -38,13 +38,7 @@ from gapsweep.study.least_model import (
 from gapsweep.study.parametric_model import ParametricModel
 from gapsweep.study.points import FIXED, SWEEPS, Kind, Points, canonical, columns_of
 from gapsweep.study.samples import SAMPLE, Samples
-from gapsweep.study.spec import (
-    HistoryTable,
-    ModuleTable,
-    StudySpec,
-    check,
-    read,
-)
+from gapsweep.study.spec import HistoryTable, ModuleTable, StudySpec, check, read
 from gapsweep.user_code.snapshot import Snapshot
 
 
@@ -256,14 +250,14 @@ class Study:
     def _check_modules(self) -> None:
         """Refuse modules of [claims] and [report] that cannot be read; none of them is run."""
         problems = []
-        for table, path in (("claims", self.claims_module), ("report", self.report_module)):
-            try:
-                if path is not None:
+        for name, table in (("claims", self.spec.claims), ("report", self.spec.report)):
+            if table is not None:
+                path = self._next_to_study(table)
+                try:
                     path.read_bytes()
-            except OSError as error:
-                problems.append(
-                    f"{self.source}: {table}.module: {path} cannot be read: {error.strerror}"
-                )
+                except OSError as error:
+                    why = f"{path} cannot be read: {error.strerror}"
+                    problems.append(f"{self.source}: {name}.module: {why}")
         if problems:
             raise StudyError(*problems)
 
@@ -291,19 +285,6 @@ class Study:
         return json.dumps(self.spec.tables, sort_keys=True)
 
     @cached_property
-    def claims_module(self) -> Path | None:
-        """Path of the Python file of [claims], in the folder of the study file."""
-        return self._next_to_study(self.spec.claims)
-
-    @cached_property
-    def report_module(self) -> Path | None:
-        """Path of the Python file of [report], in the folder of the study file."""
-        return self._next_to_study(self.spec.report)
-
-    def _next_to_study(self, table: ModuleTable | None) -> Path | None:
-        return None if table is None else Path(self.source).absolute().parent / table.module
-
-    @cached_property
     def model(self) -> ParametricModel:
         """The model as a function of its parameters."""
         return ParametricModel(self.spec, self.source, self.folders)
@@ -326,12 +307,21 @@ class Study:
     @cached_property
     def claims_code(self) -> Snapshot | None:
         """Code of the module of [claims] and of its imports, read once."""
-        return _snapshot(self.claims_module)
+        return self._code(self.spec.claims)
 
     @cached_property
     def report_code(self) -> Snapshot | None:
         """Code of the module of [report] and of its imports, read once."""
-        return _snapshot(self.report_module)
+        return self._code(self.spec.report)
+
+    def _code(self, table: ModuleTable | None) -> Snapshot | None:
+        try:
+            return None if table is None else Snapshot.of_file(self._next_to_study(table))
+        except ModelError as error:
+            raise StudyError(str(error)) from None
+
+    def _next_to_study(self, table: ModuleTable) -> Path:
+        return Path(self.source).absolute().parent / table.module
 
     @cached_property
     def folders(self) -> tuple[Path, ...]:
@@ -688,10 +678,3 @@ def _ends(values: Sequence[Any]) -> str:
     """Return values as text; if there are many, only the first ones and the last one."""
     shown = [f"{x:.6g}" if isinstance(x, float) else str(x) for x in values]
     return ", ".join(shown if len(shown) <= 8 else [*shown[:3], "…", shown[-1]])
-
-
-def _snapshot(path: Path | None) -> Snapshot | None:
-    try:
-        return None if path is None else Snapshot.of_file(path)
-    except ModelError as error:
-        raise StudyError(str(error)) from None
