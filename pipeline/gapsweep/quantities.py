@@ -65,6 +65,9 @@ def written(units: str) -> str:
 def without_units(name: str, value: Any, units: str | None = None) -> Any:
     """Return a value with its quantities as plain numbers in the unit of a parameter.
 
+    Raises `ModelError` if a quantity has another dimension, or is a frequency in 1/s, which may
+    mean Hz or rad/s.
+
     Parameters
     ----------
     name : str
@@ -74,11 +77,6 @@ def without_units(name: str, value: Any, units: str | None = None) -> Any:
         some. Any other value is returned unchanged.
     units : str, optional
         UDUNITS text instead of that of `UNITS`; empty: any dimension, in SI base units.
-
-    Raises
-    ------
-    ModelError
-        If a quantity has another dimension, or is a frequency in 1/s, which may mean Hz or rad/s.
     """
     if isinstance(value, list | tuple):
         return [without_units(name, each, units) for each in value]

@@ -67,10 +67,8 @@ def _path(name: str, value: Any) -> Path:
 def check_owner(study: Study, folder: Path) -> None:
     """Refuse a folder in which another study has left its files.
 
-    Raises
-    ------
-    StoreError
-        If its run, or without a run one of its datasets, belongs to a study of another name.
+    Raises `StoreError` if its run, or without a run one of its datasets, belongs to a study of
+    another name.
     """
     try:
         owners = [str(RunState.read(folder).study)]
@@ -88,10 +86,7 @@ def check_owner(study: Study, folder: Path) -> None:
 def check_writable(folder: Path, other: str = "another folder with --out") -> None:
     """Raise an error before the computation if the results could not be stored.
 
-    Raises
-    ------
-    StoreError
-        If the folder is not writable; the message recommends `other`.
+    Raises `StoreError` if the folder is not writable; the message recommends `other`.
     """
     if folder.is_symlink() and not folder.exists():
         raise StoreError(f"{folder}: is a broken symbolic link; remove it, or choose {other}")
@@ -111,12 +106,7 @@ def check_writable(folder: Path, other: str = "another folder with --out") -> No
 def locked_run(folder: Path) -> Iterator[None]:
     """Lock the folder of a run in the block, so that no other run writes into it.
 
-    Waits while another process holds the lock.
-
-    Raises
-    ------
-    StoreError
-        If the folder holds no run.
+    Waits while another process holds the lock. Raises `StoreError` if the folder holds no run.
     """
     if folder.is_file():
         raise StoreError(f"{folder}: {NO_FOLDER}")
@@ -140,10 +130,7 @@ def write(path: Path, content: "xr.Dataset | dict[str, Any]", made_from: str) ->
 def read_json(path: Path) -> dict[str, Any] | None:
     """Content of ``claims.json`` or ``sections.json``; None if absent or of other responses.
 
-    Raises
-    ------
-    StoreError
-        If the file is damaged.
+    Raises `StoreError` if the file is damaged.
     """
     if not path.exists():
         return None

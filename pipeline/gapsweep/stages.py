@@ -78,43 +78,22 @@ def _ignore(stage: str) -> None:
 
 @dataclass(frozen=True, slots=True)
 class RunContext:
-    """Arguments of the stages of a run.
+    """Arguments of the stages of a run."""
 
-    Attributes
-    ----------
-    folder : Path
-        Folder of the run.
-    study : Study
-    plan : Plan, optional
-        The sweep points and where they are stored, for stages that read them.
-    meanwhile : iterator of bool
-        As of `meanwhile`, begun while points were computed; None if none was.
-    cache : Path
-        Folder of the cache.
-    connect : callable, optional
-        Returns the client of a cluster, for branches that are not stored.
-    timeout : float
-        Time [s] that a motion with a user's law may take.
-    say : callable
-        Called with a text before each stage.
-    inputs : tuple of str
-        Files of the run that the present stage is made from.
-    made_from : str
-        Digests of the inputs of the present file, as JSON.
-    digests : dict of str to str
-        Digests of the sources, once they are known.
-    """
-
-    folder: Path
+    folder: Path  # folder of the run
     study: Study
+    # The sweep points and where they are stored, for stages that read them.
     plan: Plan | None = None
+    # As of `meanwhile`, begun while points were computed; None if none was.
     meanwhile: Iterator[bool] | None = None
-    cache: Path = Path()
+    cache: Path = Path()  # folder of the cache
+    # Returns the client of a cluster, for branches that are not stored.
     connect: Callable[[], Any] | None = None
-    timeout: float = DEFAULT_TIMEOUT
-    say: Callable[[str], None] = _ignore
-    inputs: tuple[str, ...] = ()
-    made_from: str = ""
+    timeout: float = DEFAULT_TIMEOUT  # time [s] that a motion with a user's law may take
+    say: Callable[[str], None] = _ignore  # called with a text before each stage
+    inputs: tuple[str, ...] = ()  # files of the run that the present stage is made from
+    made_from: str = ""  # digests of the inputs of the present file, as JSON
+    # Digests of the sources, once they are known.
     digests: dict[str, str] = field(default_factory=dict)
 
     def digest(self, source: "Source") -> str:
@@ -140,33 +119,17 @@ class Source:
 
 @dataclass(frozen=True, slots=True)
 class Stage:
-    """A file of a run, with its inputs and the function that makes it.
+    """A file of a run, with its inputs and the function that makes it."""
 
-    Attributes
-    ----------
-    file : str
-        Its path in the run's folder.
-    inputs : tuple of str
-        Files of the run that it is made from.
-    sources : tuple of Source
-        Inputs that are no files.
-    make : callable
-        Makes it; returns what is to be written, or None if it has written the file.
-    applies : callable
-        Whether a study has such a file.
-    failures : tuple of (str, Status), optional
-        The variable in it that holds statuses of motions, and the first one that is a failure.
-    is_drawn : bool
-        Whether it depends on code that draws, too.
-    """
-
-    file: str
-    inputs: tuple[str, ...]
-    sources: tuple[Source, ...]
+    file: str  # its path in the run's folder
+    inputs: tuple[str, ...]  # files of the run that it is made from
+    sources: tuple[Source, ...]  # inputs that are no files
+    # Makes it; returns what is to be written, or None if it has written the file.
     make: Callable[[RunContext], "Content"]
-    applies: Callable[[Study], bool] = lambda study: True
+    applies: Callable[[Study], bool] = lambda study: True  # whether a study has such a file
+    # The variable in it that holds statuses of motions, and the first one that is a failure.
     failures: tuple[str, Status] | None = None
-    is_drawn: bool = False
+    is_drawn: bool = False  # whether it depends on code that draws, too
 
     def made_from(self, folder: Path, run: RunContext | None = None) -> MadeFrom:
         """Present digests of the file's inputs and of the code, to compare with the stored ones.
@@ -253,7 +216,8 @@ def _own_stages(study: Study) -> list[Stage]:
     for file, function in own_datasets(study).items():
         name = file.removesuffix(".nc")
         if name in taken:
-            where = f"{study.claims_module}: DATASETS: {name!r}"
+            assert study.claims_code is not None, "datasets come from there"
+            where = f"{study.claims_code.path}: DATASETS: {name!r}"
             raise StudyError(f"{where}: the name of a file of gapsweep; choose another name")
         code = Source(f"code of {file}", partial(_own_code, function))
         stages.append(Stage(file, (), (SETTINGS, code), partial(_own_dataset, file, function)))
@@ -377,7 +341,7 @@ def _static(run: RunContext) -> "xr.Dataset":
         return static(run.study, found.get("responses"))
 
 
-def _agreement(run: RunContext) -> "Content":
+def _agreement(run: RunContext) -> "xr.Dataset":
     from gapsweep.analysis.agreement.comparison import agreement
 
     with run.datasets() as found:
@@ -391,7 +355,7 @@ def _timing(run: RunContext) -> "xr.Dataset":
         return timing(**found)
 
 
-def _histories(run: RunContext) -> "Content":
+def _histories(run: RunContext) -> "xr.Dataset":
     from gapsweep.analysis.datasets.histories import histories
 
     return histories(run.study, timeout=run.timeout)
@@ -438,13 +402,13 @@ def _claims(run: RunContext) -> dict[str, Any]:
         return decide_claims(run.study, found)
 
 
-def _work_precision(run: RunContext) -> "Content":
+def _work_precision(run: RunContext) -> "xr.Dataset":
     from gapsweep.analysis.bench.work_precision import work_precision
 
     return work_precision(run.study, say=run.say, timeout=run.timeout)
 
 
-def _stability(run: RunContext) -> "Content":
+def _stability(run: RunContext) -> "xr.Dataset":
     from gapsweep.analysis.bench.stability import stability
 
     return stability(run.study, say=run.say, timeout=run.timeout)
@@ -536,7 +500,7 @@ STAGES = (
         _DATASETS,
         (CLAIMS_MODULE,),
         _claims,
-        lambda study: study.claims_module is not None,
+        lambda study: study.spec.claims is not None,
     ),
     # Failures of methods are results; only a status of user code counts as a failure.
     Stage(
@@ -560,7 +524,7 @@ STAGES = (
         _DATASETS,
         (REPORT_MODULE,),
         _sections,
-        lambda study: study.report_module is not None,
+        lambda study: study.spec.report is not None,
         is_drawn=True,
     ),
     PAGE,

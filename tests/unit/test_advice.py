@@ -390,18 +390,19 @@ def test_command_advises_without_computing(tmp_path, monkeypatch, capsys):
     assert [p.name for p in tmp_path.iterdir()] == ["s.toml"]
 
 
-def test_a_law_of_the_user_is_said_not_to_be_assessed(tmp_path, monkeypatch, capsys):
+def test_advice_names_laws_that_it_does_not_assess(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "own.py").write_text("def bushing(x):\n    return 2e4 * x**3\n")
     (tmp_path / "s.toml").write_text(
         f'oscillator = {TOML}\n[study]\nname = "s"\n[[sweep]]\n'
-        'representation = ["own:bushing", "tanh-1e4"]\n'
+        'representation = ["own:bushing", "tanh-1e4", "rigid-0.8", "piecewise"]\n'
         "K_c = [1.4e4]\ngap = [[0.4e-3, 0.4e-3]]\nomega = [7.0, 30.0]\n"
     )
     assert exit_code(["advise", "s.toml"]) == FINISHED
-    assert "own:bushing: not assessed" in capsys.readouterr().out
+    text = capsys.readouterr().out
+    assert all(f"{label}: not assessed" in text for label in ("own:bushing", "rigid-0.8"))
     assert exit_code(["advise", "s.toml", "--json"]) == FINISHED
-    assert json.loads(capsys.readouterr().out)["not_assessed"] == ["own:bushing"]
+    assert json.loads(capsys.readouterr().out)["not_assessed"] == ["own:bushing", "rigid-0.8"]
 
 
 def test_an_unbalance_is_judged_by_its_force_next_to_the_natural_frequency():

@@ -6,6 +6,7 @@ import pytest
 from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
 from numpy.testing import assert_allclose
+from scipy.integrate import solve_ivp
 from tests.builders.datasets import datasets, datasets_by_place, tables
 from tests.builders.studies import PAPER
 from tests.readers.figures import overlaps
@@ -16,7 +17,7 @@ from gapsweep.analysis.datasets.histories import histories
 from gapsweep.report.inputs import Inputs
 from gapsweep.report.maps import picture
 from gapsweep.report.marks import marks_of
-from gapsweep.report.sections import contact_losses
+from gapsweep.report.sections import contact_losses, findings
 from gapsweep.report.style import NOT_PERIODIC
 
 mpl.use("Agg")
@@ -192,6 +193,68 @@ def test_the_report_lists_the_energy_of_contacts_that_lose_any(lossy):
     assert [*contact_losses.sections(Inputs(elastic, elastic))] == []
     own = lossy.assign_coords(representation=["module:spring"])  # never imported
     assert [*contact_losses.sections(Inputs(own, own))] == []
+
+
+E, GAP, STRIKES, FREE = 0.8, 4e-4, 9.0, 14.0
+
+
+@pytest.fixture(scope="module")
+def rigid(tmp_path_factory):
+    study = tables([f"rigid-{E}"], [STRIKES, FREE])
+    law = gs.Rigid(gs.Gap(GAP, GAP), restitution=E)
+    folder = tmp_path_factory.mktemp("rigid")
+    return datasets(folder, study, lambda _, omega, __: gs.respond(OSCILLATOR, law, omega))[0]
+
+
+def speeds_of_impacts(x, v):
+    """Speeds [m/s] of all impacts of a forcing period, by scipy with an event at each."""
+    o, rate, t, found = OSCILLATOR, 2.0 * np.pi * STRIKES, 0.0, []
+    rate_n = 2.0 * np.pi * o.omega_n
+
+    def slope(t, y):
+        spring = rate_n**2 * y[0] + o.alpha / o.mass * y[0] ** 3
+        return y[1], o.forcing / o.mass * np.cos(rate * t) - 2.0 * o.zeta * rate_n * y[1] - spring
+
+    def meets(t, y):
+        return GAP - abs(y[0])
+
+    meets.terminal, meets.direction = True, -1.0
+    while t < 1.0 / STRIKES:
+        run = solve_ivp(slope, (t, 1.0 / STRIKES), (x, v), events=meets, rtol=1e-11, atol=1e-15)
+        t, (x, v) = run.t[-1], run.y[:, -1]
+        if run.status == 1:
+            found.append(abs(v))
+            x, v = np.copysign(GAP * (1.0 - 1e-14), x), -E * v
+    return np.sort(found)
+
+
+def test_energy_and_impact_speeds_on_rigid_walls(rigid, ax):
+    """The report has no loop of an infinite force."""
+    one = rigid.sel(omega=STRIKES).squeeze()
+    assert int(one["period_multiple"]) == 1
+    speeds = speeds_of_impacts(*(float(one[f"section_{name}"][0]) for name in "xv"))
+    (part,) = contact_losses.sections(Inputs(rigid, rigid))
+    (row,) = next(iter(part.tables)).rows
+    lost = 0.5 * OSCILLATOR.mass * (1.0 - E**2) * np.sum(speeds**2)
+    assert row[0] == f"rigid-{E}"
+    assert f"omega = {STRIKES:g} Hz" in row[1]
+    assert float(row[2]) == pytest.approx(lost, rel=5e-3)
+    assert float(row[3]) == pytest.approx(lost / speeds.size, rel=5e-3)
+    assert [*part.figures] == []
+    rigid.gapsweep.impacts(ax=ax)
+    assert_allclose(points(ax), [(STRIKES, 1e3 * u) for u in speeds], rtol=1e-5)
+
+
+def test_an_impact_on_a_rigid_wall_touches_it(rigid, ax):
+    """It takes no time, and the motion does not pass the wall."""
+    (part,) = findings.sections(Inputs(rigid, rigid))
+    said = " ".join(part.sentences)
+    assert "touches a wall in 1 of 2" in said
+    assert "never reached" not in said
+    two = rigid.isel(K_c=[0, 0]).assign_coords(K_c=[1.0, 2.0])  # a map has two axes
+    two.gapsweep.contact_map(y="K_c", ax=ax)
+    named = {text.get_text() for text in ax.get_legend().get_texts()}
+    assert named == {"both walls", "no wall"}
 
 
 def test_a_section_has_as_many_points_as_asked_for_or_one_for_each_period(responses, ax):

@@ -239,10 +239,7 @@ class Claim:
 def _checked(found: Any) -> tuple[list[Test], str, Others]:
     """Tests, sentence and tests with other settings that a claim's function has returned.
 
-    Raises
-    ------
-    TypeError
-        If they have other types.
+    Raises `TypeError` if they have other types.
     """
     others = found[2] if isinstance(found, tuple) and len(found) == 3 else {}
     if not (

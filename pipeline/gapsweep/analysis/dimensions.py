@@ -131,10 +131,7 @@ def selected(dataset: xr.Dataset, wanted: Mapping[str, Any]) -> xr.Dataset:
     its name, ``initial_condition="sweep_up"``.
     `gapsweep.study.axis_selection` defines which values are equal.
 
-    Raises
-    ------
-    DatasetError
-        If a name is no coordinate or nothing has the value.
+    Raises `DatasetError` if a name is no coordinate or nothing has the value.
     """
     for name, value in wanted.items():
         if name not in dataset.coords:

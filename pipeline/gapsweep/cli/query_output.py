@@ -76,10 +76,7 @@ class Form:
 def check_output(output: Path) -> None:
     """Raise an error if an output file exists or its folder does not.
 
-    Raises
-    ------
-    StoreError
-        If the file exists or its folder does not.
+    Raises `StoreError` if the file exists or its folder does not.
     """
     if output.exists():
         raise StoreError(f"{output}: exists already; choose another name")
@@ -90,10 +87,7 @@ def check_output(output: Path) -> None:
 def written(responses: xr.Dataset, form: Form, output: Path | None) -> None:
     """Write a dataset: one row per sweep point, or a NetCDF file.
 
-    Raises
-    ------
-    StoreError
-        If the file cannot be written.
+    Raises `StoreError` if the file cannot be written.
     """
     if form.kind == "table":
         _print(responses, form)

@@ -271,12 +271,15 @@ def advise(study: Path, error: float | None, share: float, as_json: bool) -> int
     """
     from gapsweep.analysis.datasets.recommendations import advice, sentences
     from gapsweep.console import print_table, print_text
+    from gapsweep.model.labels import EXACT
 
     loaded = options.loaded(study, None)
     found = advice(loaded, error, share)
-    scenes, error, own = sentences(found), found.attrs["error"], loaded.own_laws
+    scenes, error = sentences(found), found.attrs["error"]
+    labels = dict.fromkeys(one.law for one in loaded.spec.representations)
+    left = [one for one in labels if one.is_own or (one.is_located and one != EXACT)]
     if as_json:
-        echo(json.dumps({"error": error, "share": share, "not_assessed": own, "scenes": scenes}))
+        echo(json.dumps({"error": error, "share": share, "not_assessed": left, "scenes": scenes}))
         return FINISHED
     print_text(f"allowed relative error of the steady amplitude, for the simplest model: {error:g}")
     for scene in scenes:
@@ -293,7 +296,7 @@ def advise(study: Path, error: float | None, share: float, as_json: bool) -> int
             )  # fmt: skip
         echo()
         print_text(scene["approximations"])
-    for label in own:
+    for label in left:
         print_text(
             f"{label}: not assessed; advice covers walls with a linear spring of stiffness K_c"
         )

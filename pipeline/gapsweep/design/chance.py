@@ -24,21 +24,13 @@ LOCATED = 1e-4  # width of the bracket of an end, as a share of the range
 
 @dataclass(frozen=True, slots=True, repr=False)
 class Chance:
-    """A demand on the probability of an event, made by `gapsweep.probability`.
-
-    Attributes
-    ----------
-    words : str
-    limit : float
-        Largest probability.
-    of : callable
-        Returns probabilities and both ends of their 95 % intervals, shape (3, n_frequencies), for
-        the model, its laws and n frequencies at a value of the parameter; the parameter and the
-        value are its last arguments.
-    """
+    """A demand on the probability of an event, made by `gapsweep.probability`."""
 
     words: str
-    limit: float
+    limit: float  # largest probability
+    # Returns probabilities and both ends of their 95 % intervals, shape (3, n_frequencies), for the
+    # model, its laws and n frequencies at a value of the parameter; the parameter and the value are
+    # its last arguments.
     of: Callable[[Any, Any, Array | None, str, float], Array] = field(compare=False)
 
     def __repr__(self) -> str:

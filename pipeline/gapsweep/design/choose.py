@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gapsweep.continuation.dataset import special_points
-from gapsweep.continuation.family import AMPLITUDE, Window
+from gapsweep.continuation.family import Window
 from gapsweep.continuation.follow import branches
 from gapsweep.continuation.special import Special
 from gapsweep.design.chance import FREQUENCIES as CHANCE_FREQUENCIES
@@ -500,8 +500,6 @@ def choose(
     if not demands or not (is_chance or all(isinstance(each, Demand) for each in demands)):
         said = "must be demands, as gs.at_most('amplitude', 5e-4)"
         raise ModelError(f"so_that = {so_that!r:.80}: {said}")
-    if parameter == AMPLITUDE:
-        raise ModelError("parameter = 'amplitude': is a result; name a parameter of the model")
     omega = without_units("omega", omega)
     window = Window.of(parameter, between)
     band = _band(omega)

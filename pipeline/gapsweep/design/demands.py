@@ -37,15 +37,9 @@ QUANTITIES = tuple(
 def quantity(name: str, found: Responses, model: Model) -> Array:
     """Return a quantity of responses, shape (n, number of coordinates or contacts).
 
-    Parameters
-    ----------
-    name : str
-        Variable of responses, as ``"x_max"``; of one coordinate or contact as ``"x_max[h]"``.
+    Raises `ModelError` if the responses of the model do not have it.
 
-    Raises
-    ------
-    ModelError
-        If the responses of the model do not have it.
+    `name`: variable of responses, as ``"x_max"``; of one coordinate or contact as ``"x_max[h]"``.
     """
     match = _NAME.fullmatch(name) if isinstance(name, str) else None
     known = [each for each in QUANTITIES if each in found.columns]

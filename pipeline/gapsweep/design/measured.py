@@ -61,18 +61,15 @@ class _Column:
 def sweeps(measured: Any) -> tuple[str, list[Sweep]]:
     """Return the measured quantity, and its sweeps.
 
+    Raises `ModelError` if the table cannot be read, a unit is missing or wrong, a number is
+    missing, or the frequencies are not sorted.
+
     Parameters
     ----------
     measured : str, path, mapping, pandas.DataFrame or xarray.Dataset
         A CSV or ``.mat`` file, or a table by the names of its columns. Units of an xarray variable
         may be its attribute ``units`` instead. A ``.mat`` file has arrays named as
         ``frequency_Hz``, ``amplitude_mm``.
-
-    Raises
-    ------
-    ModelError
-        If the table cannot be read, a unit is missing or wrong, a number is missing, or the
-        frequencies are not sorted.
     """
     where, table = _table(measured)
     columns = [(_column(title), values) for title, values in table.items()]
@@ -108,10 +105,7 @@ def sweeps(measured: Any) -> tuple[str, list[Sweep]]:
 def ranges(free: Any, n_points: int) -> tuple[Window, ...]:
     """Return the ranges of free parameters, of which `n_points` measured points may decide.
 
-    Raises
-    ------
-    ModelError
-        If they are no ranges of parameters, or too many for the points.
+    Raises `ModelError` if they are no ranges of parameters, or too many for the points.
     """
     if not isinstance(free, Mapping) or not free:
         raise ModelError(f"free = {free!r:.80}: must be ranges by name, as {{'gap': (1e-4, 1e-3)}}")

@@ -60,6 +60,7 @@ def export(
     Each step writes a piece of the grid if all its points are stored. The files take their places
     at the end; if the iteration is left before, nothing remains of them. A study that asks for
     disturbances has its first piece written when all points are stored: the workers are free then.
+    Raises `StoreError` if a file cannot be written.
 
     Parameters
     ----------
@@ -75,11 +76,6 @@ def export(
     ------
     bool
         Whether a piece was written; otherwise points of all pieces looked at are missing.
-
-    Raises
-    ------
-    StoreError
-        If a file cannot be written.
     """
     attributes = attributes_of(plan.study)
     with writing(attractors, attributes) as others, writing(responses, attributes) as dataset:
@@ -255,12 +251,7 @@ class _PieceResults:
     def of(self, starts: slice) -> tuple[Found, NDArray[np.intp]]:
         """Results of some initial conditions, and the cell of each in the piece, as indices.
 
-        Points without a result are left out.
-
-        Raises
-        ------
-        StoreError
-            If some are no longer stored.
+        Points without a result are left out. Raises `StoreError` if some are no longer stored.
         """
         if self._kept is None or self._kept[0] != starts:
             numbers = self._numbers[..., starts]

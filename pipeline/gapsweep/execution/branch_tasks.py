@@ -96,12 +96,8 @@ def model_of(
 def follow(scene: BranchScene) -> Any:
     """Dataset of the branches or curves of a parameter set, as from `gapsweep.branches`.
 
-    The attractors are in the order of the argument.
-
-    Raises
-    ------
-    ModelError
-        If the model or a law cannot be built.
+    The attractors are in the order of the argument. Raises `ModelError` if the model or a law
+    cannot be built.
     """
     window, table = scene.window, scene.table
     values: Mapping[str, float] = {window.name: window.low}
@@ -141,17 +137,14 @@ def followed(
 ) -> Iterator[tuple[int, Followed]]:
     """Branches of parameter sets in the order of completion, each with its position in `scenes`.
 
+    Raises `ClusterError` if all workers run other code, or the cluster is lost.
+
     Parameters
     ----------
     timeout : float
         CPU time limit [s] of a parameter set in an isolated process.
     waiting : callable
         Called until there is a worker.
-
-    Raises
-    ------
-    ClusterError
-        If all workers run other code, or the cluster is lost.
     """
     check_workers(client, waiting)
     left = [(i, bool(each.point.kind.own or each.system)) for i, each in enumerate(scenes)][::-1]

@@ -46,6 +46,8 @@ def cluster(
 ) -> Iterator[Client]:
     """A client of a local cluster of worker processes, or of a running scheduler.
 
+    Raises `ClusterError` if the scheduler cannot be reached, or no local cluster starts.
+
     Parameters
     ----------
     workers : int
@@ -55,11 +57,6 @@ def cluster(
         those of Dask's configuration.
     dashboard : bool
         Whether a local cluster serves Dask's dashboard.
-
-    Raises
-    ------
-    ClusterError
-        If the scheduler cannot be reached, or no local cluster starts.
     """
     if scheduler is None:
         settings = _LOCAL_SETTINGS | ({} if dashboard else dict.fromkeys(_ROUTES, ()))
@@ -131,10 +128,7 @@ def _quiet(name: str) -> Iterator[None]:
 def check_workers(client: Client, waiting: Callable[[], None] = lambda: None) -> None:
     """Retire workers with other versions of the code; `waiting` is called until one connects.
 
-    Raises
-    ------
-    ClusterError
-        If no worker would be left, or the client is asynchronous.
+    Raises `ClusterError` if no worker would be left, or the client is asynchronous.
 
     Warns
     -----

@@ -79,6 +79,9 @@ def execute(
 ) -> Progress:
     """Compute all missing points of a plan and store them.
 
+    Raises `ClusterError` if all workers run other code, or the cluster is lost; completed results
+    are stored.
+
     Parameters
     ----------
     plan : Plan
@@ -94,11 +97,6 @@ def execute(
     meanwhile : iterator of bool, optional
         Other work of this process, a step each, while no result has arrived. False: nothing can
         be done until further points are stored.
-
-    Raises
-    ------
-    ClusterError
-        If all workers run other code, or the cluster is lost; completed results are stored.
     """
     timeout = min(timeout, LONGEST)
     check_workers(client, partial(tell, on_progress, plan.progress, "waiting for workers"))
@@ -420,10 +418,7 @@ def _heads(block: Block, rows: Rows) -> NDArray[np.uint64]:
 def is_gone(future: Future) -> bool:
     """Whether the result of a task was lost with its worker before it was fetched.
 
-    Raises
-    ------
-    ClusterError
-        If the cluster itself is gone.
+    Raises `ClusterError` if the cluster itself is gone.
     """
     if future.status == "cancelled":
         raise ClusterError(_CLUSTER_LOST) from None

@@ -87,7 +87,6 @@ def _differing(
         The requested point.
     previous : ndarray of key, shape (1,)
         Key of the preceding point of its sweep; zero without one.
-    slab : Slab
     contents : Stored
         The points of the slab.
 

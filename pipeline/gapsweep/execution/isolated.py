@@ -82,12 +82,8 @@ class Isolated:
     def __call__(self, function: Callable[..., Result], *arguments: Any) -> Result:
         """Call a function with picklable arguments in the process, and return its result.
 
-        Raises
-        ------
-        CallError
-            If the function raises, ends its process or takes too long.
-        ClusterError
-            If the process runs other code than the caller.
+        Raises `CallError` if the function raises, ends its process or takes too long. Raises
+        `ClusterError` if the process runs other code than the caller.
         """
         return self.within(self.timeout, function, *arguments)
 

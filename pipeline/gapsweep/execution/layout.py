@@ -42,25 +42,14 @@ Piece = tuple[slice, ...]
 
 @dataclass(frozen=True)
 class Layout:
-    """Positions of a grid's points in the files, and the variables of the files.
-
-    Attributes
-    ----------
-    grid : Grid
-    sizes : dict of str to int
-        Lengths of the padded lists, and of the dimensions within a point.
-    uneven : collection of str
-        Labels of user tables with a force that is not odd in the displacement.
-    mean_load : float
-        Mean load [N] of the model if it is not swept.
-    has_disturbances : bool
-        Whether attractors have the smallest disturbances that leave them.
-    """
+    """Positions of a grid's points in the files, and the variables of the files."""
 
     grid: Grid
-    sizes: dict[str, int]
+    sizes: dict[str, int]  # lengths of the padded lists, and of the dimensions within a point
+    # Labels of user tables with a force that is not odd in the displacement.
     uneven: Collection[str] = ()
-    mean_load: float = 0.0
+    mean_load: float = 0.0  # mean load [N] of the model if it is not swept
+    # Whether attractors have the smallest disturbances that leave them.
     has_disturbances: bool = False
 
     @classmethod

@@ -33,37 +33,21 @@ ABSENT = -2  # status of a cell of the grid that is no point of the plan
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Block:
-    """Neighbouring points of a plan: of one representation, with whole sweeps.
+    """Neighbouring points of a plan: of one representation, with whole sweeps."""
 
-    Attributes
-    ----------
-    numbers : ndarray of int, shape (n,)
-        Their numbers in the order of computation (see `Grid.cells`), ascending.
-    cells : ndarray of int, shape (n,)
-        Flat positions in the study's grid.
-    representation : int
-        Position of their representation in the study.
-    is_swept, follows : ndarray of bool, shape (n,)
-        Whether a point is of a sweep, and whether it starts from the end of the point before it.
-    tables : list of (ndarray of int, Points)
-        Points of one kind each, with their numbers in the block, as of `Study.points`.
-    keys : ndarray of void, shape (n,)
-        Content keys.
-    status : ndarray of int8, shape (n,)
-        Stored status, or `MISSING`.
-    is_missing : ndarray of bool, shape (n,)
-        Whether a point must be computed.
-    """
-
+    # Shape (n,); their numbers in the order of computation (see `Grid.cells`), ascending.
     numbers: NDArray[np.int64]
-    cells: NDArray[np.int64]
-    representation: int
+    cells: NDArray[np.int64]  # shape (n,); flat positions in the study's grid
+    representation: int  # position of their representation in the study
+    # `is_swept`, `follows`: shape (n,); whether a point is of a sweep, and whether it starts from
+    # the end of the point before it.
     is_swept: NDArray[np.bool_]
     follows: NDArray[np.bool_]
+    # Points of one kind each, with their numbers in the block, as of `Study.points`.
     tables: list[tuple[NDArray[np.intp], Points]]
-    keys: NDArray[np.void]
-    status: NDArray[np.int8]
-    is_missing: NDArray[np.bool_]
+    keys: NDArray[np.void]  # shape (n,); content keys
+    status: NDArray[np.int8]  # shape (n,); stored status, or `MISSING`
+    is_missing: NDArray[np.bool_]  # shape (n,); whether a point must be computed
 
     def points(self, rows: NDArray[np.intp]) -> Iterator[tuple[NDArray[np.intp], Points]]:
         """Some points, of one kind each, with their positions in `rows`, which ascend."""

@@ -32,11 +32,8 @@ _studies: list[Study] = []  # the study that an isolated process has loaded, for
 def try_out_system(function: str, path: Path) -> None:
     """Load a study, and make all systems of its user function, in an isolated process.
 
-    Raises
-    ------
-    StudyError
-        If the function ends its process or hangs. Other errors appear when the
-        study is loaded.
+    Raises `StudyError` if the function ends its process or hangs. Other errors appear when the
+    study is loaded.
     """
     with Isolated(LONGEST_TRIAL) as isolated:
         at = ""
@@ -63,18 +60,15 @@ def _makes(some: dict[str, float]) -> None:
 def try_out(study: Study, timeout: float, say: Callable[[str], None]) -> None:
     """Import all user laws of a study, and call them, in an isolated process.
 
+    Raises `StudyError` if a law ends the process, hangs, raises an error that is no `ModelError`,
+    cannot be compiled although its points need that, or jumps.
+
     Parameters
     ----------
     timeout : float
         CPU time limit [s] of a point; the limit of a law here is this, but within 10 to 60 s.
     say : callable
         Called with a text before each step, with its time limit.
-
-    Raises
-    ------
-    StudyError
-        If a law ends the process, hangs, raises an error that is no `ModelError`, cannot be
-        compiled although its points need that, or jumps.
     """
     limit = min(max(timeout, SHORTEST_TRIAL), LONGEST_TRIAL)
     swept, axes = study.grid.representations, study.grid.axes

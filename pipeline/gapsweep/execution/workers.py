@@ -60,7 +60,6 @@ def start_workers(process: "subprocess.Popen[bytes]", address: str, n: int, opti
     ----------
     address : str
         Address of the scheduler.
-    n : int
     options : dict
         Arguments of Dask's ``Nanny``.
     """

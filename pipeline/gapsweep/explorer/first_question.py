@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 
 from gapsweep.errors import ModelError
-from gapsweep.explorer.question import CHI, DIALS, WALLS, Question, SliderModel, labels
+from gapsweep.explorer.question import DIALS, WALLS, Question, SliderModel, labels
 from gapsweep.integrate.problem import Model
 from gapsweep.integrate.simulate import AnyLaw
-from gapsweep.model.contact import OF_WALLS, ContactLaw, Piecewise
+from gapsweep.model.contact import OF_LABELS, OF_WALLS, ContactLaw, Piecewise
 from gapsweep.model.labels import EXACT, Representation
 from gapsweep.model.oscillator import Gap, Oscillator, is_number
 from gapsweep.model.parameters import made_model
@@ -75,10 +75,7 @@ def of_model(
 ) -> Question:
     """The initial question of the page for a model and its contact laws.
 
-    Raises
-    ------
-    ModelError
-        If an argument has another type or is out of range.
+    Raises `ModelError` if an argument has another type or is out of range.
     """
     typed = [approximations] if isinstance(approximations, str) else approximations
     if not (isinstance(typed, Sequence) and all(isinstance(each, str) for each in typed)):
@@ -134,13 +131,9 @@ _NOT_SHOWN = (
 
 
 def refuse_code(tables: Mapping[str, Any], source: object) -> None:
-    """Raise an error for the tables of a run of systems that user code made.
+    """Raise a `ModelError` for the tables of a run of systems that user code made.
 
     The code is not imported, since a folder of results may come from elsewhere.
-
-    Raises
-    ------
-    ModelError
     """
     function = (tables.get("system") or {}).get("function") or ""
     if ":" in function:
@@ -153,10 +146,7 @@ def refuse_code(tables: Mapping[str, Any], source: object) -> None:
 def of_study(study: Study) -> tuple[Question, dict[str, tuple[float, float]]]:
     """The initial question of the page for a study, and its swept ranges.
 
-    Raises
-    ------
-    ModelError
-        If a value of the study is out of the range of the page.
+    Raises `ModelError` if a value of the study is out of the range of the page.
     """
     grid, spec, example = study.grid, study.spec, study.model.default
     if not (example.is_forced and example.contacts):
@@ -219,7 +209,12 @@ def _machine_of(study: Study, gaps: Sequence[Gap]) -> SliderModel:
             own["j_1"], own["j_2"] = own.pop("gap")
             widths.append(Gap(own["j_1"], own["j_2"]).size)
         # A contact with a separate law has the damping that the study gives it, if any.
-        names = [name for name in WALLS if name != CHI]
+        of_contact = [laws[contact]] if contact in laws else _plain(study.grid.representations)
+        names = [
+            name
+            for name in WALLS
+            if name not in OF_LABELS or any(law.takes(name) for law in of_contact)
+        ]
         names = [name for name in names if name in own or contact not in laws or name != "damping"]
         walls[contact] = {name: own.get(name, places.get(name, name)) for name in names}
     model = study.model.along(tuple(study.spec.model), {}) or study.model.default

@@ -49,29 +49,17 @@ _CHUNK = 20  # frequencies of a sweep between two checks for a newer question
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Curve:
-    """A frequency response.
+    """A frequency response."""
 
-    Attributes
-    ----------
-    label, protocol : str
-        Label of the law; `REST`, `UP`, `DOWN` or `STORED`.
-    omega : ndarray, shape (n,)
-        Frequencies [Hz].
-    x_max : ndarray, shape (n,)
-        Peaks [m] of the displacement that is shown; NaN for failed responses.
-    end : ndarray, shape (n, n_states)
-        State [m], [m/s] on each attractor, at forcing phase zero.
-    response_class : ndarray of ResponseClass, shape (n,)
-    period_multiple : ndarray of int, shape (n,)
-    """
-
+    # `label`, `protocol`: label of the law; `REST`, `UP`, `DOWN` or `STORED`.
     label: str
     protocol: str
-    omega: Array
+    omega: Array  # shape (n,); frequencies [Hz]
+    # Shape (n,); peaks [m] of the displacement that is shown; NaN for failed responses.
     x_max: Array
-    end: Array
-    response_class: NDArray[np.object_]
-    period_multiple: NDArray[np.int32]
+    end: Array  # shape (n, n_states); state [m], [m/s] on each attractor, at forcing phase zero
+    response_class: NDArray[np.object_]  # shape (n,)
+    period_multiple: NDArray[np.int32]  # shape (n,)
 
     @property
     def is_periodic(self) -> NDArray[np.bool_]:
@@ -80,62 +68,39 @@ class Curve:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Plane:
-    """Responses over two numbers, as far as their rows are computed.
+    """Responses over two numbers, as far as their rows are computed."""
 
-    Attributes
-    ----------
-    label : str
-        Label of the law.
-    name : str
-        `BASINS` or `MAP`.
-    x, y : ndarray, shape (n_x,), (n_y,)
-        Values of two initial states [m], [m/s], or frequencies [Hz] and values of the
-        question's `over` in SI units; of all rows, computed or not.
-    x_max : ndarray, shape (m, n_x)
-        Peaks [m] of the first m rows; NaN for failed responses.
-    is_periodic : ndarray of bool, shape (m, n_x)
-    """
-
-    label: str
-    name: str
+    label: str  # label of the law
+    name: str  # `BASINS` or `MAP`
+    # `x`, `y`: shape (n_x,), (n_y,); values of two initial states [m], [m/s], or frequencies [Hz]
+    # and values of the question's `over` in SI units; of all rows, computed or not.
     x: Array
     y: Array
+    # Shape (m, n_x); peaks [m] of the first m rows; NaN for failed responses.
     x_max: Array = field(default_factory=lambda: np.empty((0, 0)))
+    # Shape (m, n_x).
     is_periodic: NDArray[np.bool_] = field(default_factory=lambda: np.empty((0, 0), bool))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Motion:
-    """The motion at one frequency, without transients.
-
-    Attributes
-    ----------
-    label : str
-    omega : float
-        Frequency [Hz].
-    t, x, v : ndarray, shape (n,)
-        Times [s] from the first sample on, displacements [m], velocities [m/s].
-    section : ndarray, shape (m, 2)
-        Displacements and velocities at the last 300 forcing periods, or 120 if the motion is
-        periodic.
-    frequency, spectrum : ndarray
-        Frequencies [Hz] and amplitudes [m].
-    period_multiple : int
-        Forcing periods after which it repeats; 0 if none was found.
-    problem : str
-        Error message if there are no numbers; else empty.
-    """
+    """The motion at one frequency, without transients."""
 
     label: str
-    omega: float
+    omega: float  # frequency [Hz]
+    # `t`, `x`, `v`: shape (n,); times [s] from the first sample on, displacements [m], velocities
+    # [m/s].
     t: Array
     x: Array
     v: Array
+    # Shape (m, 2); displacements and velocities at the last 300 forcing periods, or 120 if the
+    # motion is periodic.
     section: Array
+    # `frequency`, `spectrum`: frequencies [Hz] and amplitudes [m].
     frequency: Array
     spectrum: Array
-    period_multiple: int = 0
-    problem: str = ""
+    period_multiple: int = 0  # forcing periods after which it repeats; 0 if none was found
+    problem: str = ""  # error message if there are no numbers; else empty
 
 
 def answers(question: Question) -> Iterator[Curve | Motion | Plane]:
@@ -144,12 +109,8 @@ def answers(question: Question) -> Iterator[Curve | Motion | Plane]:
     The exact law from rest and its motion, the same for every approximation, then sweeps of the
     exact law in growing parts, and the planes of the exact law and the first approximation. The
     caller may stop iterating at any time. An approximation that cannot be built, as a fit outside
-    its range, is a motion with a `problem` only.
-
-    Raises
-    ------
-    ModelError
-        If the exact law cannot be built.
+    its range, is a motion with a `problem` only. Raises `ModelError` if the exact law cannot be
+    built.
     """
     walls = np.abs([each for each in question.clearance if math.isfinite(each)])
     least = _LEAST if question.machine.is_oscillator else 1e-3 * question.model.deflection
@@ -416,7 +377,6 @@ def nearest(
 
     Parameters
     ----------
-    shown : sequence of Curve
     omega, x_max : float
         The place [Hz], [m].
     scale : (float, float)

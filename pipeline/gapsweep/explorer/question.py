@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from gapsweep.errors import ModelError
 from gapsweep.integrate.problem import Laws, Model
-from gapsweep.model.contact import FIT_RANGE, OF_WALLS, ContactLaw, Piecewise
+from gapsweep.model.contact import FIT_RANGE, OF_LABELS, OF_WALLS, ContactLaw, Piecewise
 from gapsweep.model.labels import EXACT, Representation, canonical_label, contact_law
 from gapsweep.model.oscillator import Gap, Oscillator, checked
 from gapsweep.variables import CONTACT, COORDINATE
@@ -37,30 +37,18 @@ class Scale:
 
 @dataclass(frozen=True, eq=False)
 class SliderModel:
-    """A model and the walls of its contacts as functions of the sliders.
+    """A model and the walls of its contacts as functions of the sliders."""
 
-    Attributes
-    ----------
-    make : callable
-        From the values of `parameters`, by name, to the model.
-    parameters : mapping of str to float
-        Initial values of the model's parameters.
-    walls : mapping of str to mapping of str to (str or float)
-        For every contact its `WALLS`: each the name of a slider, or a number.
-    laws : mapping of str to str
-        Labels of the laws of contacts that do not follow the page's.
-    exact : mapping of str to Piecewise
-        Exact laws of contacts, of which the numbers of `walls` are replaced.
-    factor : float
-        Displacement that is shown as 1, of those that are no lengths.
-    """
-
+    # From the values of `parameters`, by name, to the model.
     make: Callable[[Mapping[str, float]], Model]
-    parameters: Mapping[str, float]
+    parameters: Mapping[str, float]  # initial values of the model's parameters
+    # For every contact its `WALLS`: each the name of a slider, or a number.
     walls: Mapping[str, Mapping[str, str | float]]
+    # Labels of the laws of contacts that do not follow the page's.
     laws: Mapping[str, str] = field(default_factory=dict)
+    # Exact laws of contacts, of which the numbers of `walls` are replaced.
     exact: Mapping[str, Piecewise] = field(default_factory=dict)
-    factor: float = 1.0
+    factor: float = 1.0  # displacement that is shown as 1, of those that are no lengths
 
     @cached_property
     def example(self) -> Model:
@@ -133,45 +121,23 @@ def _power(factor: float) -> str:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Question:
-    """A setting of the page: all values that its figures depend on.
-
-    Attributes
-    ----------
-    machine : SliderModel
-    values : tuple of float
-        Values of the sliders in SI units, in the order of `SliderModel.names`.
-    approximations : tuple of str
-        Labels of the other laws.
-    band : (float, float)
-        First and last frequency [Hz] of the response.
-    start : tuple of float
-        Initial state of the motion that is shown; empty: rest.
-    shown : str
-        Name of the displacement that is shown; empty: the first coordinate.
-    plane : tuple of str
-        Names of the two states that differ in the basins; empty: the first coordinate and its
-        velocity.
-    fit_range : float
-        Half-width [m] of the range on which polynomials are fitted.
-    over : str
-        Name of the parameter on the second axis of the map.
-    over_values : tuple of float
-        Its values there, in SI units; without values there is no map.
-    model : Model
-        The model at these values.
-    """
+    """A setting of the page: all values that its figures depend on."""
 
     machine: SliderModel
+    # Values of the sliders in SI units, in the order of `SliderModel.names`.
     values: tuple[float, ...]
-    band: tuple[float, float]
-    approximations: tuple[str, ...] = ()
-    start: tuple[float, ...] = ()
-    shown: str = ""
+    band: tuple[float, float]  # first and last frequency [Hz] of the response
+    approximations: tuple[str, ...] = ()  # labels of the other laws
+    start: tuple[float, ...] = ()  # initial state of the motion that is shown; empty: rest
+    shown: str = ""  # name of the displacement that is shown; empty: the first coordinate
+    # Names of the two states that differ in the basins; empty: the first coordinate and its
+    # velocity.
     plane: tuple[str, ...] = ()
-    fit_range: float = FIT_RANGE
-    over: str = ""
+    fit_range: float = FIT_RANGE  # half-width [m] of the range on which polynomials are fitted
+    over: str = ""  # name of the parameter on the second axis of the map
+    # Its values there, in SI units; without values there is no map.
     over_values: tuple[float, ...] = ()
-    model: Model = field(init=False, compare=False, repr=False)
+    model: Model = field(init=False, compare=False, repr=False)  # the model at these values
 
     def __post_init__(self) -> None:
         machine, given = self.machine, numbers(self)
@@ -220,9 +186,10 @@ class Question:
             if law == EXACT and exact is not None:
                 found.append(replace(exact, **of_walls))
                 continue
-            # A law with losses in its label has no damper in addition.
-            loses = law != EXACT and Representation(law).is_located
-            others = {CHI, "damping"} if loses else {CHI}
+            one = Representation(law)
+            others = {name for name in OF_LABELS if not one.takes(name)}
+            # Other laws with losses have no damper in addition.
+            others |= {"damping"} if law != EXACT and one.is_located else set()
             of_walls = {name: of_walls[name] for name in of_walls.keys() - others}
             found.append(contact_law(law, fit_range=self.fit_range, **of_walls))
         return tuple(found)
@@ -267,10 +234,7 @@ _OF_NO_PLANE: dict[str, Any] = {"approximations": (), "start": ()}
 def labels(text: str) -> tuple[Representation, ...]:
     """Approximations from a text that the user typed, as ``"tanh-1e4, poly-13"``.
 
-    Raises
-    ------
-    ModelError
-        If a label is unknown or is of a user law, or there are too many.
+    Raises `ModelError` if a label is unknown or is of a user law, or there are too many.
     """
     typed = map(canonical_label, text.replace(",", " ").split())
     found = tuple(dict.fromkeys(map(Representation, typed)))
@@ -328,8 +292,7 @@ class Dial:
         return tuple(map(self.at, places.tolist()))
 
 
-CHI = "chi"
-WALLS = ("K_c", "j_1", "j_2", *OF_WALLS, CHI)
+WALLS = ("K_c", "j_1", "j_2", *OF_WALLS)
 _OVER_DECADES = ("K_c", "zeta", "mass")
 # Scale and range: lower and upper end as multiples of the initial value, and the smallest upper end
 # in SI units, of an oscillator.
@@ -339,7 +302,8 @@ DIALS: dict[str, tuple[Scale, float, float, float]] = {
     "j_2": (Scale("Upper wall j₂", "mm", 1e-3), 0.0, 3.0, 2e-3),
     "K_ratio": (Scale("Stiffness of lower over upper wall"), 0.0, 2.0, 2.0),
     "damping": (Scale("Contact damping c_c", "N s/m"), 0.0, 5.0, 100.0),
-    CHI: (Scale("χ of Hunt–Crossley contact", "s/m"), 0.0, 5.0, 1.0),
+    "chi": (Scale("χ of Hunt–Crossley contact", "s/m"), 0.0, 5.0, 1.0),
+    "restitution": (Scale("Coefficient of restitution e"), 0.0, 0.0, 1.0),
     "omega": (Scale("Frequency of the motion ω", "Hz"), 0.0, 0.0, 0.0),
     "forcing": (Scale("Forcing p", "N"), 0.0, 5.0, 1.0),
     "zeta": (Scale("Damping ratio ζ"), 0.05, 10.0, 0.1),
@@ -358,12 +322,8 @@ _OF_A_SYSTEM = 0.2, 4.0  # range of a parameter as multiples of its value
 def dials(question: Question, ranges: Mapping[str, Sequence[float]] | None = None) -> list[Dial]:
     """The sliders of a page that starts with a question.
 
-    Parameters
-    ----------
-    question : Question
-    ranges : mapping of str to sequence of float, optional
-        Smallest and largest value that a study sweeps, in SI units; others get a range about
-        their initial value.
+    `ranges`: smallest and largest value that a study sweeps, in SI units; others get a range about
+    their initial value.
     """
     given = {"omega": question.band, **(ranges or {})}
     example = question.machine.example
@@ -385,10 +345,7 @@ def asked(
 ) -> Question:
     """The question with these values of the sliders, in SI units.
 
-    Raises
-    ------
-    ModelError
-        If one is out of range.
+    Raises `ModelError` if one is out of range.
     """
     several = tuple(values[name] for name in question.machine.names)
     return replace(question, values=several, band=band or question.band, **others)
@@ -400,10 +357,11 @@ def _dial(name: str, value: float, given: Sequence[float] | None, model: Model) 
     if is_oscillator := isinstance(model, Oscillator):
         scale, least, most, smallest_end = DIALS[name]
     elif wall in WALLS or name == "omega":
-        known, least, most, _ = DIALS[wall]
+        known, least, most, end = DIALS[wall]
         title = f"{known.title} of {contact}" if contact else known.title
         is_known = in_metres or name == "omega"
-        scale, smallest_end = replace(known, title=title) if is_known else Scale(title), 0.0
+        scale = replace(known, title=title) if is_known else Scale(title)
+        smallest_end = 0.0 if known.unit else end
     else:
         scale, (least, most), smallest_end = Scale(name), _OF_A_SYSTEM, 0.0
     if given is not None and min(given) < max(given):

@@ -62,10 +62,8 @@ _MOST_SYMBOLS = 100  # special points of a figure, beyond which markers must do
 def shown(found: xr.Dataset, names: Sequence[str], wanted: Mapping[str, Any]) -> xr.Dataset:
     """Dataset of the drawn variables of branches, over branch and step.
 
-    Raises
-    ------
-    DatasetError
-        If the dataset holds no branches, lacks a variable, or has several coordinates left.
+    Raises `DatasetError` if the dataset holds no branches, lacks a variable, or has several
+    coordinates left.
     """
     found = _checked(found)
     if "period" in found:

@@ -8,8 +8,8 @@ import xarray as xr
 
 from gapsweep.analysis.dimensions import Array, selected
 from gapsweep.errors import DatasetError
-from gapsweep.integrate.trajectory import SystemTrajectory, Trajectory
-from gapsweep.report import maps
+from gapsweep.integrate.trajectory import Trajectory
+from gapsweep.report import losses, maps
 from gapsweep.report.continued import motions, number_of, weights
 from gapsweep.report.dynamics import CURVES, dots
 from gapsweep.report.labelled import axes_of, axis_of, scene_along, titled
@@ -21,6 +21,7 @@ from gapsweep.study.grid import CONTACT, START
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
+_HELD = 1e-9  # of the largest impact speed: the end of a hold
 _TOUCHED = "walls_touched"
 _KINDS = "no_wall lower_wall upper_wall both_walls always_on_lower_wall always_on_upper_wall"
 
@@ -68,14 +69,14 @@ def impacts(
 
 
 def _impacts(run: Trajectory, shown: xr.Dataset) -> Array:
-    """Speeds at which a motion passes the walls of a contact outwards."""
+    """Speeds at which a motion passes the walls of a contact outwards, or meets rigid ones."""
     number = number_of(shown, CONTACT)
-    times: Any = run.t_contacts
-    law = run.laws[number]
-    if isinstance(run, SystemTrajectory):
-        times = list(times.values())[number]
+    law, times = run.laws[number], losses.times_of(run)[number]
     if not len(times):
         return np.empty(0)
+    if law.losses.is_rigid:
+        speeds = np.abs(losses.before_impacts(run, number))
+        return np.asarray(speeds[speeds > _HELD * speeds.max()])
     along = weights(run, shown, "contact_section_x")
     x, v = (each.reshape(len(times), -1) @ along for each in run.sample(times)[:2])
     is_upper = (x > 0.5 * (law.gap.j_2 - law.gap.j_1)) == (law.gap.width >= 0.0)
@@ -115,7 +116,7 @@ def contact_map(
     (lower, upper), factor = _walls(part)
     ends = xr.concat([factor * part[name] for name in names], "end")
     low, high = ends.min("end", skipna=False), ends.max("end", skipna=False)
-    kind: Any = (low < -lower) + 2 * (high > upper)
+    kind: Any = (low <= -lower) + 2 * (high >= upper)  # motions end on rigid walls
     kind = kind.where(high >= -lower, 4).where(low <= upper, 5).where(low.notnull(), -1)
     about = {"flag_values": np.arange(6, dtype="i1"), "flag_meanings": _KINDS}
     kind.attrs = {"long_name": "walls touched", "units": "1", **about}

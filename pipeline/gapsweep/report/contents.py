@@ -31,25 +31,15 @@ RESULTS = "Results"
 
 @dataclass(frozen=True, slots=True)
 class Section:
-    """A section of the report.
+    """A section of the report."""
 
-    Attributes
-    ----------
-    parts : callable
-        From the files of a run to its parts, made one by one; none if it has nothing to show.
-    group : str
-        Title of the sections that it stands among; these have their own pages if they have many
-        figures. Empty for a section of the first page.
-    template : str
-        File that draws a part of it.
-    script : str
-        Name of the script of its template; empty if it has none.
-    """
-
+    # From the files of a run to its parts, made one by one; none if it has nothing to show.
     parts: Callable[[Inputs], Iterable[Part]]
+    # Title of the sections that it stands among; these have their own pages if they have many
+    # figures. Empty for a section of the first page.
     group: str = ""
-    template: str = "_part.html"
-    script: str = ""
+    template: str = "_part.html"  # file that draws a part of it
+    script: str = ""  # name of the script of its template; empty if it has none
 
 
 def results(inputs: Inputs) -> Iterator[Part]:

@@ -32,7 +32,9 @@ def motions(
 ) -> Iterator[tuple[tuple[int, ...], Trajectory]]:
     """Simulate stored responses further, each from its first section point.
 
-    Models, contact laws and solvers are those of the study, which datasets hold as JSON.
+    Models, contact laws and solvers are those of the study, which datasets hold as JSON. Raises
+    `DatasetError` if the dataset lacks the study, a parameter or a part of the state. Raises
+    `ModelError` if a contact law cannot be built.
 
     Parameters
     ----------
@@ -53,13 +55,6 @@ def motions(
         Position along `dims`. Failed responses are left out.
     motion : Trajectory
         With dense output, from time zero on.
-
-    Raises
-    ------
-    DatasetError
-        If the dataset lacks the study, a parameter or a part of the state.
-    ModelError
-        If a contact law cannot be built.
     """
     study = _study(dataset)
     kept = {name: value for name, value in wanted.items() if name not in (COORDINATE, CONTACT)}
@@ -91,12 +86,8 @@ def motions(
 def with_absolute(dataset: xr.Dataset) -> xr.Dataset:
     """Return responses with `absolute_max` and `absolute_min` of oscillators on a moving base.
 
-    Every response is simulated once more from its section.
-
-    Raises
-    ------
-    DatasetError
-        If the dataset lacks the study, or its models are systems.
+    Every response is simulated once more from its section. Raises `DatasetError` if the dataset
+    lacks the study, or its models are systems.
     """
     study = _study(dataset)
     if not study.model.is_oscillator:
@@ -117,10 +108,7 @@ def with_absolute(dataset: xr.Dataset) -> xr.Dataset:
 def weights(run: Trajectory, shown: xr.Dataset, variable: str) -> Array:
     """Weights of the coordinates, shape (n,), in the displacement that a variable holds.
 
-    Raises
-    ------
-    DatasetError
-        If `variable` is no displacement of a section.
+    Raises `DatasetError` if `variable` is no displacement of a section.
     """
     if variable not in DISPLACEMENTS:
         raise DatasetError(f"variable = {variable!r}: must be {' or '.join(DISPLACEMENTS)}")

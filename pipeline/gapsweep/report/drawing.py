@@ -227,10 +227,7 @@ def outside(omega: Any, edge: float, label: str) -> Iterator[Marks]:
 def attractor_peaks(one: xr.Dataset, along: str) -> Iterator[Marks]:
     """The peak of every attractor of one representation; dot area grows with basin share.
 
-    Parameters
-    ----------
-    one : Dataset
-        ``x_max(along, attractor)``, ``basin_share`` and ``response_class``.
+    `one`: ``x_max(along, attractor)``, ``basin_share`` and ``response_class``.
     """
     order = (along, "attractor")
     height = drawn(one["x_max"].transpose(*order))
@@ -261,10 +258,7 @@ def caption_of_peaks(found: xr.Dataset) -> str:
 def sections(one: xr.Dataset) -> Iterator[Marks]:
     """The stroboscopic section of every attractor in the phase plane.
 
-    Parameters
-    ----------
-    one : Dataset
-        ``section_x(attractor, section_point)``, ``section_v``, ``period_multiple``, ``x_max``.
+    `one`: ``section_x(attractor, section_point)``, ``section_v``, ``period_multiple``, ``x_max``.
     """
     order = ("attractor", "section_point")
     x, v = (drawn(one[name].transpose(*order)) for name in ("section_x", "section_v"))
@@ -276,10 +270,7 @@ def sections(one: xr.Dataset) -> Iterator[Marks]:
 def starts(one: xr.Dataset) -> Iterator[Marks]:
     """Fixed initial conditions in the colour of their attractor; a cross without attractor.
 
-    Parameters
-    ----------
-    one : Dataset
-        ``attractor(initial_condition)``, ``period_multiple``, ``x_max``.
+    `one`: ``attractor(initial_condition)``, ``period_multiple``, ``x_max``.
     """
     one = one.isel(initial_condition=np.isfinite(one["x_0"].values))
     ids = one["attractor"].values
@@ -333,10 +324,7 @@ def summary(
 def work_precision(scene: xr.Dataset) -> Iterator[Marks]:
     """Cost over error of every method in one scenario, a point per tolerance; both logarithmic.
 
-    Parameters
-    ----------
-    scene : Dataset
-        The variables `WORK_PRECISION`, over method and tolerance.
+    `scene`: the variables `WORK_PRECISION`, over method and tolerance.
     """
     labels = scene["method"].values.tolist()
     shown = (scene["status"] == Status.OK) & (scene["at_reference_floor"] == 0)

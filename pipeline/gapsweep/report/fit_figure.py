@@ -24,10 +24,7 @@ def draw(above: Axes, below: Axes, found: xr.Dataset) -> None:
     Hollow points are not on the branch of the model and do not count. Branches have peaks, troughs
     and amplitudes; a line joins the computed values of other quantities.
 
-    Parameters
-    ----------
-    found : Dataset
-        As `dataset` of `analysis/datasets/fit_file.py` returns it.
+    `found`: as `dataset` of `analysis/datasets/fit_file.py` returns it.
     """
     quantity, omega = found.attrs["quantity"], found["measured_omega"].values
     values, residual, computed = (

@@ -34,7 +34,6 @@ def write_report(path: Path, inputs: Inputs, made_from: str = "") -> Path:
     ----------
     path : Path
         The HTML file.
-    inputs : Inputs
     made_from : str
         Value of a meta element, so that the report is rewritten only if it changes.
     """
@@ -113,10 +112,7 @@ def _script(name: str) -> Markup:
 def _write(folder: Path, files: Mapping[str, bytes]) -> set[str]:
     """Write files into the report's folder of figures; returns their names.
 
-    Raises
-    ------
-    StoreError
-        If the folder is a symbolic link, or cannot be written.
+    Raises `StoreError` if the folder is a symbolic link, or cannot be written.
     """
     if folder.is_symlink():
         raise StoreError(f"{folder}: a symbolic link, which could lead anywhere: remove it")

@@ -12,48 +12,26 @@ from gapsweep.report.verdicts import Contact, contacts
 
 @dataclass(frozen=True, eq=False)
 class Inputs:
-    """Files of a run by name without suffix: datasets, and the contents of JSON files.
-
-    Attributes
-    ----------
-    responses, timing : Dataset
-    agreement : Dataset, optional
-        None if the exact law was not computed.
-    attractors : Dataset, optional
-    advice : Dataset, optional
-        Present if ``auto`` is a representation.
-    static : Dataset, optional
-        Force errors, and the parameter of tanh from which on it has no false well.
-    work_precision, stability : Dataset, optional
-        Results of the benchmark.
-    branches, curves : Dataset, optional
-        Branches of periodic orbits, and curves of their special points.
-    risk : Dataset, optional
-        Present if numbers are uncertain.
-    fit : Dataset, optional
-        Fit to measured sweeps, with the branches of the fitted model.
-    gradients : Dataset, optional
-        Derivatives of the quantities of attractors by parameters.
-    claims : mapping, optional
-        ``claims.json``.
-    sections : sequence of mapping, optional
-        The study's own sections of the report, as in ``sections.json``.
-    """
+    """Files of a run by name without suffix: datasets, and the contents of JSON files."""
 
     responses: xr.Dataset
     timing: xr.Dataset
-    agreement: xr.Dataset | None = None
+    agreement: xr.Dataset | None = None  # None if the exact law was not computed
     attractors: xr.Dataset | None = None
-    advice: xr.Dataset | None = None
+    advice: xr.Dataset | None = None  # present if ``auto`` is a representation
+    # Force errors, and the parameter of tanh from which on it has no false well.
     static: xr.Dataset | None = None
+    # `work_precision`, `stability`: results of the benchmark.
     work_precision: xr.Dataset | None = None
     stability: xr.Dataset | None = None
+    # `branches`, `curves`: branches of periodic orbits, and curves of their special points.
     branches: xr.Dataset | None = None
     curves: xr.Dataset | None = None
-    risk: xr.Dataset | None = None
-    fit: xr.Dataset | None = None
-    gradients: xr.Dataset | None = None
-    claims: Mapping[str, Any] | None = None
+    risk: xr.Dataset | None = None  # present if numbers are uncertain
+    fit: xr.Dataset | None = None  # fit to measured sweeps, with the branches of the fitted model
+    gradients: xr.Dataset | None = None  # derivatives of the quantities of attractors by parameters
+    claims: Mapping[str, Any] | None = None  # ``claims.json``
+    # The study's own sections of the report, as in ``sections.json``.
     sections: Sequence[Mapping[str, Any]] | None = None
 
     @cached_property

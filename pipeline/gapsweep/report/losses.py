@@ -51,12 +51,10 @@ def energy_lost(run: Trajectory, contact: int, start: float = 0.0) -> float:
     """
     law = run.laws[contact]
     if law.losses.is_rigid:
-        model, times = objects(run.inputs["oscillator"]).item(), np.unique(times_of(run)[contact])
+        model = objects(run.inputs["oscillator"]).item()
         b = np.reshape(model.directions, (-1, model.n))[contact]
         compliance = b @ np.linalg.solve(np.atleast_2d(model.mass), b)
-        before = np.maximum(times[times > start] - _APART / _rate(run), start)
-        earlier = np.maximum(before - _APART / _rate(run), start)
-        u = 2.0 * _moved(run, contact, before)[1] - _moved(run, contact, earlier)[1]
+        u = before_impacts(run, contact, start)
         return float(0.5 * (1.0 - law.losses.restitution**2) * (u @ u) / compliance)
     t, weights = _gauss(
         [start, *np.concatenate(times_of(run)), run.t_end], 1.0 / (_PANELS * _rate(run))
@@ -66,6 +64,14 @@ def energy_lost(run: Trajectory, contact: int, start: float = 0.0) -> float:
     place, share = _gauss([x_0, *law.walls, x_1], math.inf)
     stored = np.sign(x_1 - x_0) * (share @ law.force(place))
     return float(weights @ (law.force(x, v) * v) - stored)
+
+
+def before_impacts(run: Trajectory, contact: int, start: float = 0.0) -> Array:
+    """Return the relative velocities with which a contact meets rigid walls from `start` [s] on."""
+    times, apart = np.unique(times_of(run)[contact]), _APART / _rate(run)
+    before = np.maximum(times[times > start] - apart, start)
+    earlier = np.maximum(before - apart, start)
+    return 2.0 * _moved(run, contact, before)[1] - _moved(run, contact, earlier)[1]
 
 
 def loop(run: Trajectory, contact: int, start: float = 0.0) -> tuple[Array, Array, Array]:
@@ -125,10 +131,7 @@ def words_of(x_max: xr.DataArray) -> str:
 def with_losses(dataset: xr.Dataset) -> xr.Dataset:
     """Return responses with `energy_lost`; every response is simulated once more from its section.
 
-    Raises
-    ------
-    DatasetError
-        If the dataset lacks the study or a part of the state.
+    Raises `DatasetError` if the dataset lacks the study or a part of the state.
     """
     dims = point_dims(dataset)
     of_contacts = (CONTACT,) if CONTACT in dataset.dims else ()
@@ -144,7 +147,8 @@ def force_loop(dataset: xr.Dataset, /, *, ax: "Axes | None" = None, **wanted: An
     """Contact force over displacement of one steady response of each representation.
 
     The area of a loop is the energy that the contact loses, per forcing period in the legend; an
-    elastic contact has a line. Each response is simulated from its first section point.
+    elastic contact has a line, a rigid wall only the zero force between the walls. Each response is
+    simulated from its first section point.
 
     Parameters
     ----------

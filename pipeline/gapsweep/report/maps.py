@@ -19,6 +19,7 @@ from gapsweep.report.selection import missing_variable, scene
 from gapsweep.report.style import BLANK, CLASS_COLOURS, GREY, NUMBERED, sequence
 from gapsweep.response.result import ResponseClass
 from gapsweep.status import Status
+from gapsweep.variables import flags_of
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -37,28 +38,19 @@ _HANDLE = 7  # letters as wide as the handle of an entry and the space after it
 
 @dataclass
 class MapImage:
-    """Contents of a map: axes, kinds of cells and numbers.
+    """Contents of a map: axes, kinds of cells and numbers."""
 
-    Attributes
-    ----------
-    x, y : DataArray, shapes (n_x,) and (n_y,)
-    kind : ndarray of int, shape (n_y, n_x)
-        Position in `names`; -1: the cell shows a number, or is blank.
-    names, colours : list of str
-        Name and colour of each kind.
-    numbers : DataArray, shape (n_y, n_x)
-        Values of the colour bar; NaN for cells without a number.
-    blank : str
-        Meaning of a cell without a colour.
-    """
-
+    # `x`, `y`: shapes (n_x,) and (n_y,).
     x: xr.DataArray
     y: xr.DataArray
+    # Shape (n_y, n_x); values of the colour bar; NaN for cells without a number.
     numbers: xr.DataArray
+    # Shape (n_y, n_x); position in `names`; -1: the cell shows a number, or is blank.
     kind: NDArray[np.int64]
+    # `names`, `colours`: name and colour of each kind.
     names: list[str] = field(default_factory=list)
     colours: list[str] = field(default_factory=list)
-    blank: str = "no value"
+    blank: str = "no value"  # meaning of a cell without a colour
 
     def mark(self, where: NDArray[np.bool_], name: str, colour: str) -> None:
         """Give cells a named kind with a colour, instead of their number."""
@@ -76,6 +68,9 @@ def picture(
 ) -> tuple[MapImage, xr.Dataset]:
     """A map of a variable, and the part of the dataset that it shows.
 
+    Raises `DatasetError` if a variable or coordinate is missing, or another dimension has several
+    values.
+
     Parameters
     ----------
     x, y : str
@@ -83,11 +78,6 @@ def picture(
         is the longest other numeric dimension if None.
     wanted : mapping
         As for `gapsweep.analysis.dimensions.selected`; all other dimensions must have one value.
-
-    Raises
-    ------
-    DatasetError
-        If a variable or coordinate is missing, or another dimension has several values.
     """
     if variable not in dataset.data_vars:
         raise DatasetError(missing_variable(dataset, variable))
@@ -118,10 +108,7 @@ def numeric_axes(dataset: xr.Dataset) -> list[str]:
 def on_grid(starts: xr.Dataset, y: str = "v_0", x: str = "x_0") -> xr.Dataset:
     """Variables over initial conditions, reshaped to a grid of two coordinates, without sweeps.
 
-    Raises
-    ------
-    DatasetError
-        If the fixed initial conditions do not form a full grid.
+    Raises `DatasetError` if the fixed initial conditions do not form a full grid.
     """
     here = starts.isel({_START: np.isfinite(starts[x].values) & np.isfinite(starts[y].values)})
     others = [name for name, held in here.coords.items() if held.ndim and name not in (x, y)]
@@ -142,10 +129,8 @@ def numbered_as(starts: xr.Dataset, exact: xr.Dataset) -> xr.Dataset:
     Two attractors match if their periods are equal and their peaks within `_ALIKE`; the closest
     pair is matched first. Attractors without a match have numbers after those of the exact law.
 
-    Parameters
-    ----------
-    starts, exact : Dataset
-        ``attractor(initial_condition)``, ``period_multiple`` and ``x_max`` of each law.
+    `starts` and `exact`: ``attractor(initial_condition)``, ``period_multiple`` and ``x_max`` of
+    each law.
     """
     ours, theirs = _attractors(starts), _attractors(exact)
     pairs = sorted(
@@ -304,11 +289,9 @@ def _mark_periods(made: MapImage, numbers: NDArray[np.int64]) -> None:
 
 def _mark_whole_numbers(made: MapImage, values: xr.DataArray) -> None:
     """Give the cells of each flag or whole number a kind; more than 8 stay numbers."""
-    whole, attributes = values.values, values.attrs
+    whole, known = values.values, flags_of(values)
     first = 1 if values.name == "n_attractors" else 0
     there = np.unique(whole[whole >= first]).tolist()
-    flags = np.ravel(attributes.get("flag_values", [])).tolist()
-    known = dict(zip(flags, str(attributes.get("flag_meanings", "")).split(), strict=False))
     if not known and len(there) > MOST_KINDS:
         made.numbers = made.numbers.where(whole >= first)
         return
@@ -368,10 +351,7 @@ def edges(values: NDArray[np.float64], *, log: bool) -> NDArray[np.float64]:
 def mesh(axes: "Axes", x: xr.DataArray, y: xr.DataArray, cells: NDArray[Any], **style: Any) -> Any:
     """Draw cells as one image, with edges halfway between the values; returns the image.
 
-    Parameters
-    ----------
-    cells : ndarray, shape (n_y, n_x, ...)
-        Values or colours, as for `matplotlib.axes.Axes.imshow`.
+    `cells`: shape (n_y, n_x, ...); values or colours, as for `matplotlib.axes.Axes.imshow`.
     """
     scaled: dict[int, NDArray[np.float64]] = {}
     for axis, coordinate in ((1, x), (0, y)):
@@ -394,10 +374,7 @@ def mesh(axes: "Axes", x: xr.DataArray, y: xr.DataArray, cells: NDArray[Any], **
 def _even(cells: NDArray[Any], ends: NDArray[np.float64], axis: int) -> NDArray[Any]:
     """Cells of equal width along an axis: unchanged, or repeated to fit their edges.
 
-    Parameters
-    ----------
-    ends : ndarray, shape (n + 1,)
-        The edges on the scale of the axis.
+    `ends`: shape (n + 1,); the edges on the scale of the axis.
     """
     even = np.linspace(ends[0], ends[-1], ends.size)
     if np.allclose(ends, even, rtol=0.0, atol=0.01 * (even[1] - even[0])):

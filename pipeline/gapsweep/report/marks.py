@@ -27,58 +27,32 @@ _DRAWN: "WeakKeyDictionary[Artist, Marks]" = WeakKeyDictionary()
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Marks:
-    """Marks of one appearance, in the units of their axes.
+    """Marks of one appearance, in the units of their axes."""
 
-    Attributes
-    ----------
-    kind : str
-        `POINT`; `LINE`; `TICK` above the panel; `BAND` behind it, from `x` to `x_end`; `LEVEL`, no
-        data, at one `x` or `y` from the first to the second share of the panel in `x_end`; `TEXT`,
-        which is `series`; `EDGE`, symbols on the right frame, which are no data.
-    x, y : array_like
-        Numbers, or words on an axis of words; NaN: a gap of a line, or the whole panel.
-    x_end : array_like
-    series : str
-        Name of the data; the label of a representation comes first.
-    entry : str
-        Text in the legend; empty: none.
-    colour : str
-    opacity : float
-    size : float or array_like
-        Width of a line, diameter of points, or of each point [points].
-    dashes, marker : str
-        Line style and symbol of matplotlib; a line has symbols of the diameter `dots` [points].
-    face : str
-        Colour inside symbols, ``"none"`` if hollow; empty: `colour`.
-    zorder : float, optional
-    sets : array_like of bool, optional
-        Which values set the vertical axis, others may be outside it; None: all.
-    align : tuple of str
-        Horizontal and vertical alignment of a text.
-    in_data : bool
-        Whether the place of a text is in data; else it is a share of the panel.
-    is_clipped : bool
-        Whether marks end at the frame.
-    """
-
+    # `POINT`; `LINE`; `TICK` above the panel; `BAND` behind it, from `x` to `x_end`; `LEVEL`, no
+    # data, at one `x` or `y` from the first to the second share of the panel in `x_end`; `TEXT`,
+    # which is `series`; `EDGE`, symbols on the right frame, which are no data.
     kind: str
+    # `x`, `y`: numbers, or words on an axis of words; NaN: a gap of a line, or the whole panel.
     x: Any = np.nan
     y: Any = np.nan
     x_end: Any = ()
-    series: str = ""
-    entry: str = ""
+    series: str = ""  # name of the data; the label of a representation comes first
+    entry: str = ""  # text in the legend; empty: none
     colour: str = "#000000"
     opacity: float = 1.0
-    size: Any = 1.0
+    size: Any = 1.0  # width of a line, diameter of points, or of each point [points]
+    # `dashes`, `marker`: line style and symbol of matplotlib; a line has symbols of the diameter
+    # `dots` [points].
     dashes: str = "-"
     marker: str = "o"
     dots: float = 0.0
-    face: str = ""
+    face: str = ""  # colour inside symbols, ``"none"`` if hollow; empty: `colour`
     zorder: float | None = None
-    sets: Any = None
-    align: tuple[str, str] = ("left", "baseline")
-    in_data: bool = True
-    is_clipped: bool = True
+    sets: Any = None  # which values set the vertical axis, others may be outside it; None: all
+    align: tuple[str, str] = ("left", "baseline")  # horizontal and vertical alignment of a text
+    in_data: bool = True  # whether the place of a text is in data; else it is a share of the panel
+    is_clipped: bool = True  # whether marks end at the frame
 
     @property
     def order(self) -> float:

@@ -23,7 +23,8 @@ def to_csv(
 ) -> str:
     """Return a row per sweep point as CSV, with units in the header.
 
-    Lengths are in millimetres, as in figures.
+    Lengths are in millimetres, as in figures. Raises `DatasetError` if a variable is not in the
+    responses.
 
     Parameters
     ----------
@@ -33,11 +34,6 @@ def to_csv(
         Variables in addition to the dimensions, all if empty; None: `OF_CSV`.
     digits : int, optional
         Significant digits of variables; None: all.
-
-    Raises
-    ------
-    DatasetError
-        If a variable is not in the responses.
     """
     shown = rows(responses, short(responses, OF_CSV) if columns is None else columns, digits)
     named = {name: f"{name}{unit_of(responses, name, ' [{}]')}" for name in shown.columns}

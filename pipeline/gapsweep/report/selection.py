@@ -25,7 +25,8 @@ def scene(
     """Dataset of variables, each over exactly the dimensions that a plot needs.
 
     Dimensions of one value are dropped, and those that a selection has reduced to a scalar come
-    back with one value.
+    back with one value. Raises `DatasetError` if a variable is missing, or another dimension has
+    several values.
 
     Parameters
     ----------
@@ -35,11 +36,6 @@ def scene(
         Names of variables, and the dimensions of each.
     wanted : mapping
         Coordinates to values, lists or slices; see `selected`.
-
-    Raises
-    ------
-    DatasetError
-        If a variable is missing, or another dimension has several values.
     """
     for name in variables:
         if name not in dataset.data_vars:

@@ -238,10 +238,8 @@ def _parameter(law: Representation) -> float:
 def contacts(agreement: xr.Dataset, static: xr.Dataset | None = None) -> list[Contact]:
     """The verdicts of every case of a study, ordered by stiffness and gap width.
 
-    Parameters
-    ----------
-    agreement, static : Dataset
-        As stored in the run's folder; without `static`, thresholds of tanh are not known.
+    `agreement` and `static`: as stored in the run's folder; without `static`, thresholds of tanh
+    are not known.
     """
     names = [*SHOWN.values(), _COST_RATIO, _CONTACTS]
     names += [*(f"{name}_ci" for name in names), "n_points", "n_attractors_exact"]
@@ -362,7 +360,7 @@ def worst(exact: Sequence[Values]) -> Values:
 def _unjudged(exact: Row) -> str:
     """Reason why no law can be judged in a case; empty if laws can be judged."""
     if np.isnan(exact[SHOWN["found"]]):  # no attractors
-        return "the exact law has no steady response"
+        return "the exact law was not computed, or has no steady response"
     return "" if exact[_CONTACTS] else "no steady response of the exact law crosses a wall"
 
 

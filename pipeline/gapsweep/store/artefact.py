@@ -33,16 +33,10 @@ _SOON = 100e6  # bytes, read in a quarter of a second at worst, or a second from
 def replacing(path: Path, is_ours: Callable[[Path], bool] | None = None) -> Iterator[Path]:
     """A temporary path that takes the place of `path` when the block ends without error.
 
-    Parameters
-    ----------
-    path : Path
-    is_ours : callable, optional
-        Returns whether an existing file may be replaced; None allows it.
+    Raises `StoreError` if the folder or file cannot be written, or `is_ours` forbids the
+    replacement.
 
-    Raises
-    ------
-    StoreError
-        If the folder or file cannot be written, or `is_ours` forbids the replacement.
+    `is_ours`: returns whether an existing file may be replaced; None allows it.
     """
     if is_ours is not None and path.exists() and not is_ours(path):
         raise StoreError(
@@ -119,11 +113,7 @@ def is_intact(path: Path) -> bool | None:
 def checked(folder: Path, most: float = _SOON) -> tuple[list[str], list[str]]:
     """Paths in a run's folder of files with a wrong checksum, and of files that were not read.
 
-    Parameters
-    ----------
-    folder : Path
-    most : float
-        Bytes to read in total, the smallest files first.
+    `most`: bytes to read in total, the smallest files first.
     """
     places = [folder, *(sums.parent for sums in folder.glob(f"report/**/{SUMS}"))]
     files = {place / name for place in places for _, name in _sums(place)}
@@ -205,13 +195,7 @@ def reading(folder: Path) -> Iterator[None]:
 
 
 def remove(folder: Path, names: Collection[str]) -> None:
-    """Remove files of a folder and their checksums.
-
-    Raises
-    ------
-    StoreError
-        If one cannot be removed.
-    """
+    """Remove files of a folder and their checksums; StoreError if one cannot be removed."""
     if names:
         _write_sums(folder, [pair for pair in _sums(folder) if pair[1] not in names])
     for name in names:

@@ -120,12 +120,8 @@ class Cache:
     def found(self, places: NDArray[np.void], structure: AnyStructure = _OSCILLATOR) -> Found:
         """Stored results at places, as of `held`, of one structure.
 
-        Damaged results are left out, as if missing.
-
-        Raises
-        ------
-        StoreError
-            If a frame is as it was written, but holds no result.
+        Damaged results are left out, as if missing. Raises `StoreError` if a frame is as it was
+        written, but holds no result.
         """
         at, parts, hosts, versions = [], [], [], set()
         for slab, contents, asked, rows in self._contents_of(places):
@@ -204,10 +200,7 @@ class Cache:
     def rewrite(self, paths: Collection[Path], removed: Collection[bytes] = ()) -> None:
         """Copy the intact frames of segments into a new one, and then remove these segments.
 
-        Parameters
-        ----------
-        removed : collection of bytes
-            Checksums of frames that are left out.
+        `removed`: checksums of frames that are left out.
         """
         frames = self._sound(paths, removed)
         if (first := next(frames, None)) is not None:

@@ -41,12 +41,8 @@ _CHECKED = {"fletcher32": True, "zlib": True, "complevel": 1}
 def writing(path: Path, attributes: Mapping[str, Any]) -> Iterator[netCDF4.Dataset]:
     """An open netCDF4 dataset that becomes `path` once it is complete and readable.
 
-    The block holds `LOCK` while it uses the dataset.
-
-    Raises
-    ------
-    StoreError
-        If the file cannot be written, or a file of other software has its name.
+    The block holds `LOCK` while it uses the dataset. Raises `StoreError` if the file cannot be
+    written, or a file of other software has its name.
     """
     with recording(path, _is_ours) as temporary, _errors(path):
         with LOCK:

@@ -60,10 +60,7 @@ def digest_of(frame: bytes) -> bytes:
 def write(folder: Path, frames: Iterable[bytes]) -> None:
     """Write frames to a new segment, atomically.
 
-    Raises
-    ------
-    StoreError
-        If the folder cannot be written, or its disk is full.
+    Raises `StoreError` if the folder cannot be written, or its disk is full.
     """
     path = folder / f"{uuid.uuid4().hex}{SUFFIX}"
     with replacing(path) as temporary, temporary.open("wb") as file:

@@ -28,36 +28,16 @@ _LEVEL = 1  # level of compression: higher levels take longer and save little
 
 @dataclass(frozen=True, slots=True)
 class Slab:
-    """Stored results of up to 128 points of one kind.
+    """Stored results of up to 128 points of one kind."""
 
-    Attributes
-    ----------
-    identity : str
-        Identity of the points' `Kind`, as JSON.
-    keys : bytes
-        Their content keys, 32 bytes each.
-    status : bytes
-        Their `Status`, a byte each.
-    columns : bytes
-        The points' numbers and their responses.
-    messages : str
-        JSON: messages by number of the point.
-    seconds : float
-        CPU time of all points together, as far as it was measured.
-    host : str
-        Machine that computed them.
-    versions : str
-        Versions of Python and the libraries on that machine.
-    """
-
-    identity: str
-    keys: bytes
-    status: bytes
-    columns: bytes
-    messages: str
-    seconds: float
-    host: str
-    versions: str
+    identity: str  # identity of the points' `Kind`, as JSON
+    keys: bytes  # their content keys, 32 bytes each
+    status: bytes  # their `Status`, a byte each
+    columns: bytes  # the points' numbers and their responses
+    messages: str  # JSON: messages by number of the point
+    seconds: float  # CPU time of all points together, as far as it was measured
+    host: str  # machine that computed them
+    versions: str  # versions of Python and the libraries on that machine
 
     @property
     def kind(self) -> Kind:
@@ -109,10 +89,7 @@ def slabs(
 def stored(slab: Slab) -> Stored:
     """Decode the contents of a slab.
 
-    Raises
-    ------
-    ValueError
-        If the slab is not in the form in which a run writes it.
+    Raises `ValueError` if the slab is not in the form in which a run writes it.
     """
     try:
         n, at, unpacking = slab.n_points, 0, zlib.decompressobj()

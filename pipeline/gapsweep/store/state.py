@@ -69,10 +69,7 @@ class RunState:
     def read(cls, folder: Path) -> "RunState":
         """Read the state of the run in a folder; `died` if it is running, but its process is not.
 
-        Raises
-        ------
-        StoreError
-            If there is no state, or it is damaged.
+        Raises `StoreError` if there is no state, or it is damaged.
         """
         path = folder / STATE
         try:

@@ -23,6 +23,9 @@ def positions(
 ) -> NDArray[np.int64]:
     """Return the positions of the wanted values on an axis.
 
+    Raises `ValueError` if the axis lacks a wanted value; one line with that value and the values of
+    the axis.
+
     Parameters
     ----------
     name : str
@@ -38,11 +41,6 @@ def positions(
     -------
     ndarray of int
         All positions with a wanted value, ascending, each once; at least one.
-
-    Raises
-    ------
-    ValueError
-        If the axis lacks a wanted value; one line with that value and the values of the axis.
     """
     axis = np.atleast_1d(np.asarray(held))
     if is_numeric(axis):  # a label may look like a quantity, as "+0.4 mm"

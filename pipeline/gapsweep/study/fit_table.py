@@ -64,10 +64,7 @@ def with_sweep(tables: Any, source: str) -> Any:
 
     ``data = "sweep.csv"`` is a file next to the study. The study then has all numbers of the fit.
 
-    Raises
-    ------
-    StudyError
-        If the file cannot be read, or a range or the noise is invalid.
+    Raises `StudyError` if the file cannot be read, or a range or the noise is invalid.
     """
     table = tables.get("fit") if isinstance(tables, dict) else None
     if not isinstance(table, dict) or "data" not in table:

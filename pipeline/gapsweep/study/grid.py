@@ -27,23 +27,15 @@ Selection = tuple[NDArray[np.intp], ...]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Starts(Sequence[tuple[str, tuple[float, ...]]]):
-    """n initial conditions: fixed states, and sweeps, whose first point starts at rest.
-
-    Attributes
-    ----------
-    kind : ndarray of int8, shape (n,)
-        Position in `KINDS`.
-    number : ndarray of int, shape (n,)
-        Number of each initial condition in its study.
-    states : ndarray, shape (n, n_states)
-        Displacements [m], velocities [m/s] and first-order states; zero for a sweep.
-    """
+    """n initial conditions: fixed states, and sweeps, whose first point starts at rest."""
 
     KINDS: ClassVar[tuple[str, ...]] = (FIXED, *SWEEPS)
 
-    kind: NDArray[np.int8]
+    kind: NDArray[np.int8]  # shape (n,); position in `KINDS`
+    # Shape (n, n_states); displacements [m], velocities [m/s] and first-order states; zero for a
+    # sweep.
     states: NDArray[np.float64]
-    number: NDArray[np.int32]
+    number: NDArray[np.int32]  # shape (n,); number of each initial condition in its study
 
     @classmethod
     def fixed(cls, states: ArrayLike) -> "Starts":
@@ -97,29 +89,17 @@ class Starts(Sequence[tuple[str, tuple[float, ...]]]):
 
 @dataclass(frozen=True)
 class Grid:
-    """Coordinates of the dataset, and a mask of the cells that are sweep points.
+    """Coordinates of the dataset, and a mask of the cells that are sweep points."""
 
-    Attributes
-    ----------
-    axes : mapping of str to sequence
-        By dimension, in the dataset's order: representations;
-        stiffnesses [N/m]; gaps, or distances of both walls [m]; frequencies [Hz]; other swept
-        parameters; `Samples`, if numbers are uncertain; `Starts`. Numbers ascend, others come in
-        order of first appearance.
-    requested : ndarray of bool, of the axes' lengths
-    structure : Structure or OscillatorStructure
-        Structure of the models of all points.
-    parts : mapping of str to tuple of str
-        Dimensions within a point, those with several entries: names of coordinates, contacts, lags.
-    units : mapping of str to sequence of str
-        Units of all coordinates and contacts.
-    """
-
+    # By dimension, in the dataset's order: representations; stiffnesses [N/m]; gaps, or distances
+    # of both walls [m]; frequencies [Hz]; other swept parameters; `Samples`, if numbers are
+    # uncertain; `Starts`. Numbers ascend, others come in order of first appearance.
     axes: Axes
     requested: NDArray[np.bool_]
-    structure: AnyStructure
+    structure: AnyStructure  # structure of the models of all points
+    # Dimensions within a point, those with several entries: names of coordinates, contacts, lags.
     parts: Mapping[str, tuple[str, ...]]
-    units: Units = field(default_factory=lambda: METRES)
+    units: Units = field(default_factory=lambda: METRES)  # units of all coordinates and contacts
 
     @property
     def dims(self) -> tuple[str, ...]:

@@ -144,10 +144,7 @@ def advise(
 def check_error(error: float) -> float:
     """Return `error` as a float, if it is within 1e-9..0.1.
 
-    Raises
-    ------
-    ModelError
-        If `error` is out of this range.
+    Raises `ModelError` if `error` is out of this range.
     """
     error = checked("error", error)
     if not SMALLEST_ERROR <= error <= LARGEST_ERROR:
@@ -261,29 +258,20 @@ class _Linear:
 
     Every displacement is one along a direction: those of the contacts, the coordinates, then those
     of the cubic springs, k in all.
-
-    Attributes
-    ----------
-    system : System
-    rates : ndarray, shape (n_states,)
-        Eigenvalues [1/s].
-    seen : ndarray, shape (k, n_states)
-        The displacement along each direction due to every mode.
-    vectors, modes : ndarray, shape (n_states, n_states)
-        Eigenvectors, one a column, and their inverse: the amplitudes of the modes in a state.
-    energy : ndarray, shape (k,)
-        Square of a displacement over twice the energy that it needs [m/N]; infinite if the energy
-        of free motions may grow.
-    shares : ndarray, shape (n_cubic, k)
-        For every cubic spring, ``L |α|`` along all directions [1/m²].
     """
 
     system: System
-    rates: NDArray[np.complex128]
+    rates: NDArray[np.complex128]  # shape (n_states,); eigenvalues [1/s]
+    # Shape (k, n_states); the displacement along each direction due to every mode.
     seen: NDArray[np.complex128]
+    # `vectors`, `modes`: shape (n_states, n_states); eigenvectors, one a column, and their inverse:
+    # the amplitudes of the modes in a state.
     vectors: NDArray[np.complex128]
     modes: NDArray[np.complex128]
+    # Shape (k,); square of a displacement over twice the energy that it needs [m/N]; infinite if
+    # the energy of free motions may grow.
     energy: Array
+    # Shape (n_cubic, k); for every cubic spring, ``L |α|`` along all directions [1/m²].
     shares: Array
 
     @classmethod

@@ -8,7 +8,7 @@ from pydantic import Discriminator, Field, Tag, model_validator
 
 from gapsweep.errors import ModelError, StudyError
 from gapsweep.model.waves import MAX_KNOTS, ForceByPieces, PeriodicForce, Switched, Wave
-from gapsweep.study.axes import NonNegative, Number, Positive, TomlTable
+from gapsweep.study.axes import NonNegative, Number, Positive, Share, TomlTable
 
 Points = Annotated[list[float], Field(min_length=1, max_length=MAX_KNOTS)]
 
@@ -54,7 +54,7 @@ class OscillatorTable(TomlTable):
     c: NonNegative = 0.0
     unbalance: Number = 0.0
     base_amplitude: Number = 0.0
-    base_damping: Annotated[float, Field(ge=0, le=1)] = 1.0
+    base_damping: Share = 1.0
 
     @property
     def numbers(self) -> dict[str, float]:
@@ -76,10 +76,7 @@ def with_points(tables: Any, source: str) -> Any:
     study; ``period`` is the period [s] if its times are in seconds. The study then has all numbers,
     as keys and results do.
 
-    Raises
-    ------
-    StudyError
-        If a file cannot be read.
+    Raises `StudyError` if a file cannot be read.
     """
     if not isinstance(tables, dict):
         return tables

@@ -47,27 +47,18 @@ class Measured:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Samples(Sequence[int]):
-    """n samples of uncertain numbers.
+    """n samples of uncertain numbers."""
 
-    Attributes
-    ----------
-    numbers : dict of str to ndarray, shape (n,)
-        Drawn values by name of the uncertain number.
-    matrix, repeat, row : ndarray of int32, shape (n,)
-        Matrix of the design (`A`, `B`, `MIXED` + i); repeat; place among the Sobol points.
-    nominal : dict of str to str
-        How a drawn value acts on the value of the study, ``"plus"`` or ``"times"``; without an
-        entry it replaces that value.
-    number : ndarray of int32, shape (n,)
-        Labels.
-    """
-
-    numbers: Mapping[str, Array]
+    numbers: Mapping[str, Array]  # shape (n,); drawn values by name of the uncertain number
+    # `matrix`, `repeat`, `row`: shape (n,); matrix of the design (`A`, `B`, `MIXED` + i); repeat;
+    # place among the Sobol points.
     matrix: NDArray[np.int32]
     repeat: NDArray[np.int32]
     row: NDArray[np.int32]
+    # How a drawn value acts on the value of the study, ``"plus"`` or ``"times"``; without an entry
+    # it replaces that value.
     nominal: Mapping[str, str]
-    number: NDArray[np.int32]
+    number: NDArray[np.int32]  # shape (n,); labels
 
     def __len__(self) -> int:
         return len(self.number)
@@ -115,10 +106,8 @@ def drawn(
 
     Parameters
     ----------
-    distributions : dict of str to Distribution
     samples : int
         Sobol points of a repeat, a power of two.
-    repeats, seed : int
     indices : bool
         Whether to add the samples that Sobol indices need: ``2 + d`` times as many for d numbers.
     correlation : array_like, shape (d, d), optional

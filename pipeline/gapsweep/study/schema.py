@@ -59,6 +59,11 @@ COORDINATES: dict[str, tuple[str, Variable]] = {
         Variable("f8", UNITS["K_ratio"], "stiffness ratio, lower wall over upper wall"),
     ),
     "damping": ("damping", Variable("f8", UNITS["damping"], "damping of both walls")),
+    "chi": ("chi", Variable("f8", UNITS["chi"], "factor of the speed of penetration")),
+    "restitution": (
+        "restitution",
+        Variable("f8", UNITS["restitution"], "coefficient of restitution"),
+    ),
     "initial_condition": (START, INPUTS[START]),
     "x_0": (START, INPUTS["x_0"]),
     "v_0": (START, INPUTS["v_0"]),
@@ -72,7 +77,7 @@ COORDINATES: dict[str, tuple[str, Variable]] = {
 
 # Numbers of an oscillator whose names parameters of a system may have, too.
 SHARED = ("mean_load", "c", "unbalance", "base_amplitude", "base_damping")
-_OF_CONTACTS = ("K_c", "gap", "j_1", "j_2", "damping")
+_OF_CONTACTS = ("K_c", "gap", "j_1", "j_2", "damping", "chi", "restitution")
 PARAMETER = "parameter"  # beginning of the long name of a system parameter's coordinate
 
 
@@ -86,7 +91,6 @@ def coordinates(
 
     Parameters
     ----------
-    dims : collection of str
     structure : Structure or OscillatorStructure
         Structure of the models; it adds the dimensions within a point.
     units : mapping of str to sequence of str

@@ -11,11 +11,12 @@ from pydantic import Field, ValidationError, model_validator
 
 from gapsweep.errors import ModelError, StudyError, described
 from gapsweep.model import systems
+from gapsweep.model.contact import OF_LABELS
 from gapsweep.model.labels import FUNCTION
 from gapsweep.model.own_law import OwnLaw
 from gapsweep.model.system import BaseMotion, Cubic, Harmonic, Lags, Modulation, System, Unbalance
 from gapsweep.model.waves import PeriodicForce, Switched
-from gapsweep.study.axes import Label, NonNegative, Pair, TomlTable
+from gapsweep.study.axes import Label, NonNegative, Pair, Share, TomlTable
 from gapsweep.study.oscillator_table import Points
 from gapsweep.user_code.load import blame
 
@@ -152,6 +153,8 @@ class ContactTable(TomlTable):
     gap: Pair | None = None
     K_ratio: NonNegative | None = None
     damping: NonNegative | None = None
+    chi: NonNegative | None = None
+    restitution: Share | None = None
 
     @model_validator(mode="after")
     def _no_code(self) -> "ContactTable":
@@ -161,33 +164,24 @@ class ContactTable(TomlTable):
                 f"representation = {own!r}: must be a law of gapsweep without a protocol; "
                 "write the representation of all contacts in [[sweep]]"
             )
+        for name in OF_LABELS:
+            if own is not None and getattr(self, name) is not None and not own.takes(name):
+                raise ValueError(f"{name}: {own.refusal(name)}")
         return self
 
 
 @dataclass(frozen=True)
 class Maker:
-    """Function that makes the system of a study from parameter values; it can be pickled.
-
-    Attributes
-    ----------
-    table : SystemTable
-    source : str
-        Name of the study, for messages.
-    own : OwnLaw, optional
-        The code of the user's function.
-    """
+    """Function that makes the system of a study from parameter values; it can be pickled."""
 
     table: SystemTable
-    source: str
-    own: OwnLaw | None
+    source: str  # name of the study, for messages
+    own: OwnLaw | None  # the code of the user's function
 
     def __call__(self, parameters: Mapping[str, float]) -> System:
         """Return the system at some values of the parameters.
 
-        Raises
-        ------
-        StudyError
-            If the system is invalid, or the function raises.
+        Raises `StudyError` if the system is invalid, or the function raises.
         """
         name = self.table.function
         try:
@@ -202,18 +196,14 @@ class Maker:
 def maker(table: SystemTable, source: str, folders: Iterable[Path] = ()) -> Maker:
     """Return the `Maker` of the system of a study, with the present code of its function.
 
+    Raises `StudyError` if the code cannot be read.
+
     Parameters
     ----------
-    table : SystemTable
     source : str
         Name of the study, for messages.
     folders : iterable of Path
         Folders in which the function's module is searched after Python's path.
-
-    Raises
-    ------
-    StudyError
-        If the code cannot be read.
     """
     try:
         own = OwnLaw.of(table.user_function, folders) if table.user_function else None

@@ -105,10 +105,7 @@ def with_data(tables: Any, source: str) -> Any:
     ``{ data = "gaps.csv", column = "gap" }`` has the values of the column ``gap [mm]`` of a file
     next to the study; without a unit in its title they are in SI units.
 
-    Raises
-    ------
-    StudyError
-        If a file cannot be read or has no such column of numbers.
+    Raises `StudyError` if a file cannot be read or has no such column of numbers.
     """
     given = tables.get("uncertain") if isinstance(tables, dict) else None
     if not isinstance(given, dict):
@@ -239,10 +236,7 @@ class UncertainTable(TomlTable):
     ) -> "UncertainTable":
         """Return the table of a call, of which the distributions are no part.
 
-        Raises
-        ------
-        ModelError
-            If an event or a setting is invalid.
+        Raises `ModelError` if an event or a setting is invalid.
         """
         is_named = isinstance(events, Mapping)
         if not (is_named and all(isinstance(one, Mapping) for one in events.values())):
@@ -400,7 +394,7 @@ def outside(
 def _range(name: str, *, in_metres: bool) -> tuple[float, float]:
     """Return the range of a number that models allow, infinite without a bound."""
     if name in _OF_CONTACTS:
-        return 0.0, math.inf
+        return 0.0, 1.0 if name == "restitution" else math.inf
     fields = OscillatorTable.model_fields if in_metres else {}
     metadata = fields[name].metadata if name in fields else []
     low = [getattr(each, end) for each in metadata for end in ("ge", "gt") if hasattr(each, end)]

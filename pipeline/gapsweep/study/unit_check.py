@@ -45,10 +45,11 @@ def never_reached(
         Whether the model is an oscillator; the displacements of a system are those at its contacts.
     """
     rows = [labels.index(EXACT)] if EXACT in labels else list(range(len(labels)))
-    names = ["contact_share", "x_max", "x_min"]
+    # Impacts on rigid walls take no time; a motion that stays on a wall has no contacts.
+    names = ["contacts_per_period", "contact_share", "x_max", "x_min"]
     if not in_metres and np.size(values("contact_x_max")):  # there with several parts only
-        names[1:] = "contact_x_max", "contact_x_min"
-    share, x_max, x_min = (np.asarray(values(name)) for name in names)
+        names[2:] = "contact_x_max", "contact_x_min"
+    n_contacts, share, x_max, x_min = (np.asarray(values(name)) for name in names)
     if not share.size:  # the file cannot be read
         return ""
     within = tuple(i for i, dim in enumerate(dims) if dim in _IN_CASE)
@@ -59,7 +60,7 @@ def never_reached(
     )
     known = np.isfinite(reach)
     n_cases = np.count_nonzero(known.any(within))
-    never = known.any(within) & ~(share > 0.0).any(within)
+    never = known.any(within) & ~((share > 0.0) | (n_contacts[rows] > 0.0)).any(within)
     if not never.any() or 2 * never.sum() < n_cases:  # few such cases are no sign of wrong units
         return ""
     factor, unit = (1e3, " mm") if in_metres else (1.0, "")
@@ -111,7 +112,8 @@ def bounded(study: Study) -> str:
         np.fmax.at(bound, case, study.advice(cells).bound.max(axis=1))
     may_reach = np.isinf(bound)
     known = np.where(may_reach, 0.0, bound)
-    found = {"contact_share": may_reach, "x_max": known, "x_min": -known}
+    found = {"contacts_per_period": may_reach, "contact_share": may_reach}
+    found |= {"x_max": known, "x_min": -known}
     found |= {f"contact_{name}": found[name] for name in ("x_max", "x_min")}
     values = grid.coordinates() | {name: some[None] for name, some in found.items()}
     in_metres = study.model.is_oscillator
@@ -146,7 +148,19 @@ def doubts_of(study: Study, far: str = "", own: bool = True) -> Iterator[str]:
             laws.append(tuple(_laws(study, label, stiffness, gap, ratio, own)))
     omega, starts = grid.axes.get("omega", 0.0), starts_of(grid.axes).states
     yield from doubts([model.at(some) for some in points], laws, omega, starts) if laws else ()
+    yield from _doubts_of_factors(study)
     yield from [far] * bool(far)
+
+
+def _doubts_of_factors(study: Study) -> Iterator[str]:
+    """Warnings of uncertain factors of a nominal value that are probably values themselves."""
+    for name, table in study.spec.uncertain.tables.items() if study.spec.uncertain else ():
+        factor = float(table.distribution.ppf(0.5)) if table.nominal == "times" else 1.0
+        if not 0.5 <= factor <= 2.0:
+            yield (
+                f"uncertain.{name}: the median of the factors is {factor:g}; leave out nominal = "
+                f"'times' if these are values of {name}"
+            )
 
 
 def doubts_of_run(study: Study, values: Callable[[str], Any]) -> Iterator[str]:

@@ -40,12 +40,8 @@ _paths: dict[str, str] = {}
 def load(snapshot: Snapshot) -> ModuleType:
     """The main module of a snapshot, executed in this process.
 
-    Raises
-    ------
-    ClusterError
-        If this process has another version of a distribution that the code imports.
-    BaseException
-        Any error that the user's code raises.
+    Raises `ClusterError` if this process has another version of a distribution that the code
+    imports, and any error that the user's code raises.
     """
     with _lock:
         package = _Package(snapshot)

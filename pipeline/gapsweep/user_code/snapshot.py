@@ -29,40 +29,21 @@ _OURS = "gapsweep"  # keys hold the digest of its source
 
 @dataclass(frozen=True)
 class Module:
-    """A source file of user code, with its data files.
-
-    Attributes
-    ----------
-    source : bytes
-    path : str
-        Path for messages; not part of the key.
-    is_package : bool
-    data : mapping of str to bytes
-        Data files by their name in ``__data__``.
-    """
+    """A source file of user code, with its data files."""
 
     source: bytes
-    path: str
+    path: str  # path for messages; not part of the key
     is_package: bool
-    data: Mapping[str, bytes]
+    data: Mapping[str, bytes]  # data files by their name in ``__data__``
 
 
 @dataclass(frozen=True, eq=False)
 class Snapshot:
-    """The user code that a module consists of; snapshots are equal if their keys are.
+    """The user code that a module consists of; snapshots are equal if their keys are."""
 
-    Attributes
-    ----------
-    main : str
-        Dotted name of the module.
-    modules : mapping of str to Module
-        All user modules, by dotted name.
-    versions : mapping of str to str
-        Version of every distribution that they import, by module; `ABSENT` if there is none.
-    """
-
-    main: str
-    modules: Mapping[str, Module]
+    main: str  # dotted name of the module
+    modules: Mapping[str, Module]  # all user modules, by dotted name
+    # Version of every distribution that they import, by module; `ABSENT` if there is none.
     versions: Mapping[str, str]
 
     @property
@@ -108,10 +89,7 @@ class Snapshot:
     def of_module(cls, name: str, folders: Iterable[Path] = ()) -> "Snapshot":
         """Read a module by its name, from Python's path or else from `folders`.
 
-        Raises
-        ------
-        ModelError
-            If it is not found, or one of its files cannot be read or is not Python.
+        Raises `ModelError` if it is not found, or one of its files cannot be read or is not Python.
         """
         search = _ImportScan(name.partition(".")[0], [*folders])
         search.follow(name)
@@ -135,10 +113,7 @@ class Snapshot:
     def of_file(cls, path: Path, folders: Iterable[Path] = ()) -> "Snapshot":
         """Read a file outside packages; it may import files of its folder, relatively too.
 
-        Raises
-        ------
-        ModelError
-            If a file cannot be read or is not Python.
+        Raises `ModelError` if a file cannot be read or is not Python.
         """
         path = path.absolute()
         name, search = f"{LOOSE}.{path.stem}", _ImportScan(path.stem, [path.parent, *folders])

@@ -37,27 +37,20 @@ class Matching:
     Sets hold the attractors reached from initial conditions that both representations share. An
     attractor also represents its mirror image: `own_class` and `exact_class` hold, for every
     attractor, the smaller number of the two.
-
-    Attributes
-    ----------
-    own_class, exact_class : ndarray of int, shape (n_omega, n_attractors)
-    n, n_exact, n_matched : ndarray of int, shape (n_omega,)
-        Attractors of both sets, and pairs within the tolerance.
-    pairs : ndarray of int, shape (n_pairs, 3)
-        Frequency, attractor and exact attractor of all pairs, matched or not.
-    distance : ndarray, shape (n_pairs,)
-        Distance of the two sections [m].
-    partner : ndarray of int, shape (n_omega, n_attractors)
-        The exact attractor that matches, `NONE` if none does.
     """
 
+    # `own_class`, `exact_class`: shape (n_omega, n_attractors).
     own_class: Ints
     exact_class: Ints
+    # `n`, `n_exact`, `n_matched`: shape (n_omega,); attractors of both sets, and pairs within the
+    # tolerance.
     n: Ints
     n_exact: Ints
     n_matched: Ints
+    # Shape (n_pairs, 3); frequency, attractor and exact attractor of all pairs, matched or not.
     pairs: Ints
-    distance: Array
+    distance: Array  # shape (n_pairs,); distance of the two sections [m]
+    # Shape (n_omega, n_attractors); the exact attractor that matches, `NONE` if none does.
     partner: Ints
 
 
@@ -66,7 +59,6 @@ def matching(ours: LawTable, theirs: LawTable, width: float, *, symmetric: bool)
 
     Parameters
     ----------
-    ours, theirs : LawTable
     width : float
         Width of the gap [m], the scale of distances.
     symmetric : bool

@@ -41,7 +41,6 @@ def quantiles(values: Array, block: Ints, q: tuple[float, ...]) -> tuple[Array, 
         Without NaN.
     block : ndarray of int, shape (n,)
         The block of every value.
-    q : tuple of float
 
     Returns
     -------

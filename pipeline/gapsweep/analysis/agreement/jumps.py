@@ -22,21 +22,11 @@ WINDOW = 1.0
 
 @dataclass(frozen=True, slots=True)
 class Jumps:
-    """The jumps along one curve.
+    """The jumps along one curve."""
 
-    Attributes
-    ----------
-    at : ndarray of int
-        Position of the frequency below each jump.
-    omega : ndarray
-        Middle of the two frequencies [Hz].
-    step : ndarray
-        Change of the amplitude [m].
-    """
-
-    at: Ints
-    omega: Array
-    step: Array
+    at: Ints  # position of the frequency below each jump
+    omega: Array  # middle of the two frequencies [Hz]
+    step: Array  # change of the amplitude [m]
 
 
 def jumps(table: LawTable, start: int, along: Ints, half_gap: float) -> Jumps:

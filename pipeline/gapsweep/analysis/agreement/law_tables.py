@@ -47,27 +47,17 @@ _FOUND_FLOATS = ("x_max", "x_min", *_SECTION)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AttractorTable:
-    """The attractors at every frequency, padded to the largest number of attractors.
+    """The attractors at every frequency, padded to the largest number of attractors."""
 
-    Attributes
-    ----------
-    n : ndarray of int, shape (n_omega,)
-        Number of attractors.
-    response_class, period_multiple, mirror_of : ndarray of int, shape (n_omega, n_attractors)
-    amplitude : ndarray, shape (n_omega, n_attractors)
-        Half the range [m].
-    section : ndarray, shape (n_omega, n_attractors, n_points, 2)
-        Stroboscopic section ``(x, v / (2π ω))`` [m].
-    noise : ndarray, shape (n_omega, n_attractors)
-        Largest noise of the responses on the attractor [m].
-    """
-
-    n: Ints
+    n: Ints  # shape (n_omega,); number of attractors
+    # `response_class`, `period_multiple`, `mirror_of`: shape (n_omega, n_attractors).
     response_class: Ints
     period_multiple: Ints
     mirror_of: Ints
-    amplitude: Array
+    amplitude: Array  # shape (n_omega, n_attractors); half the range [m]
+    # Shape (n_omega, n_attractors, n_points, 2); stroboscopic section ``(x, v / (2π ω))`` [m].
     section: Array
+    # Shape (n_omega, n_attractors); largest noise of the responses on the attractor [m].
     noise: Array
 
     @property
@@ -78,38 +68,20 @@ class AttractorTable:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LawTable:
-    """Responses over frequency and initial condition, and the attractors that they are on.
+    """Responses over frequency and initial condition, and the attractors that they are on."""
 
-    Attributes
-    ----------
-    omega : ndarray, shape (n_omega,)
-        Forcing frequency [Hz].
-    fixed : ndarray of bool, shape (n_starts,)
-        Whether an initial condition is a fixed state; otherwise it is a sweep.
-    requested : ndarray of bool, shape (n_omega, n_starts)
-        Whether a cell is a sweep point. Further arrays have this shape, and some a last dimension.
-    class_number : ndarray of int
-        Position in `CLASSES`, -1 for cells that were not requested.
-    attractor : ndarray of int
-    amplitude : ndarray
-        Amplitude [m]; NaN without a response.
-    extrema : ndarray, shape (..., n_extrema)
-        Extrema [m], padded with NaN.
-    noise : ndarray
-        Numerical scatter of section points [m].
-    host, cpu_time, contacts_per_period, t_simulated : ndarray
-        As in ``responses.nc``.
-    found : AttractorTable
-    """
-
-    omega: Array
+    omega: Array  # shape (n_omega,); forcing frequency [Hz]
+    # Shape (n_starts,); whether an initial condition is a fixed state; otherwise it is a sweep.
     fixed: Bools
+    # Shape (n_omega, n_starts); whether a cell is a sweep point. Further arrays have this shape,
+    # and some a last dimension.
     requested: Bools
-    class_number: Ints
+    class_number: Ints  # position in `CLASSES`, -1 for cells that were not requested
     attractor: Ints
-    amplitude: Array
-    extrema: Array
-    noise: Array
+    amplitude: Array  # amplitude [m]; NaN without a response
+    extrema: Array  # shape (..., n_extrema); extrema [m], padded with NaN
+    noise: Array  # numerical scatter of section points [m]
+    # `host`, `cpu_time`, `contacts_per_period`, `t_simulated`: as in ``responses.nc``.
     host: Ints
     cpu_time: Array
     contacts_per_period: Array

@@ -30,32 +30,19 @@ STATISTICS = {
 
 @dataclass(frozen=True, slots=True)
 class Metric:
-    """A variable of ``agreement.nc``.
+    """A variable of ``agreement.nc``."""
 
-    Attributes
-    ----------
-    number : str
-        Number of the metric in the documentation, A4 to A14.
-    dims : tuple of str
-    units, long_name, definition : str
-    statistics : tuple of str
-        Its summaries over frequencies and initial conditions: keys of `STATISTICS`.
-    worst : str
-        ``max`` or ``min``: which of the values of the exact law against itself is the worst, the
-        reproducibility limit; empty if the metric has none.
-    interval : bool
-        Whether a confidence interval is stored.
-    dtype : str
-    """
-
-    number: str
+    number: str  # number of the metric in the documentation, A4 to A14
     dims: tuple[str, ...]
     units: str
     long_name: str
     definition: str
+    # Its summaries over frequencies and initial conditions: keys of `STATISTICS`.
     statistics: tuple[str, ...] = ()
+    # ``max`` or ``min``: which of the values of the exact law against itself is the worst, the
+    # reproducibility limit; empty if the metric has none.
     worst: str = ""
-    interval: bool = False
+    interval: bool = False  # whether a confidence interval is stored
     dtype: str = "f8"
 
 

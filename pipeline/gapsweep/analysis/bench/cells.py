@@ -18,13 +18,7 @@ import numpy as np
 import xarray as xr
 
 from gapsweep.analysis.bench.judge import CellOutcome, Judge, judge, observed
-from gapsweep.analysis.bench.scenarios import (
-    Method,
-    Scenario,
-    coordinates,
-    law_or_none,
-    tolerances,
-)
+from gapsweep.analysis.bench.scenarios import Method, Scenario, coordinates, law_or_none, tolerances
 from gapsweep.analysis.datasets.contact_errors import in_gap
 from gapsweep.execution.isolated import CallError, Isolated
 from gapsweep.model.contact import ContactLaw, Piecewise
@@ -90,7 +84,6 @@ def cell_table(
 
     Parameters
     ----------
-    scenarios, methods : sequence
     timeout : float
         Processor time [s] of a scenario, and of a user law in a scenario. Cells that take longer
         have the status `timed_out`.

@@ -78,29 +78,16 @@ def _negated(run: ScenarioRun) -> ScenarioRun:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Judge:
-    """References of one law in one scenario, and the rules that compare runs with them.
-
-    Attributes
-    ----------
-    scenario : Scenario
-    law : ContactLaw or None
-        None if the law cannot be built in this scenario.
-    own, exact : References
-        Reference solutions of the law and of the exact law.
-    scale : Scale
-    growth : float
-        Largest growth of a disturbance [-].
-    apart : float
-        Distance of the law's two references [-], before one may have been replaced.
-    """
+    """References of one law in one scenario, and the rules that compare runs with them."""
 
     scenario: Scenario
-    law: ContactLaw | None
+    law: ContactLaw | None  # None if the law cannot be built in this scenario
+    # `own`, `exact`: reference solutions of the law and of the exact law.
     own: References
     exact: References
     scale: Scale
-    growth: float
-    apart: float
+    growth: float  # largest growth of a disturbance [-]
+    apart: float  # distance of the law's two references [-], before one may have been replaced
 
     def verdict(self, run: ScenarioRun, solver: Solver) -> dict[str, Any]:
         """Outcome, errors and counts of a run."""

@@ -157,10 +157,7 @@ def settled(
     solution changes with its tolerance. If both solutions converge, they contradict each other,
     and both are kept.
 
-    Parameters
-    ----------
-    promise : float
-        Largest distance [-] at which references agree.
+    `promise`: largest distance [-] at which references agree.
     """
     if not found.distance(scale) > promise:
         return found

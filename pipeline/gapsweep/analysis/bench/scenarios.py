@@ -43,10 +43,7 @@ class Scenario:
     def law(self, representation: str) -> ContactLaw:
         """The contact law of a label without protocol.
 
-        Raises
-        ------
-        ModelError
-            If it cannot be built for this scenario.
+        Raises `ModelError` if it cannot be built for this scenario.
         """
         if representation in self.own:
             return self.own[representation].law(self.K_c, self.gap)

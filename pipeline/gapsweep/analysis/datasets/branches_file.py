@@ -33,6 +33,7 @@ from gapsweep.continuation.follow import DEFAULT_RTOL
 from gapsweep.continuation.seed import Attractor
 from gapsweep.errors import StoreError
 from gapsweep.execution.branch_tasks import BranchScene, Followed, followed
+from gapsweep.model.contact import OF_LABELS
 from gapsweep.response.result import ResponseClass
 from gapsweep.status import Status
 from gapsweep.store import netcdf
@@ -59,24 +60,14 @@ OF_STUDY = {
 
 @dataclass(slots=True, kw_only=True)
 class _SceneBranches:
-    """A case of a study, and the result of the continuation of its branches.
+    """A case of a study, and the result of the continuation of its branches."""
 
-    Attributes
-    ----------
-    at : mapping of str to int
-        Position of the case on the axes of the study.
-    numbers : ndarray of int, shape (n, 2)
-        Positions of its n periodic attractors along the parameter and in ``attractors.nc``.
-    scene : BranchScene
-        Inputs of the continuation.
-    found : Followed
-        Its outcome, with the branches or curves.
-    """
-
-    at: Mapping[str, int]
+    at: Mapping[str, int]  # position of the case on the axes of the study
+    # Shape (n, 2); positions of its n periodic attractors along the parameter and in
+    # ``attractors.nc``.
     numbers: NDArray[np.intp]
-    scene: BranchScene
-    found: Followed
+    scene: BranchScene  # inputs of the continuation
+    found: Followed  # its outcome, with the branches or curves
 
 
 def branches(
@@ -157,7 +148,8 @@ def cases(study: Study, attractors: xr.Dataset) -> Iterator[_SceneBranches]:
     kind = attractors["response_class"].transpose(*dims, along, ATTRACTOR).values
     for place in np.ndindex(*requested.shape[:-2]):
         at = dict(zip(dims, place, strict=True))
-        if not is_followed(axes["representation"][at["representation"]]):
+        law = axes["representation"][at["representation"]]
+        if not is_followed(law) or (along in OF_LABELS and not study.model.takes(law, along)):
             continue
         if not requested[place].any():
             continue

@@ -40,12 +40,7 @@ def fit_of(study: Study) -> xr.Dataset:
     """Return the fit of ``[fit]``, as a dataset.
 
     The law is that of the first representation; numbers that are not free have their values in the
-    study.
-
-    Raises
-    ------
-    StudyError
-        If the model is invalid in a range.
+    study. Raises `StudyError` if the model is invalid in a range.
     """
     table, grid = study.spec.fit, study.grid
     assert table is not None

@@ -65,7 +65,6 @@ def advice(study: Study, error: float | None = None, share: float = 0.95) -> xr.
 
     Parameters
     ----------
-    study : Study
     error : float, optional
         Error of the steady amplitude to meet; that of the study's ``[auto]`` if None.
     share : float

@@ -310,7 +310,6 @@ def safety(risk: xr.Dataset, along: str, event: str, limit: float) -> xr.Dataset
         As `risk_of` returns it.
     along : str
         Designed parameter.
-    event : str
     limit : float
         Probability that the event may have.
 

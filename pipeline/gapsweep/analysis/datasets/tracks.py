@@ -46,10 +46,8 @@ def with_tracks(attractors: xr.Dataset, along: str) -> xr.Dataset:
 def _tracks(extremes: Array) -> NDArray[np.int32]:
     """Return the numbers of the tracks of one case, shape (n_values, n_attractors).
 
-    Parameters
-    ----------
-    extremes : ndarray, shape (n_values, n_attractors, n_coordinates, 2)
-        Peaks and troughs; NaN without an attractor.
+    `extremes`: shape (n_values, n_attractors, n_coordinates, 2); peaks and troughs; NaN without an
+    attractor.
     """
     found, n = np.full(extremes.shape[:2], -1, np.int32), 0
     for value, here in enumerate(extremes):

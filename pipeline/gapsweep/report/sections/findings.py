@@ -15,10 +15,7 @@ from gapsweep.report.inputs import Inputs
 from gapsweep.report.parts import Part
 from gapsweep.report.scales import drawn, shown_unit
 from gapsweep.report.tables import tally
-from gapsweep.report.verdicts import (
-    COLUMNS,
-    Contact,
-)
+from gapsweep.report.verdicts import COLUMNS, Contact
 from gapsweep.response.result import ResponseClass
 from gapsweep.status import Status
 from gapsweep.study.grid import CONTACT, START
@@ -26,6 +23,7 @@ from gapsweep.study.points import FIXED
 from gapsweep.study.spec import check
 from gapsweep.study.study import Study
 from gapsweep.study.unit_check import doubts_of, never_reached
+from gapsweep.variables import flags_of
 
 
 def sections(inputs: Inputs) -> Iterator[Part]:
@@ -73,7 +71,7 @@ def unreached_walls(responses: xr.Dataset) -> str:
     if "contact_share" not in responses:
         return ""
     share, ends = responses["contact_share"], abs(responses[["x_min", "x_max"]]).to_dataarray()
-    is_touched = (share > 0.0).any([dim for dim in share.dims if dim != CONTACT]).values
+    is_touched = _touched(responses).any([dim for dim in share.dims if dim != CONTACT]).values
     largest = float(ends.where(np.isfinite(ends)).max())
     if is_touched.all() or not share.notnull().any() or not largest > 0.0:
         return ""
@@ -83,6 +81,13 @@ def unreached_walls(responses: xr.Dataset) -> str:
         f"No steady motion reaches a wall{of}: the largest coordinate is {largest:.3g}; gaps are "
         "in the unit of the coordinates."
     )
+
+
+def _touched(responses: xr.Dataset) -> xr.DataArray:
+    """Whether each response touches a wall, of each contact of a system."""
+    # Impacts on rigid walls take no time; their largest force is stored as NaN.
+    meets = responses["force_max"].isnull() & (responses["contacts_per_period"] > 0.0)
+    return (responses["contact_share"] > 0.0) | meets
 
 
 _OF_SYSTEMS = {
@@ -161,8 +166,8 @@ def _touching(responses: xr.Dataset) -> Iterator[str]:
     if "contact_share" not in responses:
         return
     label = _exact_if_swept(responses)
-    here = responses[["contact_share", "status"]].sel(representation=label)
-    is_touching = here["contact_share"] > 0.0
+    here = responses.sel(representation=label)
+    is_touching = _touched(here)
     if CONTACT in is_touching.dims:
         is_touching = is_touching.any(CONTACT)
     n, n_all = int(is_touching.sum()), int((here["status"] != Status.NOT_REQUESTED).sum())
@@ -219,8 +224,7 @@ def counted(found: Sequence[Contact]) -> Iterator[str]:
 
 def _choices(advice: xr.Dataset) -> str:
     """Sentence on the models that representation ``auto`` uses, with their counts."""
-    flags = advice["model"].attrs
-    names = dict(zip(np.ravel(flags["flag_values"]), flags["flag_meanings"].split(), strict=True))
+    names = flags_of(advice["model"])
     chosen, counts = np.unique(advice["model"].values, return_counts=True)
     parts = [f"{n} {names[m]}" for m, n in zip(chosen, counts, strict=True) if m >= 0]
     return (
