@@ -19,6 +19,7 @@ from gapsweep.report.selection import missing_variable, scene
 from gapsweep.report.style import BLANK, CLASS_COLOURS, GREY, NUMBERED, sequence
 from gapsweep.response.result import ResponseClass
 from gapsweep.status import Status
+from gapsweep.variables import flags_of
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -288,11 +289,9 @@ def _mark_periods(made: MapImage, numbers: NDArray[np.int64]) -> None:
 
 def _mark_whole_numbers(made: MapImage, values: xr.DataArray) -> None:
     """Give the cells of each flag or whole number a kind; more than 8 stay numbers."""
-    whole, attributes = values.values, values.attrs
+    whole, known = values.values, flags_of(values)
     first = 1 if values.name == "n_attractors" else 0
     there = np.unique(whole[whole >= first]).tolist()
-    flags = np.ravel(attributes.get("flag_values", [])).tolist()
-    known = dict(zip(flags, str(attributes.get("flag_meanings", "")).split(), strict=False))
     if not known and len(there) > MOST_KINDS:
         made.numbers = made.numbers.where(whole >= first)
         return

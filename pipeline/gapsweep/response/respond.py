@@ -111,7 +111,6 @@ def respond_all(scenes: Sequence[Scene], starts: ArrayLike, steady: Steady) -> R
         All oscillators, or systems of one size.
     starts : array_like, shape (n, n_states) or (n_states,)
         Initial displacements [m], velocities [m/s] and first-order states.
-    steady : Steady
     """
     starts = np.asarray(starts, float)
     starts = np.broadcast_to(starts, (len(scenes), starts.shape[-1]))
@@ -135,10 +134,8 @@ def respond_models(models: Models, solver: Solver, starts: Array, steady: Steady
     ----------
     models : Models
         All oscillators, or systems of one size.
-    solver : Solver
     starts : ndarray, shape (n, n_states)
         Initial displacements [m], velocities [m/s] and first-order states.
-    steady : Steady
     """
     groups, found = replace(models, start=starts).by_kind(), []
     for rows, some in groups:

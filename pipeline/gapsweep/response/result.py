@@ -489,22 +489,14 @@ def missing(n: int, structure: AnyStructure) -> dict[str, NDArray[Any]]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Responses:
-    """Steady responses of n points as columns; `row` gives one as a `Response`.
+    """Steady responses of n points as columns; `row` gives one as a `Response`."""
 
-    Attributes
-    ----------
-    columns : dict of str to ndarray, shape (n,)
-        Columns of `COLUMNS`, named as in a `Response`; enumerations as their numbers. Some columns
-        of systems have a second axis.
-    lists : dict of str to (ndarray, ndarray of int, shape (n,))
-        Lists of `LISTS`: the items of all rows, row after row, and the number of each row.
-    messages : dict of int to str
-        Messages by row, for rows that have one.
-    """
-
+    # Shape (n,); columns of `COLUMNS`, named as in a `Response`; enumerations as their numbers.
+    # Some columns of systems have a second axis.
     columns: dict[str, NDArray[Any]]
+    # Lists of `LISTS`: the items of all rows, row after row, and how many each row has.
     lists: dict[str, tuple[NDArray[Any], NDArray[np.int64]]]
-    messages: dict[int, str]
+    messages: dict[int, str]  # messages by row, for rows that have one
 
     def __len__(self) -> int:
         return len(self.columns["status"])

@@ -219,10 +219,7 @@ def drifts(sections: Array, lengths: Counts) -> Mask:
 def repeats(shares: Array, modulus: Array) -> Counts:
     """Number of periods of an orbit until disturbances have shrunk to given shares < 1.
 
-    Parameters
-    ----------
-    shares, modulus : ndarray, shape (m,)
-        The shares, and the largest multiplier's modulus, < 1 [-].
+    `shares` and `modulus`: shape (m,); the shares, and the largest multiplier's modulus, < 1 [-].
     """
     # numpy's logarithm differs between processors.
     pairs = zip(shares.tolist(), modulus.tolist(), strict=True)
