@@ -27,14 +27,7 @@ CLOUD_CLOSE = 0.25
 def unit_of(omega: ArrayLike) -> Array:
     """Displacement and velocity of an oscillator that correspond to one metre of the section.
 
-    Parameters
-    ----------
-    omega : float or array_like, shape (n,)
-        Forcing frequency [Hz].
-
-    Returns
-    -------
-    ndarray, shape (2, n)
+    `omega`: shape (n,); forcing frequency [Hz]. Result: shape (2, n).
     """
     omega_rad = 2.0 * np.pi * np.atleast_1d(np.asarray(omega, dtype=float))
     return np.stack((np.ones_like(omega_rad), omega_rad))
@@ -257,13 +250,7 @@ def cloud_distances(a: Array, b: Array) -> Array:
     The distance below which `CLOUD_SHARE` of either cloud's points have a neighbour in the
     other: the full Hausdorff distance of chaotic samples is ruled by one outlier.
 
-    Parameters
-    ----------
-    a, b : ndarray, shape (n_states, m, n_a), (n_states, m, n_b)
-
-    Returns
-    -------
-    ndarray, shape (m,)
+    `a` and `b`: shape (n_states, m, n_a), (n_states, m, n_b). Result: shape (m,).
     """
     distances = _apart(a, b)
     nearest = [np.quantile(distances.min(axis=axis), CLOUD_SHARE, axis=1) for axis in (1, 2)]
@@ -276,13 +263,7 @@ def own_neighbours(a: Array, b: Array) -> Array:
     Half of them if both are samples of one distribution, all if they lie apart, whatever their
     shape and the number of states (Schilling 1986).
 
-    Parameters
-    ----------
-    a, b : ndarray, shape (n_states, m, n_a), (n_states, m, n_b)
-
-    Returns
-    -------
-    ndarray, shape (m,)
+    `a` and `b`: shape (n_states, m, n_a), (n_states, m, n_b). Result: shape (m,).
     """
     apart = _apart(a, b)
     own = [_nearest_own(cloud) < apart.min(axis=axis) for cloud, axis in ((a, 2), (b, 1))]

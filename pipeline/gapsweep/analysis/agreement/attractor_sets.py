@@ -206,11 +206,8 @@ def _mean_at(w: Ints, values: Array, size: int) -> Array:
 def basin_metrics(found: Matching, ours: LawTable, theirs: LawTable) -> dict[str, Array]:
     """Agreement of attractors per initial condition (A12), and distance of basin shares (A11).
 
-    Returns
-    -------
-    dict of str to ndarray
-        `same_attractor` over frequency and initial condition; `basin_distance` and
-        `basin_distance_error` over frequency.
+    Result: `same_attractor` over frequency and initial condition; `basin_distance` and
+    `basin_distance_error` over frequency.
     """
     own, exact = _labels(found, ours, theirs)
     common = ours.requested & theirs.requested

@@ -19,14 +19,7 @@ _BATCH = 2**19
 def hausdorff_on_line(a: Array, b: Array) -> Array:
     """Hausdorff distance of sets of numbers: the largest distance of a member to the other set.
 
-    Parameters
-    ----------
-    a, b : ndarray, shape (n, ...)
-        Sets, one per row.
-
-    Returns
-    -------
-    ndarray, shape (n,)
+    `a` and `b`: shape (n, ...); sets, one per row. Result: shape (n,).
     """
     return _by_size(_hausdorff_on_line, a, b, power=1)
 
