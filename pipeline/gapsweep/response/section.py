@@ -36,16 +36,9 @@ def unit_of(omega: ArrayLike) -> Array:
 def scaled(states: ArrayLike, unit: Array) -> Array:
     """Return the section points of states.
 
-    Parameters
-    ----------
-    states : array_like, shape (n, n_states)
-        Displacements [m], velocities [m/s], first-order states.
-    unit : ndarray, shape (n_states, n) or (n_states, 1)
-
-    Returns
-    -------
-    ndarray, shape (n_states, n)
-        In metres.
+    `states`: shape (n, n_states); displacements [m], velocities [m/s], first-order states.
+    `unit`: shape (n_states, n) or (n_states, 1).
+    Result: shape (n_states, n); in metres.
     """
     return np.asarray(np.asarray(states, dtype=float).T / unit)
 
@@ -62,10 +55,8 @@ def norm(parts: Array) -> Array:
 def reach_of(q: Array, unit: Array) -> Array:
     """Largest moduli [m] over coordinates, in metres of the section, shape (n,).
 
-    Parameters
-    ----------
-    q : ndarray, shape (n_coordinates, n)
-    unit : ndarray, shape (n_states, n)
+    `q`: shape (n_coordinates, n).
+    `unit`: shape (n_states, n).
     """
     return np.asarray((np.abs(q) / unit[: len(q)]).max(axis=0))
 
@@ -196,12 +187,8 @@ def drifts(sections: Array, lengths: Counts) -> Mask:
     Such a motion is a transient or unbounded; rounding errors that grow with its distance amplify
     disturbances as chaos does.
 
-    Parameters
-    ----------
-    sections : ndarray, shape (n_coordinates, m, longest)
-        Displacements of section points [m].
-    lengths : ndarray of int, shape (m,)
-        Number of section points in each row.
+    `sections`: shape (n_coordinates, m, longest); displacements of section points [m].
+    `lengths`: shape (m,); number of section points in each row.
     """
     moves = np.diff(sections, axis=2)
     outside = np.arange(moves.shape[2]) >= lengths[:, None] - 1
@@ -223,12 +210,8 @@ def repeats(shares: Array, modulus: Array) -> Counts:
 def prime_multiple(orbit: Array, tolerance: float) -> int:
     """Smallest divisor of the length of a closed orbit after which the orbit repeats itself.
 
-    Parameters
-    ----------
-    orbit : ndarray, shape (n_states, n)
-        Section points of one whole period of n forcing periods [m].
-    tolerance : float
-        Largest distance [m] of two points, in any component, taken for the same.
+    `orbit`: shape (n_states, n); section points of one whole period of n forcing periods [m].
+    `tolerance`: largest distance [m] of two points, in any component, taken for the same.
     """
     n = orbit.shape[1]
     divisors = [d for d in range(1, n) if n % d == 0]

@@ -57,12 +57,8 @@ class Matching:
 def matching(ours: LawTable, theirs: LawTable, width: float, *, symmetric: bool) -> Matching:
     """Match the attractors of a representation with the exact ones.
 
-    Parameters
-    ----------
-    width : float
-        Width of the gap [m], the scale of distances.
-    symmetric : bool
-        Whether the gap is symmetric.
+    `width`: width of the gap [m], the scale of distances.
+    `symmetric`: whether the gap is symmetric.
     """
     common = ours.requested & theirs.requested
     classes = [mirror_classes(table.found) for table in (ours, theirs)]

@@ -27,17 +27,10 @@ def hausdorff_on_line(a: Array, b: Array) -> Array:
 def hausdorff_in_plane(a: Array, b: Array, share: float = 1.0) -> Array:
     """Hausdorff distance of two sets of points in the plane, or the partial one.
 
-    Parameters
-    ----------
-    a, b : ndarray, shape (n, ..., 2)
-        Sets, one per row.
-    share : float
-        Quantile of the distances to the nearest member of the other set; 1 is their maximum,
-        the Hausdorff distance, which a single outlier of a chaotic sample determines.
-
-    Returns
-    -------
-    ndarray, shape (n,)
+    `a` and `b`: shape (n, ..., 2); sets, one per row.
+    `share`: quantile of the distances to the nearest member of the other set; 1 is their maximum,
+    the Hausdorff distance, which a single outlier of a chaotic sample determines.
+    Result: shape (n,).
     """
     return _by_size(partial(_hausdorff_in_plane, share=share), a, b, power=2)
 
