@@ -134,12 +134,8 @@ class Stage:
     def made_from(self, folder: Path, run: RunContext | None = None) -> MadeFrom:
         """Present digests of the file's inputs and of the code, to compare with the stored ones.
 
-        Parameters
-        ----------
-        folder : Path
-            Folder of the run.
-        run : RunContext, optional
-            Gives the digests of sources; not needed for a page, which has no sources.
+        `folder`: folder of the run.
+        `run`: gives the digests of sources; not needed for a page, which has no sources.
         """
         found = {"code": package_fingerprint() if self.is_drawn else data_fingerprint()}
         for name in self.inputs:
@@ -166,12 +162,8 @@ def make_files(
 ) -> None:
     """Make those files of some stages that are not up to date.
 
-    Parameters
-    ----------
-    n_points : int
-        Sweep points of the study.
-    retry_failed : bool
-        Whether to rewrite files with failed motions.
+    `n_points`: sweep points of the study.
+    `retry_failed`: whether to rewrite files with failed motions.
     """
     for stage in stages:
         path, now = run.folder / stage.file, stage.made_from(run.folder, run)
@@ -216,7 +208,8 @@ def _own_stages(study: Study) -> list[Stage]:
     for file, function in own_datasets(study).items():
         name = file.removesuffix(".nc")
         if name in taken:
-            where = f"{study.claims_module}: DATASETS: {name!r}"
+            assert study.claims_code is not None, "datasets come from there"
+            where = f"{study.claims_code.path}: DATASETS: {name!r}"
             raise StudyError(f"{where}: the name of a file of gapsweep; choose another name")
         code = Source(f"code of {file}", partial(_own_code, function))
         stages.append(Stage(file, (), (SETTINGS, code), partial(_own_dataset, file, function)))
@@ -340,7 +333,7 @@ def _static(run: RunContext) -> "xr.Dataset":
         return static(run.study, found.get("responses"))
 
 
-def _agreement(run: RunContext) -> "Content":
+def _agreement(run: RunContext) -> "xr.Dataset":
     from gapsweep.analysis.agreement.comparison import agreement
 
     with run.datasets() as found:
@@ -354,7 +347,7 @@ def _timing(run: RunContext) -> "xr.Dataset":
         return timing(**found)
 
 
-def _histories(run: RunContext) -> "Content":
+def _histories(run: RunContext) -> "xr.Dataset":
     from gapsweep.analysis.datasets.histories import histories
 
     return histories(run.study, timeout=run.timeout)
@@ -401,13 +394,13 @@ def _claims(run: RunContext) -> dict[str, Any]:
         return decide_claims(run.study, found)
 
 
-def _work_precision(run: RunContext) -> "Content":
+def _work_precision(run: RunContext) -> "xr.Dataset":
     from gapsweep.analysis.bench.work_precision import work_precision
 
     return work_precision(run.study, say=run.say, timeout=run.timeout)
 
 
-def _stability(run: RunContext) -> "Content":
+def _stability(run: RunContext) -> "xr.Dataset":
     from gapsweep.analysis.bench.stability import stability
 
     return stability(run.study, say=run.say, timeout=run.timeout)
@@ -493,13 +486,20 @@ STAGES = (
         _gradients,
         lambda study: study.spec.gradients is not None,
     ),
-    Stage(FIT, (), (SETTINGS,), _fit, lambda study: study.spec.fit is not None),
+    Stage(
+        FIT,
+        (),
+        (SETTINGS,),
+        _fit,
+        lambda study: study.spec.fit is not None,
+        failures=("fit_status", Status.DIVERGED),
+    ),
     Stage(
         CLAIMS,
         _DATASETS,
         (CLAIMS_MODULE,),
         _claims,
-        lambda study: study.claims_module is not None,
+        lambda study: study.spec.claims is not None,
     ),
     # Failures of methods are results; only a status of user code counts as a failure.
     Stage(
@@ -523,7 +523,7 @@ STAGES = (
         _DATASETS,
         (REPORT_MODULE,),
         _sections,
-        lambda study: study.report_module is not None,
+        lambda study: study.spec.report is not None,
         is_drawn=True,
     ),
     PAGE,

@@ -29,17 +29,15 @@ def own_datasets(study: Study) -> dict[str, Callable[[Study], Any]]:
     Raises `StudyError` if the module cannot be imported, or its ``DATASETS`` is no dict of
     functions.
     """
-    path = study.claims_module
-    if path is None:
+    code = study.claims_code
+    if code is None:
         return {}
-    assert study.claims_code is not None
-    found = getattr(load_module(study.claims_code), "DATASETS", {})
+    found = getattr(load_module(code), "DATASETS", {})
     if not isinstance(found, Mapping):
-        raise StudyError(
-            f"{path}: DATASETS: must be a dict of functions, as DATASETS = {{'name': function}}"
-        )
+        example = "DATASETS = {'name': function}"
+        raise StudyError(f"{code.path}: DATASETS: must be a dict of functions, as {example}")
     for name, function in found.items():
-        where = f"{path}: DATASETS: {name!r}"
+        where = f"{code.path}: DATASETS: {name!r}"
         if not isinstance(name, str) or not re.fullmatch("[a-z_]+", name):
             raise StudyError(f"{where}: names must have the letters a to z and _ only")
         if not callable(function):
@@ -79,8 +77,8 @@ def make_dataset(study: Study, file: str, function: Callable[[Study], Any]) -> "
     """The dataset that a function of the study's claims module returns, with its attributes."""
     import xarray as xr
 
-    assert study.claims_module is not None, "datasets come from there"
-    with user_errors(study.claims_module, file, function):
+    assert study.claims_code is not None, "datasets come from there"
+    with user_errors(study.claims_code.path, file, function):
         made = function(study)
         if not isinstance(made, xr.Dataset):
             raise TypeError(
@@ -93,14 +91,13 @@ def decide_claims(study: Study, datasets: Mapping[str, "xr.Dataset"]) -> dict[st
     """The verdicts on a study's claims, from the datasets of its run by their names."""
     from gapsweep.analysis.claims import Run, counted
 
-    code, path = study.claims_code, study.claims_module
-    assert code is not None
-    assert path is not None, "the stage does not apply without claims"
+    code = study.claims_code
+    assert code is not None, "the stage does not apply without claims"
     run, decided = Run(datasets), []
     for claim in _claims_in(code):
-        with user_errors(path, f"claim {claim.id}", claim.find):
+        with user_errors(code.path, f"claim {claim.id}", claim.find):
             decided.append(claim.decided(run))
-    return _as_json(study, "claims", path, counted(decided))
+    return _as_json(study, "claims", code.path, counted(decided))
 
 
 def draw_sections(study: Study, datasets: Mapping[str, "xr.Dataset"]) -> dict[str, Any]:
@@ -108,15 +105,14 @@ def draw_sections(study: Study, datasets: Mapping[str, "xr.Dataset"]) -> dict[st
     from gapsweep.analysis.claims import Run
     from gapsweep.report.parts import rendered
 
-    code, path = study.report_code, study.report_module
-    assert code is not None
-    assert path is not None, "the stage does not apply without sections"
+    code = study.report_code
+    assert code is not None, "the stage does not apply without sections"
     sections = _sections_in(code)
-    with user_errors(path, "sections", sections):
+    with user_errors(code.path, "sections", sections):
         # Names that no section of gapsweep has.
         parts = rendered(sections(Run(datasets)))
         parts = [part | {"anchor": f"own-{part['anchor']}"} for part in parts]
-    return _as_json(study, "report", path, {"sections": parts})
+    return _as_json(study, "report", code.path, {"sections": parts})
 
 
 def _as_json(study: Study, table: str, path: Path, found: dict[str, Any]) -> dict[str, Any]:

@@ -1,7 +1,9 @@
-"""A study that sweeps the ratio of the walls' stiffnesses, from the file to the report."""
+"""Studies that sweep parameters of contacts, from the file to the report."""
 
 import numpy as np
 import pytest
+import xarray as xr
+from tests.builders.runs import run
 
 import gapsweep as gs
 from gapsweep.execution.explain import explain
@@ -79,3 +81,32 @@ def test_auto_and_sweeps_take_the_ratio_along(tables, client, tmp_path):
     np.testing.assert_allclose(auto, exact, rtol=1e-6)
     apart = exact.diff("K_ratio")
     assert (abs(apart) > 1e-6).all()
+
+
+def test_axes_of_losses_have_the_results_of_labels(tables, client, tmp_path):
+    """Bit for bit; laws without the parameter have the same results at all of its values."""
+    (block,) = tables["sweep"]
+    block |= {"representation": ["piecewise", "huntcrossley", "rigid"], "omega": [9.0, 12.0]}
+    losses = {"chi": [0.0, 0.3], "restitution": [0.6, 1.0]}
+    swept = run(tables | {"sweep": [block | losses]}, client, tmp_path, "swept")
+    labels = ["piecewise", "huntcrossley-0", "huntcrossley-0.3", "rigid-0.6", "rigid-1"]
+    block |= {"representation": labels}
+    expected = run(tables | {"sweep": [block]}, client, tmp_path, "labelled")
+    assert swept["chi"].attrs["units"] == "s m-1"
+    computed = [name for name in swept.data_vars if name not in ("cpu_time", "host", "attractor")]
+    for chi in losses["chi"]:
+        for e in losses["restitution"]:
+            here = swept.sel(chi=chi, restitution=e)
+            pairs = {"piecewise": "piecewise"}
+            pairs |= {"huntcrossley": f"huntcrossley-{chi:g}", "rigid": f"rigid-{e:g}"}
+            for ours, theirs in pairs.items():
+                one = here.sel(representation=ours, drop=True).drop_vars(losses)
+                other = expected.sel(representation=theirs, drop=True)
+                xr.testing.assert_equal(one[computed], other[computed])
+    for law, n in (("piecewise", 1), ("huntcrossley", 2), ("rigid", 2)):
+        assert len(np.unique(swept["nfev"].sel(representation=law, omega=9.0))) == n
+    with Cache(tmp_path / "swept-cache", read_only=True) as store:
+        assert store.n_points == 2 * (1 + 2 + 2)
+    page = (tmp_path / "swept" / "report" / "index.html").read_text()
+    assert "huntcrossley, chi = 0.3 s/m" in page
+    assert "rigid, restitution = 0.6" in page

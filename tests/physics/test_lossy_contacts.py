@@ -634,6 +634,150 @@ def test_studies_damp_all_laws_that_can_be_and_refuse_others():
         study(damping=[0.0, 1.2], representation=["piecewise-noevents"])
 
 
+@pytest.mark.parametrize(
+    ("family", "name", "axis"),
+    [("huntcrossley", "chi", [0.0, 0.3, 2.0]), ("rigid", "restitution", [0.0, 0.8, 1.0])],
+)
+def test_an_axis_has_the_laws_of_labels_with_its_values(family, name, axis):
+    by_axis = study(representation=["piecewise", family], **{name: axis})
+    by_label = study(representation=["piecewise", *(f"{family}-{value:g}" for value in axis)])
+    (_, exact), (_, swept) = by_axis.points(np.arange(6))
+    of_labels = [table for _, table in by_label.points(np.arange(4))]
+    assert laws_of(swept) == [law for table in of_labels[1:] for law in laws_of(table)]
+    assert len({*swept.keys().tolist()}) == 3
+    # Points of another law are computed once: their keys are equal along the axis.
+    assert {*exact.keys().tolist()} == {*of_labels[0].keys().tolist()}
+
+
+def test_each_parameter_of_losses_changes_the_points_of_its_law_alone():
+    laws = ["piecewise", "huntcrossley", "rigid"]
+    found = study(representation=laws, chi=[0.1, 0.3], restitution=[0.6, 0.8])
+    assert found.grid.dims[-3:-1] == ("chi", "restitution")
+    tables = [table for _, table in found.points(np.arange(12))]
+    assert [len({*table.keys().tolist()}) for table in tables] == [1, 2, 2]
+    numbers = [[*zip(*map(table.column, ("chi", "restitution")), strict=True)] for table in tables]
+    assert numbers[0] == [(0.0, 1.0)] * 4
+    assert numbers[1] == [(0.1, 1.0)] * 2 + [(0.3, 1.0)] * 2
+    assert numbers[2] == [(0.0, 0.6), (0.0, 0.8)] * 2
+    assert {*tables[2].column("K_c")} == {0.0}  # no parameter of a rigid wall
+
+
+def test_losses_have_one_value_each():
+    swept = {"chi": [0.1, 0.3], "representation": ["piecewise", "huntcrossley"]}
+    refused = {
+        "chi: missing, huntcrossley": {"chi": None},
+        "restitution: missing, rigid": {"representation": ["huntcrossley", "rigid"]},
+        "chi: huntcrossley-0.3 has it in its label": {
+            "representation": ["huntcrossley", "huntcrossley-0.3"]
+        },
+        "chi: no representation has it": {"representation": ["piecewise", "rigid-0.8"]},
+        r"chi\[1\] = -0.1: must be >= 0": {"chi": [0.1, -0.1]},
+        r"restitution\[0\] = 1.01: must be <= 1": {"representation": "rigid", "restitution": 1.01},
+        r"restitution\[0\] = -0.1: must be >= 0": {"representation": "rigid", "restitution": -0.1},
+        "damping: huntcrossley has none": {"damping": 1.2},
+    }
+    for words, changes in refused.items():
+        with pytest.raises(StudyError, match=words):
+            study(**{k: v for k, v in (swept | changes).items() if v is not None})
+    with pytest.raises(gs.ModelError, match=r"chi: missing; give it, or write huntcrossley-0\.3"):
+        gs.contact_law("huntcrossley", 20.0, gs.Gap(0.0, 0.1))
+    with pytest.raises(gs.ModelError, match=r"chi = 0\.5: huntcrossley-0\.3 has it in its label"):
+        gs.contact_law("huntcrossley-0.3", 20.0, gs.Gap(0.0, 0.1), chi=0.5)
+    with pytest.raises(gs.ModelError, match=r"restitution = 0\.5: piecewise has none; rigid has"):
+        gs.contact_law("piecewise", 20.0, gs.Gap(0.0, 0.1), restitution=0.5)
+    rigid = gs.contact_law("rigid", 20.0, gs.Gap(0.1, 0.1), restitution=0.5)
+    assert rigid == gs.Rigid(gs.Gap(0.1, 0.1), restitution=0.5)
+
+
+def test_a_wall_without_losses_in_another_block_is_at_the_elastic_value():
+    block = {"K_c": 20.0, "gap": [0.0, 0.1745], "omega": 0.95 / TURN}
+    tables = {
+        "study": {"name": "blocks"},
+        "oscillator": {"zeta": 0.025, "omega_n": 1.0 / TURN, "mass": 1.0, "forcing": 0.03},
+        "sweep": [
+            block | {"representation": "piecewise", "damping": [0.0, 1.2]},
+            block | {"representation": "huntcrossley", "chi": [0.1, 0.3]},
+        ],
+    }
+    found = gs.Study.from_dict(tables)
+    assert found.grid.axes["chi"] == (0.0, 0.1, 0.3)
+    assert found.grid.requested.sum() == 4
+    tables["sweep"][0]["representation"] = ["huntcrossley-0.3"]
+    del tables["sweep"][0]["damping"]
+    with pytest.raises(StudyError, match=r"chi: huntcrossley-0\.3 has it in its label"):
+        gs.Study.from_dict(tables)
+
+
+def test_numbers_of_losses_are_drawn_within_their_range():
+    def drawn(representation, **of):
+        tables = study().spec.tables | {"uncertain": {"samples": 8, "quantities": ["x_max"], **of}}
+        tables["sweep"][0]["representation"] = [representation]
+        return gs.Study.from_dict(tables)
+
+    uniform = {"uniform": [0.1, 0.9]}
+    for family, name in (("huntcrossley", "chi"), ("rigid", "restitution")):
+        found = drawn(family, **{name: uniform})
+        ((_, table),) = found.points(np.arange(8))
+        (law,) = {type(law) for law in laws_of(table)}
+        assert law.family == family
+        assert table.column(name).tolist() == found.grid.coordinates()[f"drawn_{name}"][:8].tolist()
+        with pytest.raises(StudyError, match=f"uncertain.{name}: cannot be uncertain"):
+            drawn("piecewise", **{name: uniform})
+        with pytest.raises(StudyError, match=f"{name}: {family}-0.5 has it in its label"):
+            drawn(f"{family}-0.5", **{name: uniform})
+    for representation in ("poly-5", "huntcrossley-0.5"):
+        with pytest.raises(StudyError, match=f"damping: {representation} has none"):
+            drawn(representation, damping=uniform)
+    with pytest.raises(StudyError, match="restitution > 1"):
+        drawn("rigid", restitution={"uniform": [0.9, 1.1]})
+
+
+def test_tables_of_a_study_name_only_parameters_that_its_laws_have():
+    """Branches, fits, gradients and histories, by chi and by the restitution."""
+    base = {
+        "study": {"name": "tables"},
+        "oscillator": {"zeta": 0.025, "omega_n": 1.0 / TURN, "mass": 1.0, "forcing": 0.03},
+    }
+    block = {"representation": ["huntcrossley", "piecewise"], "K_c": 20.0, "gap": [0.0, 0.1745]}
+    block |= {"omega": 0.95 / TURN, "chi": [0.1, 0.3]}
+    history = {"representation": "huntcrossley", "K_c": 20.0, "gap": [0.0, 0.1], "t_end": 100.0}
+    history |= {"omega": 0.1}
+    data = {"omega [Hz]": [0.1, 0.2, 0.3], "amplitude [m]": [0.1, 0.2, 0.3]}
+
+    def checked(table, value, **others):
+        return gs.Study.from_dict(base | {"sweep": [block | others], table: value})
+
+    one = {"chi": 0.1}
+    checked("branches", {"along": "chi"})
+    checked("branches", {"along": "chi", "second": "K_c", "range": [10.0, 30.0]})
+    checked("gradients", {"by": ["chi", "K_c"]})
+    checked("fit", {"data": data, "free": {"chi": [0.0, 1.0]}}, **one)
+    found = checked("history", [history | {"chi": 0.3}])
+    assert laws_of(found.history_point(*of_history(found)))[0].chi == 0.3
+    found = checked("history", [history], **one)
+    assert laws_of(found.history_point(*of_history(found)))[0].chi == 0.1
+    with pytest.raises(StudyError, match=r"history\[0\]\.chi: swept by the study"):
+        checked("history", [history])
+    with pytest.raises(StudyError, match=r"history\[0\]\.chi: huntcrossley-0\.3 has it"):
+        checked("history", [history | {"representation": "huntcrossley-0.3", "chi": 0.3}])
+    with pytest.raises(StudyError, match=r"history\[0\]\.restitution: missing, rigid"):
+        checked("history", [history | {"representation": "rigid", "chi": 0.3}])
+    for table, value in (
+        ("branches", {"along": "omega", "second": "restitution", "range": [0.5, 0.8]}),
+        ("gradients", {"by": ["restitution"]}),
+        ("fit", {"data": data, "free": {"restitution": [0.5, 0.8]}}),
+    ):
+        with pytest.raises(StudyError, match=f"{table}.*restitution.*: must be one of .*chi"):
+            checked(table, value, **one)
+    with pytest.raises(StudyError, match=r"fit.free: chi = -0\.1: must be >= 0"):
+        checked("fit", {"data": data, "free": {"chi": [-0.1, 1.0]}}, **one)
+
+
+def of_history(found):
+    (table,) = found.spec.history
+    return table, table.representation[0]
+
+
 def laws_of(table):
     (_, models), refused = table.models()
     assert not refused
@@ -805,6 +949,22 @@ def test_chatter_ends_in_a_hold_until_the_load_lets_go(restitution, omega, engin
     assert releases - before.max() == pytest.approx(share, rel=1e-6)
 
 
+def test_a_response_that_a_wall_at_zero_holds_is_that_at_a_shifted_wall():
+    """A ball on a table that shakes with 1.1 times gravity; rounding moves it off a wall at 0."""
+    g, shakes = 9.81, 5.0
+    ball = gs.Oscillator(
+        mass=1.0, omega_n=0.0, zeta=0.0, forcing=0.0, mean_load=g,
+        base_amplitude=1.1 * g / (TURN * shakes) ** 2,
+    )  # fmt: skip
+    found = [
+        gs.respond(ball, gs.Rigid(gs.Gap(None, wall), restitution=0.5), shakes, wall)
+        for wall in (0.0, 1.0)
+    ]
+    at_zero, shifted = ((one.amplitude, one.contact_share) for one in found)
+    assert [one.period_multiple for one in found] == [1, 1]
+    assert at_zero == pytest.approx(shifted, rel=1e-9)
+
+
 def test_responses_with_impacts_lose_what_the_forcing_supplies():
     from gapsweep.report.losses import energy_lost
 
@@ -866,6 +1026,57 @@ def test_a_motion_that_starts_beyond_a_rigid_wall_is_no_motion():
         run = gs.simulate(oscillator(), rigid(0.8, 0.5), 0.2, 0.6, t_end=1.0, engine=engine)
         assert run.status == gs.Status.MODEL_INVALID
     assert "beyond a rigid wall" in gs.respond(oscillator(), rigid(0.8, 0.5), 0.2, 0.6).message
+
+
+@pytest.mark.parametrize("at", [0.05, 0.15])
+def test_a_branch_passes_the_graze_of_a_rigid_wall(at):
+    """The free orbit grazes at F / (c omega) = 1; past it multipliers grow as 1 / u.
+
+    With one impact of speed u in a period, the free part of the motion is u d before the impact.
+    The rest, (1, u) - u d, has amplitude 10 F: least, at a fold, where F changes as 0 with u.
+    """
+    found = gs.branches(
+        oscillator(zeta=0.05), rigid(0.8), "forcing", (0.02, 0.3), at=at, omega=1.0 / TURN
+    ).isel(branch=0)
+    found = found.dropna("step", how="all", subset=["forcing"])
+    names = np.array(found["special"].attrs["flag_meanings"].split())[found["special"].values]
+    forcing, n_contacts = found["forcing"].values, found["n_contacts"].values
+    sums = found["multiplier_real"].sum("multiplier").values
+    w = math.sqrt(1.0 - 0.05**2)
+    c, s = math.cos(w * TURN), math.sin(w * TURN) / w
+    free = math.exp(-0.05 * TURN) * np.array([[c + 0.05 * s, s], [-s, c - 0.05 * s]])
+    d = free @ np.linalg.solve(np.eye(2) - free, [0.0, -1.8])
+
+    (row,) = np.flatnonzero(names == "grazing")
+    assert forcing[row] == pytest.approx(0.1, rel=1e-9)
+    assert sums[row] == pytest.approx(np.trace(free), rel=1e-9)
+    assert sorted(n_contacts[[row - 1, row + 1]]) == [0, 2]
+    assert np.abs(sums[[row - 1, row + 1]]).max() > 10.0
+    (fold,) = np.flatnonzero(names == "fold")
+    assert forcing[fold] == pytest.approx(
+        0.1 * (1.0 - d[1]) / math.hypot(d[0], 1.0 - d[1]), rel=1e-9
+    )
+    assert sums[fold] == pytest.approx(1.0 + 0.8**2 * np.linalg.det(free), rel=1e-5)
+    assert sorted(forcing[[0, -1]]) == pytest.approx([0.02, 0.3], rel=1e-12)
+
+
+def test_a_branch_goes_on_where_an_impact_passes_the_phase_of_the_initial_state():
+    """The velocity there is reversed at once, as the impact comes before the end of the period."""
+    found = gs.branches(
+        oscillator(zeta=0.05), rigid(0.8), "forcing", (0.45, 2.0), at=0.6, omega=0.7 / TURN
+    ).isel(branch=0)
+    found = found.dropna("step", how="all", subset=["forcing"])
+    assert sorted(found["forcing"].values[[0, -1]]) == pytest.approx([0.45, 2.0], rel=1e-12)
+    (x, v), forcing = found["start_state"].values.T, found["forcing"].values
+    jumps = np.flatnonzero(np.abs(np.diff(v)) > 0.5)
+    assert len(jumps) == 1
+    assert x[jumps] == pytest.approx([1.0], abs=1e-6)
+    one = np.eye(1)
+    for row in (jumps[0], jumps[0] + 1, len(x) - 1, 0):
+        oracle = Lossy(one, 0.1 * one, one, [forcing[row]], 0.7, [Wall([1.0], 1.0, 0.0, e=0.8)])
+        start = np.array([min(x[row], 1.0 - 1e-12), v[row]])
+        one_later, two_later = (oracle.run(start, n * TURN / 0.7).y for n in (1.37, 2.37))
+        assert two_later == pytest.approx(one_later, abs=1e-6)
 
 
 def test_a_branch_along_the_restitution_has_its_determinants():

@@ -13,7 +13,9 @@ from tests.builders.datasets import chaotic, datasets, failed, periodic, tables,
 from gapsweep import ResponseClass, Status
 from gapsweep.analysis.agreement.comparison import agreement, length_scale
 from gapsweep.analysis.agreement.metrics import METRICS, REGIMES, variables
+from gapsweep.stages import stages_of
 from gapsweep.store import netcdf
+from gapsweep.study.study import Study
 
 LABELS = ["piecewise", "piecewise@half", "piecewise@jitter", "tanh-1e4", "tanh-1e4@paper"]
 OMEGA = np.round(np.arange(5.0, 9.0, 0.25), 12)
@@ -54,8 +56,11 @@ def whole(files):
     return agreement(*files).isel(SCENE)
 
 
-def test_no_exact_law_no_agreement(tmp_path):
-    assert agreement(*datasets(tmp_path, tables(["tanh-1e4"], [7.0]), answer)) is None
+def test_a_study_has_only_the_files_that_it_asks_for():
+    files = {stage.file for stage in stages_of(Study.from_dict(tables(["tanh-1e4"], [7.0])))}
+    others = {"agreement.nc", "histories.nc", "work_precision.nc", "stability.nc"}
+    assert "static.nc" in files
+    assert not files & others
 
 
 def test_exact_law_agrees_with_itself(whole):

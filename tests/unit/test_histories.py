@@ -150,10 +150,6 @@ def test_raising_and_undefined_laws_are_statuses():
     assert_array_equal(found["status"], [[Status.ERROR, Status.MODEL_INVALID]])
 
 
-def test_study_without_histories_has_none():
-    assert histories(study_of()) is None
-
-
 @pytest.mark.parametrize(
     ("change", "named"),
     [

@@ -238,13 +238,13 @@ def _apart(one: Orbit, other: Orbit) -> float:
 
 def _tested(half: Half, i: int) -> Step:
     """A step whose ends have tangents along it where they are special points: there the tangent of
-    a pitchfork has no part along the parameter.
+    a pitchfork has no part along the parameter, and that at a rigid wall is one past the graze.
     """
     step = half.step(i)
     along = step.chord / step.size
     before, after = step.before, step.after
     if before.across is not None and i == 0:
         before = replace(before, tangent=along)
-    if after.across is not None or after.special == Special.HOPF:
+    if after.across is not None or after.special in (Special.HOPF, Special.GRAZING):
         after = replace(after, tangent=along)
     return replace(step, before=before, after=after)

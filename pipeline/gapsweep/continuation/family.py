@@ -113,13 +113,13 @@ class Family:
     values: Mapping[str, float]
 
     def __post_init__(self) -> None:
-        for name in self.names:
-            self._check(name)
         for name, one in self._arguments.items():
             is_needed = one.kind not in (one.VAR_POSITIONAL, one.VAR_KEYWORD)
             if is_needed and one.default is one.empty and name not in self.values:
                 remedy = f"write functools.partial(function, {name}=1.0)"
                 raise ModelError(f"oscillator: argument {name!r} has no default; {remedy}")
+        for name in self.names:
+            self._check(name)
         if isinstance(self.law, Mapping) and set(self.law) != set(self.example.contacts):
             said = f"of {list(self.law)}: must name" if self.law else "missing for"
             raise ModelError(
@@ -156,7 +156,9 @@ class Family:
         known = [each for law in laws for each in numbers_of(law)]
         known += numbers_of(self.model) if isinstance(self.model, Oscillator) else []
         known += self._arguments
-        allowed = ", ".join(dict.fromkeys(["omega", AMPLITUDE, *known, *GAP]))
+        of_motion = "omega" if self.is_forced else AMPLITUDE
+        known = known if self.omega else [of_motion, *known]
+        allowed = ", ".join(dict.fromkeys([*known, *GAP]))
         raise ModelError(
             f"parameter {name!r}: must be one of {allowed}; for a parameter of a System, pass "
             "a function with this argument that returns the System"

@@ -96,6 +96,8 @@ def sign_changes(before: Orbit, after: Orbit, equations: OrbitEquations) -> Iter
         if a @ b < 0.0:  # the curve turns back in the plane of its parameters
             yield SignChange(Special.CUSP, lambda orbit: float(orbit.tangent[-2:] @ (b - a)))
         return
+    if Special.GRAZING in (before.special, after.special) and before.n_contacts != after.n_contacts:
+        return  # between a graze of a rigid wall and an orbit past it, where multipliers are large
     if not equations.family.is_conservative:
         tests = {Special.FOLD: fold, Special.PERIOD_DOUBLING: doubling, Special.TORUS: torus}
         for kind, test in tests.items():
@@ -106,8 +108,8 @@ def sign_changes(before: Orbit, after: Orbit, equations: OrbitEquations) -> Iter
             is_rounding = kind == Special.FOLD and max(map(abs, values)) < VERTICAL
             if values[0] * values[1] < 0.0 and not is_rounding:
                 yield SignChange(kind, test)
-    for contact in range(len(before.turning)):
-        for side in (1, -1):
+    for contact, law in enumerate(equations.models_at(before).laws[0]):
+        for side in (1, -1) if not law.losses.is_rigid else ():  # continuation locates these grazes
             yield from _grazes(before, after, equations, contact, side)
 
 

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gapsweep.continuation.dataset import special_points
-from gapsweep.continuation.family import AMPLITUDE, Window
+from gapsweep.continuation.family import Window
 from gapsweep.continuation.follow import branches
 from gapsweep.continuation.special import Special
 from gapsweep.design.chance import FREQUENCIES as CHANCE_FREQUENCIES
@@ -335,12 +335,8 @@ class _Survey:
 
         The first slice is at `holds` if the demand fails there, too.
 
-        Parameters
-        ----------
-        holds : float
-            Place at which all demands hold as far as known.
-        known : _Slice
-            A slice nearby that violates a demand.
+        `holds`: place at which all demands hold as far as known.
+        `known`: a slice nearby that violates a demand.
         """
         trail, lost = [known], holds
         towards = LOCATED if holds > known.place else -LOCATED
@@ -500,8 +496,6 @@ def choose(
     if not demands or not (is_chance or all(isinstance(each, Demand) for each in demands)):
         said = "must be demands, as gs.at_most('amplitude', 5e-4)"
         raise ModelError(f"so_that = {so_that!r:.80}: {said}")
-    if parameter == AMPLITUDE:
-        raise ModelError("parameter = 'amplitude': is a result; name a parameter of the model")
     omega = without_units("omega", omega)
     window = Window.of(parameter, between)
     band = _band(omega)

@@ -39,10 +39,7 @@ def quantity(name: str, found: Responses, model: Model) -> Array:
 
     Raises `ModelError` if the responses of the model do not have it.
 
-    Parameters
-    ----------
-    name : str
-        Variable of responses, as ``"x_max"``; of one coordinate or contact as ``"x_max[h]"``.
+    `name`: variable of responses, as ``"x_max"``; of one coordinate or contact as ``"x_max[h]"``.
     """
     match = _NAME.fullmatch(name) if isinstance(name, str) else None
     known = [each for each in QUANTITIES if each in found.columns]

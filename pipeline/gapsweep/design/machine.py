@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gapsweep.continuation.family import Family
+from gapsweep.continuation.family import AMPLITUDE, Family
+from gapsweep.errors import ModelError
 from gapsweep.integrate.problem import Laws, Model, Models, Solver
 from gapsweep.integrate.simulate import AnyLaw
 from gapsweep.model.doubts import doubts, warn_of
@@ -40,6 +41,8 @@ class Machine:
 
         Raises `ModelError` if a parameter is unknown, or invalid within its range.
         """
+        if AMPLITUDE in ranges:
+            raise ModelError("parameter 'amplitude': is a result; name a parameter of the model")
         low, high = ({name: ends[k] for name, ends in ranges.items()} for k in (0, 1))
         first = None if omega is None else float(np.min(omega))
         family = Family(oscillator, {} if law is None else law, first, tuple(ranges), low)
@@ -59,9 +62,7 @@ class Machine:
     def parts(self, values: Array) -> tuple[list[Model], list[Laws], NDArray[np.intp]]:
         """Return the distinct models and laws of rows of parameter values, and each row's number.
 
-        Parameters
-        ----------
-        values : ndarray, shape (n, number of parameters)
+        `values`: shape (n, number of parameters).
         """
         rows, which = np.unique(values, axis=0, return_inverse=True)
         named = [dict(zip(self.family.names, row, strict=True)) for row in rows.tolist()]
@@ -91,17 +92,10 @@ class Machine:
 
         The first point starts from rest. All sweeps at all values advance together.
 
-        Parameters
-        ----------
-        values : ndarray, shape (m, number of parameters)
-        frequencies : sequence of ndarray
-            Frequencies [Hz] of each sweep in its order.
-
-        Returns
-        -------
-        list of Responses
-            For each sweep, of ``m * len(frequencies)`` points: all values at the first frequency,
-            then at the second one.
+        `values`: shape (m, number of parameters).
+        `frequencies`: frequencies [Hz] of each sweep in its order.
+        Result: for each sweep, of ``m * len(frequencies)`` points: all values at the first
+        frequency, then at the second one.
         """
         m = len(values)
         states = [np.zeros((m, self.n_states)) for _ in frequencies]

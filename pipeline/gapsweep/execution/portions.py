@@ -81,10 +81,7 @@ class Costs:
         Computed from costs and from the recent CPU time of tasks per second: the machine may be
         busy.
 
-        Parameters
-        ----------
-        n_left : ndarray of int, shape (n_representations, 2)
-            Numbers of points by kind.
+        `n_left`: shape (n_representations, 2); numbers of points by kind.
         """
         n_all = self.n_points.sum(axis=0)
         is_compiled = self.n_points.any(axis=1) | ~n_left.any(axis=1)

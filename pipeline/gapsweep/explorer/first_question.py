@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 
 from gapsweep.errors import ModelError
-from gapsweep.explorer.question import CHI, DIALS, WALLS, Question, SliderModel, labels
+from gapsweep.explorer.question import DIALS, WALLS, Question, SliderModel, labels
 from gapsweep.integrate.problem import Model
 from gapsweep.integrate.simulate import AnyLaw
-from gapsweep.model.contact import OF_WALLS, ContactLaw, Piecewise
+from gapsweep.model.contact import OF_LABELS, OF_WALLS, ContactLaw, Piecewise
 from gapsweep.model.labels import EXACT, Representation
 from gapsweep.model.oscillator import Gap, Oscillator, is_number
 from gapsweep.model.parameters import made_model
@@ -209,7 +209,12 @@ def _machine_of(study: Study, gaps: Sequence[Gap]) -> SliderModel:
             own["j_1"], own["j_2"] = own.pop("gap")
             widths.append(Gap(own["j_1"], own["j_2"]).size)
         # A contact with a separate law has the damping that the study gives it, if any.
-        names = [name for name in WALLS if name != CHI]
+        of_contact = [laws[contact]] if contact in laws else _plain(study.grid.representations)
+        names = [
+            name
+            for name in WALLS
+            if name not in OF_LABELS or any(law.takes(name) for law in of_contact)
+        ]
         names = [name for name in names if name in own or contact not in laws or name != "damping"]
         walls[contact] = {name: own.get(name, places.get(name, name)) for name in names}
     model = study.model.along(tuple(study.spec.model), {}) or study.model.default

@@ -10,15 +10,7 @@ import numpy as np
 from bokeh.document import Document
 from bokeh.events import Tap
 from bokeh.layouts import column, row
-from bokeh.models import (
-    Button,
-    CustomJSTickFormatter,
-    Div,
-    RangeSlider,
-    Select,
-    Slider,
-    TextInput,
-)
+from bokeh.models import Button, CustomJSTickFormatter, Div, RangeSlider, Select, Slider, TextInput
 
 from gapsweep.errors import GapsweepError, ModelError
 from gapsweep.explorer.latest import Latest

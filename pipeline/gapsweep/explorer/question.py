@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from gapsweep.errors import ModelError
 from gapsweep.integrate.problem import Laws, Model
-from gapsweep.model.contact import FIT_RANGE, OF_WALLS, ContactLaw, Piecewise
+from gapsweep.model.contact import FIT_RANGE, OF_LABELS, OF_WALLS, ContactLaw, Piecewise
 from gapsweep.model.labels import EXACT, Representation, canonical_label, contact_law
 from gapsweep.model.oscillator import Gap, Oscillator, checked
 from gapsweep.variables import CONTACT, COORDINATE
@@ -186,9 +186,10 @@ class Question:
             if law == EXACT and exact is not None:
                 found.append(replace(exact, **of_walls))
                 continue
-            # A law with losses in its label has no damper in addition.
-            loses = law != EXACT and Representation(law).is_located
-            others = {CHI, "damping"} if loses else {CHI}
+            one = Representation(law)
+            others = {name for name in OF_LABELS if not one.takes(name)}
+            # Other laws with losses have no damper in addition.
+            others |= {"damping"} if law != EXACT and one.is_located else set()
             of_walls = {name: of_walls[name] for name in of_walls.keys() - others}
             found.append(contact_law(law, fit_range=self.fit_range, **of_walls))
         return tuple(found)
@@ -291,8 +292,7 @@ class Dial:
         return tuple(map(self.at, places.tolist()))
 
 
-CHI = "chi"
-WALLS = ("K_c", "j_1", "j_2", *OF_WALLS, CHI)
+WALLS = ("K_c", "j_1", "j_2", *OF_WALLS)
 _OVER_DECADES = ("K_c", "zeta", "mass")
 # Scale and range: lower and upper end as multiples of the initial value, and the smallest upper end
 # in SI units, of an oscillator.
@@ -302,7 +302,8 @@ DIALS: dict[str, tuple[Scale, float, float, float]] = {
     "j_2": (Scale("Upper wall j₂", "mm", 1e-3), 0.0, 3.0, 2e-3),
     "K_ratio": (Scale("Stiffness of lower over upper wall"), 0.0, 2.0, 2.0),
     "damping": (Scale("Contact damping c_c", "N s/m"), 0.0, 5.0, 100.0),
-    CHI: (Scale("χ of Hunt–Crossley contact", "s/m"), 0.0, 5.0, 1.0),
+    "chi": (Scale("χ of Hunt–Crossley contact", "s/m"), 0.0, 5.0, 1.0),
+    "restitution": (Scale("Coefficient of restitution e"), 0.0, 0.0, 1.0),
     "omega": (Scale("Frequency of the motion ω", "Hz"), 0.0, 0.0, 0.0),
     "forcing": (Scale("Forcing p", "N"), 0.0, 5.0, 1.0),
     "zeta": (Scale("Damping ratio ζ"), 0.05, 10.0, 0.1),
@@ -321,11 +322,8 @@ _OF_A_SYSTEM = 0.2, 4.0  # range of a parameter as multiples of its value
 def dials(question: Question, ranges: Mapping[str, Sequence[float]] | None = None) -> list[Dial]:
     """The sliders of a page that starts with a question.
 
-    Parameters
-    ----------
-    ranges : mapping of str to sequence of float, optional
-        Smallest and largest value that a study sweeps, in SI units; others get a range about
-        their initial value.
+    `ranges`: smallest and largest value that a study sweeps, in SI units; others get a range about
+    their initial value.
     """
     given = {"omega": question.band, **(ranges or {})}
     example = question.machine.example
@@ -359,10 +357,11 @@ def _dial(name: str, value: float, given: Sequence[float] | None, model: Model) 
     if is_oscillator := isinstance(model, Oscillator):
         scale, least, most, smallest_end = DIALS[name]
     elif wall in WALLS or name == "omega":
-        known, least, most, _ = DIALS[wall]
+        known, least, most, end = DIALS[wall]
         title = f"{known.title} of {contact}" if contact else known.title
         is_known = in_metres or name == "omega"
-        scale, smallest_end = replace(known, title=title) if is_known else Scale(title), 0.0
+        scale = replace(known, title=title) if is_known else Scale(title)
+        smallest_end = 0.0 if known.unit else end
     else:
         scale, (least, most), smallest_end = Scale(name), _OF_A_SYSTEM, 0.0
     if given is not None and min(given) < max(given):

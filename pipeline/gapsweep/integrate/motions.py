@@ -35,7 +35,8 @@ class Events:
     extrema_of : ndarray of int, shape (sum of n_extrema,)
         Number of the coordinate of each extremum; gaps are numbered after all coordinates.
     t_contacts : ndarray, shape (sum of n_contacts,)
-        Times [s] at which a contact crossed a wall, in or out.
+        Times [s] at which a contact crossed a wall, in or out. They ascend, except where a hold on
+        a rigid wall ends before the last of its summed flights would have ended.
     contacts_of : ndarray of int, shape (sum of n_contacts,)
         Number of the contact of each crossing.
     t_section : ndarray, shape (sum of n_section,)

@@ -200,7 +200,11 @@ class Trajectory:
 
     @property
     def t_contacts(self) -> Array:
-        """Times [s] at which the displacement crossed a wall, in or out."""
+        """Times [s] at which the displacement crossed a wall, in or out.
+
+        They ascend, except where a hold on a rigid wall ends before the last of its summed flights
+        would have ended.
+        """
         return self._ragged(self._events.t_contacts, self._events.n_contacts)
 
     @property

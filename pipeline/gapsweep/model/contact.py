@@ -26,8 +26,11 @@ from gapsweep.status import DIVERGED_AT
 
 Array = NDArray[np.float64]
 FIT_RANGE = 4e-3
-# Parameters of a contact that have default values, and apply to both walls.
-OF_WALLS: Mapping[str, float] = {"K_ratio": 1.0, "damping": 0.0}
+# Parameters of a contact in addition to its stiffness and gap, with the values of elastic contacts
+# with equal walls. Each applies to both walls.
+OF_WALLS: Mapping[str, float] = {"K_ratio": 1.0, "damping": 0.0, "chi": 0.0, "restitution": 1.0}
+# Parameters of one law each: the label of the law may have the value.
+OF_LABELS = ("chi", "restitution")
 _NOEVENTS = "noevents"
 # Stiffness of a missing upper wall over that of the lower one, where formulas divide by it: its
 # force is below rounding.
@@ -360,7 +363,8 @@ class Piecewise(ContactLaw):
 class HuntCrossley(Piecewise):
     """Hunt–Crossley contact: stiffness times depth d times 1 + χ times the speed of penetration.
 
-    The force is zero where a contact begins and ends. Label: ``huntcrossley-0.3`` for χ = 0.3 s/m.
+    The force is zero where a contact begins and ends. Label: ``huntcrossley-0.3`` for χ = 0.3 s/m,
+    or ``huntcrossley`` with χ as a parameter of the study.
 
     Parameters
     ----------
@@ -380,7 +384,7 @@ class HuntCrossley(Piecewise):
     examples: ClassVar[tuple[str, ...]] = ("huntcrossley-0.3",)
     words: ClassVar[str] = (
         "K_c d (1 + χ u) with the depth d beyond a wall (r K_c d at the lower one) and its rate u, "
-        "0 between; χ [s/m] in the label"
+        "0 between; χ [s/m] in the label, or the parameter chi"
     )
 
     located: bool = field(default=True, init=False)
@@ -398,6 +402,8 @@ class HuntCrossley(Piecewise):
 
     @classmethod
     def canonical(cls, label: str, parameter: str) -> str:
+        if label == cls.family:
+            return parameter
         try:
             return f"{checked('chi', float(parameter), low=0.0):.12g}"
         except ValueError:
@@ -407,7 +413,7 @@ class HuntCrossley(Piecewise):
 
     @classmethod
     def of_label(cls, parameter: str, fit_range: float) -> dict[str, Any]:
-        return {"chi": float(parameter)}
+        return {"chi": float(parameter)} if parameter else {}
 
     def _pressure(self, depth: Array, speed: Array, ratio: float) -> Array:
         return super()._pressure(depth, speed, ratio) * (1.0 + self.chi * speed)
@@ -425,8 +431,9 @@ class HuntCrossley(Piecewise):
 class Rigid(Piecewise):
     """Rigid walls: a body that meets a wall at a speed leaves it at the restitution times this.
 
-    Label: ``rigid-0.8`` for the coefficient of restitution e = 0.8. A body that a load presses on
-    the wall comes to rest there after ever shorter flights, and stays until the load lets go.
+    Label: ``rigid-0.8`` for the coefficient of restitution e = 0.8, or ``rigid`` with e as a
+    parameter of the study. A body that a load presses on the wall comes to rest there after ever
+    shorter flights, and stays until the load lets go.
 
     Parameters
     ----------
@@ -448,7 +455,7 @@ class Rigid(Piecewise):
     examples: ClassVar[tuple[str, ...]] = ("rigid-0.8",)
     words: ClassVar[str] = (
         "0 between the walls; at a wall the speed u of approach becomes −e u, with the "
-        "coefficient of restitution e in the label"
+        "coefficient of restitution e in the label, or the parameter restitution"
     )
 
     K_c: float = field(default=0.0, init=False)
@@ -469,7 +476,7 @@ class Rigid(Piecewise):
     @property
     def exact(self) -> Piecewise:
         raise ModelError(
-            f"{self.family}-{self.restitution:.12g}: an impact has no finite force to compare; "
+            f"{self.family}: an impact has no finite force to compare; "
             "compare responses instead, or take gs.Piecewise(1.4e4, gap)"
         )
 
@@ -490,6 +497,8 @@ class Rigid(Piecewise):
 
     @classmethod
     def canonical(cls, label: str, parameter: str) -> str:
+        if label == cls.family:
+            return parameter
         try:
             return f"{share('restitution', float(parameter)):.12g}"
         except ValueError:
@@ -500,7 +509,7 @@ class Rigid(Piecewise):
 
     @classmethod
     def of_label(cls, parameter: str, fit_range: float) -> dict[str, Any]:
-        return {"restitution": float(parameter)}
+        return {"restitution": float(parameter)} if parameter else {}
 
     def force(self, x: ArrayLike, v: ArrayLike = 0.0) -> Array:
         x, (low, high) = numbers("x", x), self.walls

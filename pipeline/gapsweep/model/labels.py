@@ -15,7 +15,14 @@ from collections.abc import Callable
 from pathlib import Path
 
 from gapsweep.errors import ModelError
-from gapsweep.model.contact import FIT_RANGE, ContactLaw, HuntCrossley, Piecewise, Rigid
+from gapsweep.model.contact import (
+    FIT_RANGE,
+    OF_LABELS,
+    ContactLaw,
+    HuntCrossley,
+    Piecewise,
+    Rigid,
+)
 from gapsweep.model.laws import LAWS
 from gapsweep.model.laws.fitted import Fitted
 from gapsweep.model.oscillator import Gap, called_as
@@ -26,7 +33,12 @@ from gapsweep.model.user_law import UserLaw
 FUNCTION = re.compile(r"[A-Za-z_][\w.]*:[A-Za-z_]\w*")
 
 
-NO_DAMPING = "has none; piecewise, tanh, arctan and logarctan have, and own functions f(x, v)"
+# Laws that take a parameter of contacts, for messages.
+TAKEN_BY = {
+    "damping": "piecewise, tanh, arctan and logarctan have, and own functions f(x, v)",
+    "chi": "huntcrossley has",
+    "restitution": "rigid has",
+}
 
 # Every law that a label names, by its family, in the order of the user guide. Contacts that lose
 # energy are located: they have no compiled formulas of `LAWS`.
@@ -48,10 +60,7 @@ class Representation(str):
     def parsed(cls, label: str) -> Representation:
         """Return the representation of a label in canonical spelling.
 
-        Raises
-        ------
-        ModelError
-            If the law is unknown or its parameter is out of range.
+        Raises `ModelError` if the law is unknown or its parameter is out of range.
         """
         law, at, protocol = label.partition("@")
         return cls(canonical_label(law) + at + protocol)
@@ -99,10 +108,27 @@ class Representation(str):
         return kind is not None and issubclass(kind, Piecewise) and self.law != NOT_LOCATED
 
     @property
-    def takes_damping(self) -> bool:
-        """Whether the law has a parameter for the damping of its walls."""
-        kind = self.law_type
-        return kind is not None and kind.takes("damping") and self.law != NOT_LOCATED
+    def numbers(self) -> dict[str, float]:
+        """Values in the label of parameters that otherwise are numbers of a study, by name."""
+        own = self.law_type.of_label(self.parameter, FIT_RANGE) if self.law_type else {}
+        return {name: value for name, value in own.items() if name in OF_LABELS}
+
+    def takes(self, name: str) -> bool:
+        """Whether the law has a parameter of contacts that its label does not set, as `damping`."""
+        if self.law == NOT_LOCATED and name == "damping":
+            return False
+        return (self.law_type or ContactLaw).takes(name) and name not in self.numbers
+
+    @property
+    def missing(self) -> list[str]:
+        """Parameters of the law without a default value that its label does not set."""
+        return [name for name in OF_LABELS if self.takes(name)]
+
+    def refusal(self, name: str) -> str:
+        """Return why the law does not take a parameter of contacts, for messages."""
+        if name in self.numbers:
+            return f"{self} has it in its label; write {self.family}, or leave {name} out"
+        return f"{self} has none; {TAKEN_BY[name]}"
 
     @property
     def is_fitted(self) -> bool:
@@ -160,6 +186,8 @@ def contact_law(
     K_ratio: float = 1.0,
     damping: float = 0.0,
     pulls: bool = False,
+    chi: float | None = None,
+    restitution: float | None = None,
 ) -> ContactLaw:
     """Return the contact law of a label.
 
@@ -180,6 +208,10 @@ def contact_law(
         ``logarctan``.
     pulls : bool
         Whether walls with damping pull, for ``piecewise``; those of the other three always do.
+    chi : float, optional
+        χ [s/m], ``>= 0``, of ``huntcrossley`` without a number.
+    restitution : float, optional
+        Coefficient of restitution [-], 0 to 1, of ``rigid`` without a number.
 
     Examples
     --------
@@ -190,16 +222,20 @@ def contact_law(
     law = Representation(canonical_label(label))
     if law.is_auto:
         raise ModelError("'auto' is for studies only; write a representation, as 'piecewise'")
-    if damping and not law.takes_damping:
-        raise ModelError(f"damping = {damping:g}: {law} {NO_DAMPING}")
+    numbers = {"damping": damping or None, "chi": chi, "restitution": restitution}
+    given = {name: value for name, value in numbers.items() if value is not None}
+    for name, value in given.items():
+        if not law.takes(name):
+            raise ModelError(f"{name} = {value}: {law.refusal(name)}")
     if law.law_type is None:
         return OwnLaw.of(law, [Path.cwd()]).law(K_c, gap, K_ratio)
-    numbers = law.law_type.of_label(law.parameter, fit_range)
-    if damping:
-        numbers["damping"] = damping
-        if law.law_type.takes("pulls"):
-            numbers["pulls"] = bool(pulls)
-    return law.law_type.made(K_c, gap, K_ratio=K_ratio, **numbers)
+    for name in law.missing:
+        if name not in given:
+            raise ModelError(f"{name}: missing; give it, or write {law.law_type.examples[0]}")
+    own = law.law_type.of_label(law.parameter, fit_range) | given
+    if damping and law.law_type.takes("pulls"):
+        own["pulls"] = bool(pulls)
+    return law.law_type.made(K_c, gap, K_ratio=K_ratio, **own)
 
 
 @called_as("gs.law(function, K_c=1.4e4, gap=gs.Gap(4e-4, 4e-4)), in N/m and m")

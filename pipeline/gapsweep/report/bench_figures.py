@@ -50,10 +50,7 @@ _QUANTITIES = {
 def work_precision_figure(bench: xr.Dataset) -> Figure:
     """Figure of cost over total error, a panel per scenario.
 
-    Parameters
-    ----------
-    bench : Dataset
-        ``work_precision.nc``, or some of its scenarios.
+    `bench`: ``work_precision.nc``, or some of its scenarios.
     """
     n_rows = math.ceil(bench.sizes["scene"] / _COLUMNS)
     columns = min(_COLUMNS, bench.sizes["scene"])

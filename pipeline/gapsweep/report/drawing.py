@@ -45,12 +45,8 @@ def curves(
 ) -> Iterator[Marks]:
     """A curve per representation and initial state, broken at jumps; the exact law thick.
 
-    Parameters
-    ----------
-    variable : DataArray
-        Dimensions representation, `along`, initial_condition.
-    kinds : DataArray, optional
-        The ``response_class`` of each value; unresolved responses set no axis.
+    `variable`: dimensions representation, `along`, initial_condition.
+    `kinds`: the ``response_class`` of each value; unresolved responses set no axis.
     """
     setting = variable.notnull() if kinds is None else sets_axis(variable, kinds)
     x, order = drawn(variable[along]), ("initial_condition", along)
@@ -91,12 +87,8 @@ def start_kinds(shown: Any) -> list[str]:
 def key_of_marks(shown: xr.Dataset, variable: str = "", other: str = "") -> Iterator[Marks]:
     """Legend entries of the symbols of a figure: sweeps, and responses that are not periodic.
 
-    Parameters
-    ----------
-    variable : str
-        Variable that is drawn; if empty, all responses are drawn alike.
-    other : str
-        Colour of responses that are not periodic; empty: grey.
+    `variable`: variable that is drawn; if empty, all responses are drawn alike.
+    `other`: colour of responses that are not periodic; empty: grey.
     """
     for kind in SWEEPS:
         if kind in start_kinds(shown):
@@ -191,12 +183,8 @@ def caption_of_marks(figure: "Figure") -> str:
 def frame(scene: xr.Dataset, lowest: str, exact: str) -> tuple[float, float]:
     """Limits of a common axis: range of the exact law, extended by up to half of it for others.
 
-    Parameters
-    ----------
-    lowest : str
-        The variable of the lower limit; ``x_max`` is the variable of the upper limit.
-    exact : str
-        The exact law's label.
+    `lowest`: the variable of the lower limit; ``x_max`` is the variable of the upper limit.
+    `exact`: the exact law's label.
     """
     bottom, top = (
         drawn(scene[name].where(sets_axis(scene[name], scene["response_class"])))
@@ -227,10 +215,7 @@ def outside(omega: Any, edge: float, label: str) -> Iterator[Marks]:
 def attractor_peaks(one: xr.Dataset, along: str) -> Iterator[Marks]:
     """The peak of every attractor of one representation; dot area grows with basin share.
 
-    Parameters
-    ----------
-    one : Dataset
-        ``x_max(along, attractor)``, ``basin_share`` and ``response_class``.
+    `one`: ``x_max(along, attractor)``, ``basin_share`` and ``response_class``.
     """
     order = (along, "attractor")
     height = drawn(one["x_max"].transpose(*order))
@@ -261,10 +246,7 @@ def caption_of_peaks(found: xr.Dataset) -> str:
 def sections(one: xr.Dataset) -> Iterator[Marks]:
     """The stroboscopic section of every attractor in the phase plane.
 
-    Parameters
-    ----------
-    one : Dataset
-        ``section_x(attractor, section_point)``, ``section_v``, ``period_multiple``, ``x_max``.
+    `one`: ``section_x(attractor, section_point)``, ``section_v``, ``period_multiple``, ``x_max``.
     """
     order = ("attractor", "section_point")
     x, v = (drawn(one[name].transpose(*order)) for name in ("section_x", "section_v"))
@@ -276,10 +258,7 @@ def sections(one: xr.Dataset) -> Iterator[Marks]:
 def starts(one: xr.Dataset) -> Iterator[Marks]:
     """Fixed initial conditions in the colour of their attractor; a cross without attractor.
 
-    Parameters
-    ----------
-    one : Dataset
-        ``attractor(initial_condition)``, ``period_multiple``, ``x_max``.
+    `one`: ``attractor(initial_condition)``, ``period_multiple``, ``x_max``.
     """
     one = one.isel(initial_condition=np.isfinite(one["x_0"].values))
     ids = one["attractor"].values
@@ -333,10 +312,7 @@ def summary(
 def work_precision(scene: xr.Dataset) -> Iterator[Marks]:
     """Cost over error of every method in one scenario, a point per tolerance; both logarithmic.
 
-    Parameters
-    ----------
-    scene : Dataset
-        The variables `WORK_PRECISION`, over method and tolerance.
+    `scene`: the variables `WORK_PRECISION`, over method and tolerance.
     """
     labels = scene["method"].values.tolist()
     shown = (scene["status"] == Status.OK) & (scene["at_reference_floor"] == 0)

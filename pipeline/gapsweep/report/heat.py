@@ -33,10 +33,7 @@ T = TypeVar("T")
 def heat(found: Sequence[Contact]) -> list[tuple[str, list[Judged | None]]]:
     """Rows of the heat map: each law with its verdicts by case, the most adequate law first.
 
-    Parameters
-    ----------
-    found : sequence of Contact
-        The cases, columns of every group; None for a law without a verdict in a case.
+    `found`: the cases, columns of every group; None for a law without a verdict in a case.
     """
     here = [{one.law: one for one in contact.laws} for contact in found]
     rows = {law: [judged.get(law) for judged in here] for judged in here for law in judged}

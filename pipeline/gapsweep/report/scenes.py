@@ -37,10 +37,7 @@ class Scenes:
     def at(self, at: At) -> xr.Dataset | None:
         """The part of the dataset swept at a position; None if nothing was swept there.
 
-        Parameters
-        ----------
-        at : mapping of str to int
-            Position along every dimension of parameter sets.
+        `at`: position along every dimension of parameter sets.
         """
         if self._last[0] != at:
             self._last = (None, None)  # never two parameter sets in memory

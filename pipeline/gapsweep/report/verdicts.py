@@ -238,10 +238,8 @@ def _parameter(law: Representation) -> float:
 def contacts(agreement: xr.Dataset, static: xr.Dataset | None = None) -> list[Contact]:
     """The verdicts of every case of a study, ordered by stiffness and gap width.
 
-    Parameters
-    ----------
-    agreement, static : Dataset
-        As stored in the run's folder; without `static`, thresholds of tanh are not known.
+    `agreement` and `static`: as stored in the run's folder; without `static`, thresholds of tanh
+    are not known.
     """
     names = [*SHOWN.values(), _COST_RATIO, _CONTACTS]
     names += [*(f"{name}_ci" for name in names), "n_points", "n_attractors_exact"]

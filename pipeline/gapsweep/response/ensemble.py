@@ -15,14 +15,7 @@ from numpy.typing import NDArray
 
 from gapsweep.errors import ModelError
 from gapsweep.integrate.motions import COUNTS, Motions
-from gapsweep.integrate.problem import (
-    LOADING,
-    Integrate,
-    Laws,
-    Models,
-    Problems,
-    Solver,
-)
+from gapsweep.integrate.problem import LOADING, Integrate, Laws, Models, Problems, Solver
 from gapsweep.integrate.simulate import prepared
 from gapsweep.model.contact import ContactLaw
 from gapsweep.model.oscillator import Oscillator

@@ -36,10 +36,7 @@ def replacing(path: Path, is_ours: Callable[[Path], bool] | None = None) -> Iter
     Raises `StoreError` if the folder or file cannot be written, or `is_ours` forbids the
     replacement.
 
-    Parameters
-    ----------
-    is_ours : callable, optional
-        Returns whether an existing file may be replaced; None allows it.
+    `is_ours`: returns whether an existing file may be replaced; None allows it.
     """
     if is_ours is not None and path.exists() and not is_ours(path):
         raise StoreError(
@@ -116,10 +113,7 @@ def is_intact(path: Path) -> bool | None:
 def checked(folder: Path, most: float = _SOON) -> tuple[list[str], list[str]]:
     """Paths in a run's folder of files with a wrong checksum, and of files that were not read.
 
-    Parameters
-    ----------
-    most : float
-        Bytes to read in total, the smallest files first.
+    `most`: bytes to read in total, the smallest files first.
     """
     places = [folder, *(sums.parent for sums in folder.glob(f"report/**/{SUMS}"))]
     files = {place / name for place in places for _, name in _sums(place)}

@@ -200,10 +200,7 @@ class Cache:
     def rewrite(self, paths: Collection[Path], removed: Collection[bytes] = ()) -> None:
         """Copy the intact frames of segments into a new one, and then remove these segments.
 
-        Parameters
-        ----------
-        removed : collection of bytes
-            Checksums of frames that are left out.
+        `removed`: checksums of frames that are left out.
         """
         frames = self._sound(paths, removed)
         if (first := next(frames, None)) is not None:

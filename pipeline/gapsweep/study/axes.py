@@ -56,6 +56,7 @@ def _has_wall(pair: list[float]) -> list[float]:
 Number = Annotated[float, AfterValidator(_bounded)]
 Positive = Annotated[float, Field(gt=0), AfterValidator(_bounded), AfterValidator(_not_tiny)]
 NonNegative = Annotated[float, Field(ge=0), AfterValidator(_bounded)]
+Share = Annotated[float, Field(ge=0, le=1)]
 Wall = Annotated[float, Field(allow_inf_nan=True), AfterValidator(_distance)]
 Count = Annotated[int, Field(ge=1, le=MAX_VALUES)]
 Range = Annotated[list[Number], Field(min_length=2, max_length=2)]
@@ -153,7 +154,8 @@ def _axis(value: Any) -> Any:
     ]
 
 
-AnyAxis, PositiveAxis, NonNegativeAxis, WallAxis = map(_axis, (Number, Positive, NonNegative, Wall))
+AnyAxis, PositiveAxis, NonNegativeAxis = map(_axis, (Number, Positive, NonNegative))
+ShareAxis, WallAxis = map(_axis, (Share, Wall))
 
 
 def count(axis: Any) -> int:

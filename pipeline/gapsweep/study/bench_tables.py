@@ -5,14 +5,7 @@ from typing import Annotated, Literal
 from pydantic import Field, model_validator
 
 from gapsweep.integrate.problem import LARGEST_RTOL, SMALLEST_RTOL
-from gapsweep.study.axes import (
-    Label,
-    NonNegative,
-    Pair,
-    Positive,
-    Range,
-    TomlTable,
-)
+from gapsweep.study.axes import Label, NonNegative, Pair, Positive, Range, TomlTable
 from gapsweep.study.oscillator_table import OscillatorTable, WaveTable
 
 # Longest motion that is compared with its reference, in forcing periods.

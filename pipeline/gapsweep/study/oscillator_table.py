@@ -8,7 +8,7 @@ from pydantic import Discriminator, Field, Tag, model_validator
 
 from gapsweep.errors import ModelError, StudyError
 from gapsweep.model.waves import MAX_KNOTS, ForceByPieces, PeriodicForce, Switched, Wave
-from gapsweep.study.axes import NonNegative, Number, Positive, TomlTable
+from gapsweep.study.axes import NonNegative, Number, Positive, Share, TomlTable
 
 Points = Annotated[list[float], Field(min_length=1, max_length=MAX_KNOTS)]
 
@@ -54,7 +54,7 @@ class OscillatorTable(TomlTable):
     c: NonNegative = 0.0
     unbalance: Number = 0.0
     base_amplitude: Number = 0.0
-    base_damping: Annotated[float, Field(ge=0, le=1)] = 1.0
+    base_damping: Share = 1.0
 
     @property
     def numbers(self) -> dict[str, float]:

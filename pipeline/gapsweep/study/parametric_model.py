@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from functools import cached_property
 from inspect import Parameter, Signature
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -13,12 +14,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gapsweep.errors import ModelError, StudyError
-from gapsweep.model.contact import OF_WALLS
-from gapsweep.model.labels import EXACT, NO_DAMPING, Representation
+from gapsweep.model.contact import OF_LABELS, OF_WALLS
+from gapsweep.model.labels import EXACT, TAKEN_BY, Representation
 from gapsweep.model.oscillator import Oscillator
 from gapsweep.model.structure import AnyStructure, structure_of
 from gapsweep.model.system import System
-from gapsweep.study.axes import count, forms, values
+from gapsweep.study.axes import count, forms, several, values
 from gapsweep.study.grid import START, Axes, starts_of
 from gapsweep.study.points import OF_CONTACT, SWEEPS, canonical, columns_of
 from gapsweep.study.problems import EXAMPLES
@@ -131,10 +132,16 @@ class ParametricModel:
         """Return the law of every contact: that of [contact], else this law."""
         return tuple(self._own(name, "representation") or law for name in self.contacts)
 
-    def numbers(self, axes: Axes, places: Places, n: int) -> Array:
-        """Return the columns of a table of n points, from their positions on the axes."""
+    def takes(self, law: Representation, name: str) -> bool:
+        """Whether some contact has a parameter of contacts from the sweep, with this law."""
+        pairs = zip(self.contacts, self.laws(law), strict=True)
+        return any(one.takes(name) and self._own(contact, name) is None for contact, one in pairs)
+
+    def numbers(self, law: Representation, axes: Axes, places: Places, n: int) -> Array:
+        """Return the columns of a table of n points of a law, from their positions on the axes."""
         omega = np.asarray(axes["omega"])[places["omega"]] if "omega" in axes else np.zeros(n)
-        parts = [self._walls(axes, places, n), omega[:, None], self._arrays(axes, places, n)]
+        walls = self._walls(self.laws(law), axes, places, n)
+        parts = [walls, omega[:, None], self._arrays(axes, places, n)]
         start = starts_of(axes).states[places[START]]
         for i, name in enumerate(columns_of(self.structure)[-start.shape[1] :]):
             start[:, i] = _at(name, start[:, i], axes, places)
@@ -238,12 +245,28 @@ class ParametricModel:
             for name in spec.contact
             if name not in names
         ]
+        laws = {
+            law for block in spec.sweep for one in block.representation for law in self.laws(one)
+        }
+        tables = [*spec.sweep, *spec.contact.values()]
+        wrong += [
+            f"{name}: no representation has it; {TAKEN_BY[name]}"
+            for name in OF_LABELS
+            if any(getattr(table, name) is not None for table in tables)
+            if not any(law.takes(name) for law in laws)
+        ]
+        swept = {name: axis for block in spec.sweep for name, axis in block.parameters.items()}
         for i, block in enumerate(spec.sweep):
-            wrong += [f"sweep[{i}].{problem}" for problem in self._problems(block)]
+            found = [*self._problems(block)]
+            found += self._problems_of_losses(block.representation, block.parameters)
+            wrong += [f"sweep[{i}].{problem}" for problem in dict.fromkeys(found)]
         for i, history in enumerate(spec.history):
             for name, value in history.parameter.items():
-                found = _out_of_range(spec.model, name, [value])
-                wrong += [f"history[{i}].{problem}" for problem in found]
+                outside = _out_of_range(spec.model, name, [value])
+                wrong += [f"history[{i}].{problem}" for problem in outside]
+            given = {**swept, **history.parameters}
+            of_losses = dict.fromkeys(self._problems_of_losses(history.representation, given))
+            wrong += [f"history[{i}].{problem}" for problem in of_losses]
         if wrong:
             raise StudyError(*[f"{self.source}: {problem}" for problem in wrong])
 
@@ -275,32 +298,47 @@ class ParametricModel:
             takes = [c for c in self.contacts if self._own(c, name) is None]
             if axis is not None and count(axis) > 1 and not takes:
                 found.append(f"{name}: unused, [contact] sets it for all contacts; keep one value")
-        found += self._problems_of_damping(block)
         if self.is_oscillator:
             swept = block.parameter.items()
             found += [x for each in swept for x in _out_of_range(self.spec.model, *each)]
         return found
 
-    def _problems_of_damping(self, block: SweepTable) -> Iterator[str]:
-        """Yield a problem for every representation that cannot have the damping of a contact."""
-        swept = 0.0 if block.damping is None else max(values(block.damping))
-        for contact in self.contacts:
-            damping, own = self._own(contact, "damping"), self._own(contact, "representation")
-            for one in block.representation if own is None else [own]:
-                if not (swept if damping is None else damping):
+    def _problems_of_losses(
+        self, representations: Sequence[Representation], given: Mapping[str, Any]
+    ) -> Iterator[str]:
+        """Yield a problem per representation that has no or two values of a parameter of losses.
+
+        `given` are axes or values of parameters of the model and of both walls.
+        """
+        drawn = self.spec.uncertain.names if self.spec.uncertain else ()
+        swept = {*given, *drawn}.union(*(block.parameters for block in self.spec.sweep))
+        for contact, one in product(self.contacts, representations):
+            law = self._own(contact, "representation") or one
+            for name in (name for name in TAKEN_BY if name not in OF_LABELS):
+                number = self._own(contact, name)
+                axis = given.get(name, 0.0) if number is None else number
+                is_drawn = name in drawn and number is None
+                if not (is_drawn or any(values(several(axis)))):
                     continue
-                if not one.takes_damping:
-                    yield f"damping: {one} {NO_DAMPING}"
-                elif one.law != EXACT and not self.spec.study.pulls:
-                    yield f"damping: walls of {one} pull; write pulls = true in [study], for all"
+                if not law.takes(name):
+                    yield f"{name}: {law.refusal(name)}"
+                elif law.law != EXACT and not self.spec.study.pulls:
+                    yield f"{name}: walls of {law} pull; write pulls = true in [study], for all"
+            for name in OF_LABELS:
+                is_own = self._own(contact, name) is not None
+                if name in law.missing and not is_own and name not in {*given, *drawn}:
+                    yield f"{name}: missing, {law} needs it; write {EXAMPLES[name]}"
+                elif law is one and name in law.numbers and (is_own or name in swept):
+                    yield f"{name}: {law.refusal(name)}"
 
     def _own(self, contact: str, name: str) -> Any:
         table = self.spec.contact.get(contact)
         return None if table is None else getattr(table, name)
 
-    def _walls(self, axes: Axes, places: Places, n: int) -> Array:
-        """Return the columns of every contact: stiffness, distances and ratio of its walls."""
-        swept: dict[str, Any] = {"K_c": 0.0, "j_1": 0.0, "j_2": 0.0, **OF_WALLS}
+    def _walls(self, laws: Sequence[Representation], axes: Axes, places: Places, n: int) -> Array:
+        """Return the columns of every contact; parameters that its law lacks are constant."""
+        elastic = {"K_c": 0.0, **OF_WALLS}
+        swept: dict[str, Any] = {"j_1": 0.0, "j_2": 0.0, **elastic}
         if "gap" in axes:
             gaps = np.array([(gap.j_1, gap.j_2) for gap in axes["gap"]])[places["gap"]]
             swept["j_1"], swept["j_2"] = gaps.T
@@ -310,9 +348,10 @@ class ParametricModel:
                 drawn = _drawn("gap", swept[name], axes, places)
                 swept[name] = np.where(np.isinf(swept[name]), np.inf, drawn)  # no wall, no gap
         columns = []
-        for contact in self.contacts:
-            own = {name: self._own(contact, name) for name in ("K_c", *OF_WALLS)}
+        for contact, law in zip(self.contacts, laws, strict=True):
+            own = {name: self._own(contact, name) for name in elastic}
             own["j_1"], own["j_2"] = self._own(contact, "gap") or (None, None)
+            own |= {name: x for name, x in (elastic | law.numbers).items() if not law.takes(name)}
             columns += [swept[n] if own[n] is None else canonical(own[n]) for n in OF_CONTACT]
         table = [np.broadcast_to(np.asarray(column, float), n) for column in columns]
         return np.stack(table, axis=1) if table else np.empty((n, 0))

@@ -81,15 +81,9 @@ class Kind:
     def laws(self, walls: NDArray[np.float64]) -> list[tuple[ContactLaw, ...]]:
         """Return the laws of all contacts for each of n rows.
 
-        Parameters
-        ----------
-        walls : ndarray, shape (n, n_contacts * number of columns)
-            Columns `OF_CONTACT` of every contact.
+        Raises `ModelError` if a law cannot be built.
 
-        Raises
-        ------
-        ModelError
-            If a law cannot be built.
+        `walls`: shape (n, n_contacts * number of columns); columns `OF_CONTACT` of every contact.
         """
         several = np.split(walls, len(self.contacts), axis=1) if self.contacts else []
         pairs = zip(self.contacts, several, strict=True)
@@ -111,7 +105,8 @@ class Kind:
         K_c, j_1, j_2, *others = walls
         gap, of_walls = Gap(j_1, j_2), dict(zip(OF_WALLS, others, strict=True))
         if not one.is_own:
-            return contact_law(one, K_c, gap, self.fit_range, **of_walls, pulls=self.pulls)
+            taken = {name: value for name, value in of_walls.items() if one.takes(name)}
+            return contact_law(one, K_c, gap, self.fit_range, **taken, pulls=self.pulls)
         if self.own is None:
             raise ModelError(f"{one}: the code of this user law is not stored")
         return self.own.law(K_c, gap, of_walls["K_ratio"])
@@ -123,13 +118,7 @@ class Kind:
 
     @classmethod
     def of(cls, identity: str) -> "Kind":
-        """Return the kind of an identity.
-
-        Raises
-        ------
-        ValueError
-            If the text is no identity.
-        """
+        """Return the kind of an identity; ValueError if the text is no identity."""
         try:
             whole = json.loads(identity)
             values = {"fit_range": FIT_RANGE, **whole["kind"]}
@@ -213,10 +202,8 @@ class Points:
     def keys(self, follows: NDArray[np.bool_] | None = None) -> NDArray[np.void]:
         """Return content keys: SHA-256 of the kind's identity and a row's numbers.
 
-        Parameters
-        ----------
-        follows : ndarray of bool, shape (n,), optional
-            Whether a point starts in the end state of the one before; its key includes that key.
+        `follows`: shape (n,); whether a point starts in the end state of the one before; its key
+        includes that key.
         """
         begun, keys, previous = hashlib.sha256(self.kind.identity.encode()).copy, [], b""
         if follows is None or not follows.any():

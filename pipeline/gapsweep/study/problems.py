@@ -40,6 +40,8 @@ EXAMPLES = {
     "omega": "omega = { start = 1.0, stop = 30.0, step = 0.5 }, in Hz",
     "mass": "mass = 3.0, in kg",
     "omega_n": "omega_n = 5.0, in Hz",
+    "chi": "chi = [0.1, 0.3], in s/m",
+    "restitution": "restitution = [0.6, 0.8]",
     "zeta": "zeta = 0.03, where 0.03 is 3 %",
     "forcing": "forcing = 4.0, in N",
     "t_end": "t_end = 20.0, in s",
@@ -86,10 +88,7 @@ def problems(
 ) -> list[str]:
     """Return one line per problem: location, value, and what is allowed.
 
-    Parameters
-    ----------
-    parameters : collection of str
-        Names of the model's parameters.
+    `parameters`: names of the model's parameters.
     """
     errors = error.errors(include_url=False)
     lines = [_problem(source, each, spec, parameters) for each in errors[:_MOST]]

@@ -13,13 +13,7 @@ from os import PathLike
 from pathlib import Path, PurePath
 from typing import Annotated, Any, Literal
 
-from pydantic import (
-    AfterValidator,
-    BeforeValidator,
-    Field,
-    ValidationError,
-    model_validator,
-)
+from pydantic import AfterValidator, BeforeValidator, Field, ValidationError, model_validator
 
 from gapsweep.errors import StudyError
 from gapsweep.integrate.problem import LARGEST_RTOL, SMALLEST_RTOL
@@ -38,6 +32,8 @@ from gapsweep.study.axes import (
     Positive,
     PositiveAxis,
     Range,
+    Share,
+    ShareAxis,
     Starts,
     TomlTable,
     WallAxis,
@@ -85,6 +81,8 @@ class SweepTable(TomlTable):
     omega: PositiveAxis | None = None
     K_ratio: NonNegativeAxis | None = None
     damping: NonNegativeAxis | None = None
+    chi: NonNegativeAxis | None = None
+    restitution: ShareAxis | None = None
     parameter: dict[str, AnyAxis] = Field({}, alias="[parameters]")
     initial_condition: Starts | None = None  # None: at rest
 
@@ -169,6 +167,8 @@ class HistoryTable(TomlTable):
     gap: Pair
     K_ratio: NonNegative | None = None
     damping: NonNegative | None = None
+    chi: NonNegative | None = None
+    restitution: Share | None = None
     parameter: dict[str, Number] = Field({}, alias="[parameters]")
     omega: Positive
     t_end: Positive
@@ -236,7 +236,10 @@ class BranchesTable(TomlTable):
     def problems(
         self, axes: Axes, known: Mapping[str, float], contacts: Mapping[str, ContactTable]
     ) -> Iterator[str]:
-        """Problems of the parameters, for the axes and the other parameters of a study."""
+        """Problems of the parameters, for the axes and the other parameters of a study.
+
+        `known` are values of the numbers of the model and of contacts in its representations.
+        """
         names = [name for name in axes if name not in _NO_PARAMETERS and len(axes[name]) > 1]
         if self.along not in names:
             swept = ", ".join(names) or "none; write several values in [[sweep]]"
@@ -257,7 +260,7 @@ class BranchesTable(TomlTable):
                 yield "branches: give both or neither, as second = 'K_c' and range = [1.0, 2.0]"
             return
         others = {"representation", START, along, *(["gap"] if along in WALLS else [])}
-        every = dict.fromkeys([*axes, *known, *OF_WALLS, *WALLS])
+        every = dict.fromkeys([*axes, *known, *WALLS])
         allowed = [x for x in every if x not in others]
         if name not in allowed:
             yield f"branches.second = {name!r}: must be one of {', '.join(allowed)}"
@@ -265,7 +268,7 @@ class BranchesTable(TomlTable):
         (low, high), of_name = self.range, {*WALLS} if name in WALLS else {name}
         if any(len(axes[x]) > 1 for x in {*axes} & of_name - {along}):
             yield f"branches.second = {name!r}: must have one value in [[sweep]]; range varies it"
-        value = axes[name][0] if name in axes else {**OF_WALLS, **known}.get(name)
+        value = axes[name][0] if name in axes else known.get(name)
         if name in WALLS and "gap" in axes:
             gap = axes["gap"][0]
             value = gap.distances[0] if name == "gap" else getattr(gap, name)
@@ -284,14 +287,6 @@ class GradientsTable(TomlTable):
 def is_followed(one: Representation) -> bool:
     """Whether branches of a representation are followed: contacts located, no protocol."""
     return not (one.protocol or one.is_auto or one == NOT_LOCATED)
-
-
-class ClaimsTable(ModuleTable):
-    """The module of the claims."""
-
-
-class ReportTable(ModuleTable):
-    """The module of additional sections of the report."""
 
 
 # Axes along which no branch is continued.
@@ -320,8 +315,8 @@ class StudySpec(TomlTable):
     uncertain: UncertainTable | None = None
     fit: FitTable | None = None
     gradients: GradientsTable | None = None
-    claims: ClaimsTable | None = None
-    report: ReportTable | None = None
+    claims: ModuleTable | None = None
+    report: ModuleTable | None = None  # of additional sections of the report
 
     @model_validator(mode="before")
     @classmethod

@@ -38,13 +38,7 @@ from gapsweep.study.least_model import (
 from gapsweep.study.parametric_model import ParametricModel
 from gapsweep.study.points import FIXED, SWEEPS, Kind, Points, canonical, columns_of
 from gapsweep.study.samples import SAMPLE, Samples
-from gapsweep.study.spec import (
-    HistoryTable,
-    ModuleTable,
-    StudySpec,
-    check,
-    read,
-)
+from gapsweep.study.spec import HistoryTable, ModuleTable, StudySpec, check, read
 from gapsweep.user_code.snapshot import Snapshot
 
 
@@ -163,11 +157,18 @@ class Study:
             *(table.undecided(f"history[{i}]", known, axes) for i, table in histories),
         )
         if self.spec.branches:
-            of_branches = self.spec.branches.problems(axes, known, self.spec.contact)
+            several = {**known, **self._of_contacts}
+            of_branches = self.spec.branches.problems(axes, several, self.spec.contact)
             second = {self.spec.branches.second or "": self.spec.branches.range or []}
             lines = chain(lines, of_branches, self._problems_of_ranges("branches.range", second))
         if fit := self.spec.fit:
-            walls = ["K_c", "gap", "j_1", "j_2", *OF_WALLS] if self.model.contacts else []
+            first = self.model.laws(axes["representation"][0].law)
+            own = [
+                n
+                for n in ("K_c", *OF_WALLS)
+                if any((law.law_type or ContactLaw).takes(n) for law in first)
+            ]
+            walls = [*own, "gap", "j_1", "j_2"] if first else []
             of_fit = fit.problems(axes, [*walls, *known], self.spec.contact.values())
             lines = chain(lines, of_fit, self._problems_of_ranges("fit.free", fit.free))
         if self.spec.gradients:
@@ -184,6 +185,12 @@ class Study:
                 f"<= {MAX_POINTS}; split them into several studies"
             )
         return self
+
+    @property
+    def _of_contacts(self) -> dict[str, float]:
+        """Elastic values of the parameters of contacts that some representation takes."""
+        laws, takes = self._axes["representation"], self.model.takes
+        return {n: x for n, x in OF_WALLS.items() if any(takes(one.law, n) for one in laws)}
 
     def _problems_of_solvers(self) -> Iterator[str]:
         """Representations with solver settings with which the engine cannot locate contacts."""
@@ -208,7 +215,8 @@ class Study:
         """Values of ranges of numbers that no model can have."""
         for name, value in ((name, value) for name, ends in ranges.items() for value in ends):
             try:
-                with_numbers(Piecewise(1.0, Gap(0.0, 0.0)), {name: value})
+                for law in chain(*self._examples):
+                    with_numbers(law, {name: value})
                 if self.model.is_oscillator and name in self.spec.model:
                     with_numbers(self.oscillator, {name: value})
             except ModelError as error:
@@ -216,28 +224,40 @@ class Study:
 
     def _problems_of_gradients(self, names: Sequence[str]) -> Iterator[str]:
         """Names that are no parameters of the model or of the exact law."""
-        model = self.model.default
-        exact = tuple(Piecewise(1.0, Gap(1.0, 1.0)) for _ in model.contacts)
+        model, examples = self.model.default, self._examples
         own = {} if self.model.is_oscillator else self.spec.parameters
-        if EXACT not in {one.law for one in self._axes["representation"]}:
+        if not examples:
             yield f"gradients: no representation has located contacts; add {str(EXACT)!r}"
         for name in names:
-            try:
-                Parameter(name, None, own).values(model, exact, 1.0)
-            except ModelError as error:
-                yield f"gradients.by: {error}"
+            refused = []
+            for laws in examples:
+                try:
+                    Parameter(name, None, own).values(model, laws, 1.0)
+                except ModelError as error:
+                    refused.append(f"gradients.by: {error}")
+            yield from refused[:1] if len(refused) == len(examples) else ()
+
+    @property
+    def _examples(self) -> list[tuple[ContactLaw, ...]]:
+        """Laws of all contacts of each representation with located contacts, with any numbers."""
+        laws = [self.model.laws(one.law) for one in self._axes["representation"]]
+        return [
+            tuple(self.law(law, 1.0, Gap(1.0, 1.0)) for law in several)
+            for several in laws
+            if all(law.is_located for law in several)
+        ]
 
     def _check_modules(self) -> None:
         """Refuse modules of [claims] and [report] that cannot be read; none of them is run."""
         problems = []
-        for table, path in (("claims", self.claims_module), ("report", self.report_module)):
-            try:
-                if path is not None:
+        for name, table in (("claims", self.spec.claims), ("report", self.spec.report)):
+            if table is not None:
+                path = self._next_to_study(table)
+                try:
                     path.read_bytes()
-            except OSError as error:
-                problems.append(
-                    f"{self.source}: {table}.module: {path} cannot be read: {error.strerror}"
-                )
+                except OSError as error:
+                    why = f"{path} cannot be read: {error.strerror}"
+                    problems.append(f"{self.source}: {name}.module: {why}")
         if problems:
             raise StudyError(*problems)
 
@@ -265,19 +285,6 @@ class Study:
         return json.dumps(self.spec.tables, sort_keys=True)
 
     @cached_property
-    def claims_module(self) -> Path | None:
-        """Path of the Python file of [claims], in the folder of the study file."""
-        return self._next_to_study(self.spec.claims)
-
-    @cached_property
-    def report_module(self) -> Path | None:
-        """Path of the Python file of [report], in the folder of the study file."""
-        return self._next_to_study(self.spec.report)
-
-    def _next_to_study(self, table: ModuleTable | None) -> Path | None:
-        return None if table is None else Path(self.source).absolute().parent / table.module
-
-    @cached_property
     def model(self) -> ParametricModel:
         """The model as a function of its parameters."""
         return ParametricModel(self.spec, self.source, self.folders)
@@ -300,12 +307,21 @@ class Study:
     @cached_property
     def claims_code(self) -> Snapshot | None:
         """Code of the module of [claims] and of its imports, read once."""
-        return _snapshot(self.claims_module)
+        return self._code(self.spec.claims)
 
     @cached_property
     def report_code(self) -> Snapshot | None:
         """Code of the module of [report] and of its imports, read once."""
-        return _snapshot(self.report_module)
+        return self._code(self.spec.report)
+
+    def _code(self, table: ModuleTable | None) -> Snapshot | None:
+        try:
+            return None if table is None else Snapshot.of_file(self._next_to_study(table))
+        except ModelError as error:
+            raise StudyError(str(error)) from None
+
+    def _next_to_study(self, table: ModuleTable) -> Path:
+        return Path(self.source).absolute().parent / table.module
 
     @cached_property
     def folders(self) -> tuple[Path, ...]:
@@ -334,10 +350,10 @@ class Study:
         named = {**self.spec.parameters, **parameters}
         return replace(self._known_laws[name], parameters=tuple(named.items()))
 
-    def law(
-        self, label: str, K_c: float, gap: Gap, K_ratio: float = 1.0, damping: float = 0.0
-    ) -> ContactLaw:
-        """Return the contact law of a label; the label may name a user law.
+    def law(self, label: str, K_c: float, gap: Gap, K_ratio: float = 1.0) -> ContactLaw:
+        """Return the contact law of a label, without losses that the label does not set.
+
+        The label may name a user law.
 
         Raises
         ------
@@ -348,9 +364,11 @@ class Study:
         if own is not None:
             return own.law(K_c, gap, K_ratio)
         law = Representation(label).law
-        of_walls = {"K_ratio": K_ratio, "damping": damping}
-        pulls = self.spec.study.pulls
-        return contact_law(law, K_c, gap, self.spec.approximation.range, **of_walls, pulls=pulls)
+        numbers: dict[str, Any] = {
+            "K_ratio": K_ratio,
+            **{name: OF_WALLS[name] for name in law.missing},
+        }
+        return contact_law(law, K_c, gap, self.spec.approximation.range, **numbers)
 
     @property
     def own_laws(self) -> tuple[Representation, ...]:
@@ -411,7 +429,7 @@ class Study:
         """Numbers of [uncertain] that the study does not have or that leave their range."""
         assert self.spec.uncertain is not None
         of_laws = set() if self.spec.system else set(self.spec.parameters)
-        known: dict[str, Any] = {**self.spec.model, **OF_WALLS}
+        known: dict[str, Any] = {**self.spec.model, **self._of_contacts}
         walls = [name for name in ("K_c", "gap", "j_1", "j_2") if name in self._axes]
         walls += ["j_1", "j_2"] if "gap" in self._axes else []
         known |= dict.fromkeys([*walls, *columns_of(self.structure)[-self.structure.n_states :]])
@@ -461,6 +479,8 @@ class Study:
             If a name is not a dimension, the study does not have a value, or no block has a point
             with the selected values.
         """
+        if isinstance(gap := wanted.get("gap"), Gap):
+            wanted["gap"] = gap.j_1, gap.j_2
         with suppress(KeyError, TypeError, ValueError):  # labels already
             pairs = np.array(wanted["gap"], dtype=float).reshape(-1, 2).tolist()
             wanted["gap"] = [self.grid.label(Gap(*pair)) for pair in pairs]
@@ -531,7 +551,7 @@ class Study:
                 some = rows[(places == place).all(axis=1)]
                 here = {name: of[some] for name, of in at.items()}
                 named = {n: axes[n][i] for n, i in zip(swept, place[1:].tolist(), strict=True)}
-                numbers = self.model.numbers(axes, here, len(some))
+                numbers = self.model.numbers(found.law, axes, here, len(some))
                 yield some, Points(self._kind(found, Starts.KINDS[start], named), numbers), found
 
     @cached_property
@@ -573,7 +593,8 @@ class Study:
         axes = self.history_axes(table)
         named = {name: axes[name][0] for name in self.spec.parameters}
         places = dict.fromkeys(axes, np.zeros(1, np.intp))
-        return Points(self._kind(one, FIXED, named), self.model.numbers(axes, places, 1))
+        numbers = self.model.numbers(one.law, axes, places, 1)
+        return Points(self._kind(one, FIXED, named), numbers)
 
     def _kind(self, one: Representation, start: str, parameters: Mapping[str, float]) -> Kind:
         own = self.own_law(one, **parameters)
@@ -657,10 +678,3 @@ def _ends(values: Sequence[Any]) -> str:
     """Return values as text; if there are many, only the first ones and the last one."""
     shown = [f"{x:.6g}" if isinstance(x, float) else str(x) for x in values]
     return ", ".join(shown if len(shown) <= 8 else [*shown[:3], "…", shown[-1]])
-
-
-def _snapshot(path: Path | None) -> Snapshot | None:
-    try:
-        return None if path is None else Snapshot.of_file(path)
-    except ModelError as error:
-        raise StudyError(str(error)) from None

@@ -11,11 +11,12 @@ from pydantic import Field, ValidationError, model_validator
 
 from gapsweep.errors import ModelError, StudyError, described
 from gapsweep.model import systems
+from gapsweep.model.contact import OF_LABELS
 from gapsweep.model.labels import FUNCTION
 from gapsweep.model.own_law import OwnLaw
 from gapsweep.model.system import BaseMotion, Cubic, Harmonic, Lags, Modulation, System, Unbalance
 from gapsweep.model.waves import PeriodicForce, Switched
-from gapsweep.study.axes import Label, NonNegative, Pair, TomlTable
+from gapsweep.study.axes import Label, NonNegative, Pair, Share, TomlTable
 from gapsweep.study.oscillator_table import Points
 from gapsweep.user_code.load import blame
 
@@ -152,6 +153,8 @@ class ContactTable(TomlTable):
     gap: Pair | None = None
     K_ratio: NonNegative | None = None
     damping: NonNegative | None = None
+    chi: NonNegative | None = None
+    restitution: Share | None = None
 
     @model_validator(mode="after")
     def _no_code(self) -> "ContactTable":
@@ -161,6 +164,9 @@ class ContactTable(TomlTable):
                 f"representation = {own!r}: must be a law of gapsweep without a protocol; "
                 "write the representation of all contacts in [[sweep]]"
             )
+        for name in OF_LABELS:
+            if own is not None and getattr(self, name) is not None and not own.takes(name):
+                raise ValueError(f"{name}: {own.refusal(name)}")
         return self
 
 

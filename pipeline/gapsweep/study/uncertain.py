@@ -394,7 +394,7 @@ def outside(
 def _range(name: str, *, in_metres: bool) -> tuple[float, float]:
     """Return the range of a number that models allow, infinite without a bound."""
     if name in _OF_CONTACTS:
-        return 0.0, math.inf
+        return 0.0, 1.0 if name == "restitution" else math.inf
     fields = OscillatorTable.model_fields if in_metres else {}
     metadata = fields[name].metadata if name in fields else []
     low = [getattr(each, end) for each in metadata for end in ("ge", "gt") if hasattr(each, end)]

@@ -47,32 +47,20 @@ _WALLS = ("j_1", "j_2", "K_ratio", "mean_load")
 Tables = dict[str, NDArray[Any]]
 
 
-def agreement(responses: xr.Dataset, attractors: xr.Dataset) -> xr.Dataset | None:
-    """Compare every representation with `piecewise`; None if the exact law was not swept.
+def agreement(responses: xr.Dataset, attractors: xr.Dataset) -> xr.Dataset:
+    """Compare every representation with the swept `piecewise`.
 
-    Parameters
-    ----------
-    responses, attractors : Dataset
-        As in ``responses.nc`` and ``attractors.nc``; parameter sets are read one by one.
-
-    Returns
-    -------
-    Dataset
-        The variables of `gapsweep.analysis.agreement.metrics.variables`.
+    `responses` and `attractors`: as in ``responses.nc`` and ``attractors.nc``; parameter sets are
+    read one by one. Result: the variables of `gapsweep.analysis.agreement.metrics.variables`.
     """
-    swept = responses["representation"].values.tolist()
-    return _agreement(responses, attractors) if EXACT in swept else None
-
-
-def _agreement(responses: xr.Dataset, attractors: xr.Dataset) -> xr.Dataset:
     if COORDINATE in responses.dims:
         parts = zip(by_coordinate(responses), by_coordinate(attractors), strict=True)
-        found = [_agreement(one, other) for (one, _), (other, _) in parts]
+        found = [agreement(one, other) for (one, _), (other, _) in parts]
         how: Any = {"coords": "different", "compat": "equals", "combine_attrs": "override"}
         return xr.concat(found, COORDINATE, **how).transpose(..., COORDINATE)
     if "omega" not in responses.dims:
         rate = section_rate(responses)
-        forced = _agreement(with_rate(responses, rate), with_rate(attractors, rate))
+        forced = agreement(with_rate(responses, rate), with_rate(attractors, rate))
         return forced.isel(omega=0, drop=True)
     labels = [Representation(label) for label in responses["representation"].values]
     study = json.loads(responses.attrs.get("study_json", "{}"))

@@ -23,10 +23,7 @@ _QUANTILES = {"median": 0.5, "p95": 0.95}
 def summaries(ours: LawTable, exact: LawTable, values: dict[str, Array]) -> Summaries:
     """Summaries of one law in one parameter set, by name of the variable.
 
-    Parameters
-    ----------
-    values : dict of str to ndarray, shape (n_omega, n_starts) or (n_omega,)
-        The point-wise and frequency-wise metrics.
+    `values`: shape (n_omega, n_starts) or (n_omega,); the point-wise and frequency-wise metrics.
     """
     block = blocks(ours.omega)
     of_points = [np.ones_like(exact.requested), exact.periodic, exact.chaotic]

@@ -31,10 +31,8 @@ def floor_labels(study_json: str, labels: Sequence[str]) -> list[str]:
     The protocol NAME differs from ``[solver]`` only in tighter tolerances or a `start_jitter` of at
     most 1e-8 m. Labels with any other protocol are ordinary representations.
 
-    Parameters
-    ----------
-    study_json : str
-        The checked study, as in the attribute of ``responses.nc``; empty if there is none.
+    `study_json`: the checked study, as in the attribute of ``responses.nc``; empty if there is
+    none.
     """
     study = json.loads(study_json) if study_json else {}
     plain, protocols = study.get("solver", {}), study.get("protocol", {})

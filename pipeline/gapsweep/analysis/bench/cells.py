@@ -18,13 +18,7 @@ import numpy as np
 import xarray as xr
 
 from gapsweep.analysis.bench.judge import CellOutcome, Judge, judge, observed
-from gapsweep.analysis.bench.scenarios import (
-    Method,
-    Scenario,
-    coordinates,
-    law_or_none,
-    tolerances,
-)
+from gapsweep.analysis.bench.scenarios import Method, Scenario, coordinates, law_or_none, tolerances
 from gapsweep.analysis.datasets.contact_errors import in_gap
 from gapsweep.execution.isolated import CallError, Isolated
 from gapsweep.model.contact import ContactLaw, Piecewise

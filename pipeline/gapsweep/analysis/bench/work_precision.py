@@ -19,24 +19,12 @@ from typing import Any, TypeVar
 import numpy as np
 import xarray as xr
 
-from gapsweep.analysis.bench.cells import (
-    CELL,
-    Say,
-    cell_dataset,
-    cell_table,
-    sizes,
-)
+from gapsweep.analysis.bench.cells import CELL, Say, cell_dataset, cell_table, sizes
 from gapsweep.analysis.bench.cells import VARIABLES as CELL_VARIABLES
 from gapsweep.analysis.bench.costs import cost
 from gapsweep.analysis.bench.pareto import on_front
 from gapsweep.analysis.bench.references import LARGEST_GROWTH, TIGHT, growth, motion
-from gapsweep.analysis.bench.scenarios import (
-    Method,
-    Scenario,
-    law_or_none,
-    methods,
-    scenarios,
-)
+from gapsweep.analysis.bench.scenarios import Method, Scenario, law_or_none, methods, scenarios
 from gapsweep.analysis.dimensions import Array
 from gapsweep.execution.isolated import CallError, Isolated
 from gapsweep.execution.progress import DEFAULT_TIMEOUT
@@ -83,25 +71,14 @@ ERROR_SCALE = "gap width; for velocities, times the angular forcing frequency"
 
 def work_precision(
     study: Study, say: Say = lambda text: None, timeout: float = DEFAULT_TIMEOUT
-) -> xr.Dataset | None:
+) -> xr.Dataset:
     """Error, cost and status of every method on every scenario without a stated solution.
 
-    Parameters
-    ----------
-    say : callable
-        Called with a line of text before each step.
-    timeout : float
-        Processor time [s] of a scenario, and of each call of a user law.
-
-    Returns
-    -------
-    Dataset
-        Over `scene`, `method` and `tolerance` (the rung of a method's ladder); None if the study
-        has no such scenario.
+    `say`: called with a line of text before each step.
+    `timeout`: processor time [s] of a scenario, and of each call of a user law.
+    Result: over `scene`, `method` and `tolerance` (the rung of a method's ladder).
     """
     found, ladder = scenarios(study, with_answer=False), methods(study)
-    if not found:
-        return None
     assert study.spec.bench is not None
     # The load of other processes, before the measurements.
     load = os.getloadavg()[0] if hasattr(os, "getloadavg") else math.nan

@@ -33,6 +33,7 @@ from gapsweep.continuation.follow import DEFAULT_RTOL
 from gapsweep.continuation.seed import Attractor
 from gapsweep.errors import StoreError
 from gapsweep.execution.branch_tasks import BranchScene, Followed, followed
+from gapsweep.model.contact import OF_LABELS
 from gapsweep.response.result import ResponseClass
 from gapsweep.status import Status
 from gapsweep.store import netcdf
@@ -107,20 +108,24 @@ def branches(
     for file in ("branches.nc", "curves.nc")[: 1 + is_curves]:
         if file == "curves.nc":
             parts = [part for part in map(_with_points, parts) if part.scene.points]
-        missing = []
+        # Cases with equal inputs, as of laws without a swept parameter, are computed once.
+        missing: dict[Path, list[_SceneBranches]] = {}
         for part in parts:
             # Each case has its folder, so that SHA256SUMS has one writer.
             path = cache / FOLDER / part.scene.key / "scene.nc"
             with suppress(StoreError):
                 part.found = Followed(Status.OK, branches=netcdf.read(path))
             if part.found.branches is None:
-                missing.append((part, path))
+                missing.setdefault(path, []).append(part)
         if missing:
-            tasks = [part.scene for part, _ in missing]
+            paths = [*missing]
+            tasks = [several[0].scene for several in missing.values()]
             arriving = followed(tasks, connect(), timeout, lambda: say("waiting for workers"))
             for n_done, (number, found) in enumerate(arriving, len(parts) - len(missing) + 1):
-                part, path = missing[number]
-                part.found = found
+                path = paths[number]
+                for part in missing[path]:
+                    own = found.branches and found.branches.copy(deep=True)
+                    part.found = replace(found, branches=own)
                 if found.branches is not None:
                     netcdf.write(found.branches, path, {})
                 say(f"making {file}, {n_done} of {len(parts)} cases")
@@ -147,7 +152,8 @@ def cases(study: Study, attractors: xr.Dataset) -> Iterator[_SceneBranches]:
     kind = attractors["response_class"].transpose(*dims, along, ATTRACTOR).values
     for place in np.ndindex(*requested.shape[:-2]):
         at = dict(zip(dims, place, strict=True))
-        if not is_followed(axes["representation"][at["representation"]]):
+        law = axes["representation"][at["representation"]]
+        if not is_followed(law) or (along in OF_LABELS and not study.model.takes(law, along)):
             continue
         if not requested[place].any():
             continue

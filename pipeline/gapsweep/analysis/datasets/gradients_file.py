@@ -120,9 +120,7 @@ def _tables(
 ) -> Iterator[tuple[Numbers, Points, tuple[Parameter, ...]]]:
     """Yield rows of orbits, tables of their points, and the parameters of all of these.
 
-    Parameters
-    ----------
-    places : ndarray of int, shape (n, number of dimensions of a case)
+    `places`: shape (n, number of dimensions of a case).
     """
     grid = study.grid
     first = np.moveaxis(grid.requested, grid.dims.index(START), -1).argmax(axis=-1)

@@ -59,8 +59,8 @@ AXES = {
 _WINDOW = "Hann over whole forcing periods; a sinusoid at a bin has its amplitude"
 
 
-def histories(study: Study, timeout: float = DEFAULT_TIMEOUT) -> xr.Dataset | None:
-    """Time histories and spectra of a study's ``[[history]]`` tables; None if it has none.
+def histories(study: Study, timeout: float = DEFAULT_TIMEOUT) -> xr.Dataset:
+    """Time histories and spectra of a study's ``[[history]]`` tables.
 
     Parameters
     ----------
@@ -76,8 +76,6 @@ def histories(study: Study, timeout: float = DEFAULT_TIMEOUT) -> xr.Dataset | No
         Padded with NaN where a motion is shorter than `N_PERIODS` or has failed.
     """
     tables = study.spec.history
-    if not tables:
-        return None
     labels = list(dict.fromkeys(label for table in tables for label in table.representation))
     n_samples = N_PERIODS * SAMPLES_PER_PERIOD
     sizes = {

@@ -12,6 +12,7 @@ from scipy.special import stdtrit
 
 from gapsweep.analysis.dimensions import Array, of_study, swept
 from gapsweep.status import Status
+from gapsweep.variables import flags_of
 
 COSTS = {
     "cpu_time": ("s", "CPU time per point"),
@@ -25,10 +26,7 @@ COSTS = {
 def timing(responses: xr.Dataset) -> xr.Dataset:
     """Mean and median cost per point of every representation and parameter set.
 
-    Parameters
-    ----------
-    responses : Dataset
-        As stored in ``responses.nc``.
+    `responses`: as stored in ``responses.nc``.
     """
     host = responses["host"]
     requested = responses["status"] != Status.NOT_REQUESTED
@@ -49,18 +47,14 @@ def timing(responses: xr.Dataset) -> xr.Dataset:
         count = where.sum(swept(where)).astype("i4").drop_attrs(deep=False)
         long_name = "sweep points measured" if name == "n_points" else "points of other machines"
         variables[name] = count.assign_attrs(units="1", long_name=long_name)
-    names = str(host.attrs.get("flag_meanings", "")).split()
-    chosen_name = names[chosen] if 0 <= chosen < len(names) else ""
-    return xr.Dataset(variables).assign_attrs(of_study(responses), measured_on=chosen_name)
+    machine = flags_of(host).get(chosen, "")
+    return xr.Dataset(variables).assign_attrs(of_study(responses), measured_on=machine)
 
 
 def repeatability(ratios: Array) -> float:
     """Half-width of the 95 % interval of the logarithm of ratios of equal quantities.
 
-    Parameters
-    ----------
-    ratios : ndarray
-        Measured ratios; NaN if not measured.
+    `ratios`: measured ratios; NaN if not measured.
     """
     known = np.log(ratios[np.isfinite(ratios) & (ratios > 0.0)])
     if not known.size:

@@ -10,26 +10,28 @@ from matplotlib.figure import Figure
 
 from gapsweep.analysis.dimensions import REPRESENTATION, point_dims
 from gapsweep.integrate.trajectory import Trajectory
+from gapsweep.model.contact import OF_LABELS
 from gapsweep.model.labels import Representation
 from gapsweep.report import losses, marks
 from gapsweep.report.continued import motions
 from gapsweep.report.drawing import labels_of
 from gapsweep.report.inputs import Inputs
 from gapsweep.report.parts import Figured, Part, Table
-from gapsweep.report.scales import axis_label, named, shown_unit
+from gapsweep.report.scales import axis_label, named
 from gapsweep.report.selection import places
 from gapsweep.report.style import looks
 from gapsweep.report.tables import number
 from gapsweep.study.grid import CONTACT
 
 _WIDTH = 9.5  # inches
-_DAMPING, _MOST = "damping", 5  # number of values of the damping with a loop
+_LOSSES, _MOST = ("damping", *OF_LABELS), 5  # number of values of such a parameter with a loop
 _TITLE = "Energy lost in contacts"
 _HEADER = ["Representation", "Response", "J per forcing period", "J per contact"]
 _SHOWN = (
-    "Shown: of each representation and damping the response with the largest contact force or, "
-    "where that is not stored (rigid walls, periodic stiffness), the largest product of amplitude "
-    "and frequency. with_losses() computes the energies of all."
+    "Shown: the response with the largest contact force of each representation, and of each value "
+    "of its damping, chi or restitution; where the force is not stored (rigid walls, periodic "
+    "stiffness), with the largest product of amplitude and frequency. with_losses() computes the "
+    "energies of all."
 )
 _OF_LOOPS = (
     "The area of a loop is the energy lost. ds.gapsweep.force_loop() draws the loops of other "
@@ -42,7 +44,7 @@ class _Loop(NamedTuple):
     """A contact that loses energy in a response."""
 
     number: int  # of the contact
-    name: str  # of the representation, with the damping where that is swept
+    name: str  # of the representation, with its damping, chi or restitution where that is swept
     response: xr.Dataset
     run: Trajectory
 
@@ -76,7 +78,10 @@ def sections(inputs: Inputs) -> Iterator[Part]:
 
 
 def _loops(responses: xr.Dataset, label: Representation) -> Iterator[_Loop]:
-    """Contacts that lose energy, in the largest response of a law and damping."""
+    """Contacts that lose energy, in the largest responses of a law.
+
+    There is a response for each of up to `_MOST` values of the parameter of losses that is swept.
+    """
     of_law = responses.isel({REPRESENTATION: labels_of(responses).index(label)})
     dims = point_dims(of_law)
     force, amplitude = (
@@ -86,18 +91,17 @@ def _loops(responses: xr.Dataset, label: Representation) -> Iterator[_Loop]:
     # The force of impacts is infinite, that of periodic stiffness not computed: both are NaN.
     size = (amplitude * of_law["omega"]).where(force.isnull())
     size = size if size.notnull().any() else force
-    n = size.sizes.get(_DAMPING, 1)
+    swept = next((name for name in _LOSSES if name in dims and label.takes(name)), "")
+    n = size.sizes.get(swept, 1)
     for k in np.unique(np.linspace(0, n - 1, _MOST).round().astype(int)).tolist():
-        at = {_DAMPING: [k]} if _DAMPING in dims else {}
+        at = {swept: [k]} if swept else {}
         if not size.isel(at).notnull().any():
             continue
         one = of_law.isel(at).isel(size.isel(at).argmax(dims)).load()
-        unit = shown_unit(one[_DAMPING])[1] if at else ""
+        name = f"{label}, {named(one[swept])}" if swept else label
         for _, run in motions(one, (REPRESENTATION,), {}, losses.LOOP_PERIODS):
             for contact, law in enumerate(run.laws):
                 if law.losses:
-                    is_named = at and law.losses.damping > 0.0
-                    name = f"{label}, {law.losses} {unit}".strip() if is_named else label
                     yield _Loop(contact, name, one, run)
 
 
@@ -105,14 +109,14 @@ def _row(one: _Loop) -> list[str]:
     lost = losses.energy_lost(one.run, one.number)
     n_contacts = 0.5 * losses.times_of(one.run)[one.number].size
     here = one.of_contact()
-    names = [CONTACT, *(name for name in places(here) if name != _DAMPING)]
+    names = [CONTACT, *(name for name in places(here) if name not in _LOSSES)]
     where = ", ".join(named(here[name]) for name in names if name in here.coords)
     per_contact = lost / n_contacts if n_contacts else np.nan
     return [one.name, where, number(lost / one.run.inputs["n_periods"]), number(per_contact)]
 
 
 def _figures(found: list[_Loop]) -> Iterator[Figured]:
-    """Loops of every contact, a line for each representation and damping."""
+    """Loops of every contact, a line for each response."""
     for contact in sorted({one.number for one in found}):
         several = [one for one in found if one.number == contact]
         styles = looks(one.name for one in several)

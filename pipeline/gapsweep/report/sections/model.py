@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
+from gapsweep.model.contact import OF_LABELS, OF_WALLS
 from gapsweep.report.drawing import labels_of
 from gapsweep.report.inputs import Inputs
 from gapsweep.report.parts import Part
@@ -32,11 +33,15 @@ _NUMBERS = {
     "K_c": ("K_c", "N/m"),
     "K_ratio": ("r", "(stiffness of the lower wall / K_c)"),
     "damping": ("c_c", "N s/m (of both walls)"),
+    "chi": ("χ", "s/m"),
+    "restitution": ("e", ""),
     "omega": ("ω", "Hz"),
 }
 _RATIO = _NUMBERS["K_ratio"]
+_LOSSES = ("damping", *OF_LABELS)
 # Settings that a contact may have separately.
-_OWN = {"representation": "", "K_c": "K_c", "gap": "j₁/j₂", "K_ratio": "r", "damping": "c_c"}
+_OWN = {"representation": "", "K_c": "K_c", "gap": "j₁/j₂", "K_ratio": "r"}
+_OWN |= {name: _NUMBERS[name][0] for name in _LOSSES}
 _EQUATION_OF_SYSTEMS = "M q̈ + C q̇ + K q{cubic} + Σ F(b·q) b = loads"
 _EQUATION_OF_LAGS = " − D z, ż = E q̇ + G q + H z"
 _MATRICES = {"mass": "M", "damping": "C", "stiffness": "K"}
@@ -47,13 +52,14 @@ _MANY = 5  # values of a parameter; of more, the first and the last are shown
 def sections(inputs: Inputs) -> Iterator[Part]:
     """The equation of a run, its parameters and its contact laws, as pairs of name and text."""
     of_model = _system if "system_json" in inputs.responses.attrs else _oscillator
-    yield Part("model", "Model", [], content={"pairs": of_model(inputs.responses)})
+    notes = ["Numbers of the study; the section Fit has the fitted ones."] * bool(inputs.fit)
+    yield Part("model", "Model", notes, content={"pairs": of_model(inputs.responses)})
 
 
 def _oscillator(responses: xr.Dataset) -> list[tuple[str, str]]:
     """Equation, numbers and contact laws of an oscillator."""
     study = json.loads(responses.attrs["study_json"])
-    fixed, wave = {"K_ratio": 1.0, "damping": 0.0} | study["oscillator"], []
+    fixed, wave = {**OF_WALLS, **study["oscillator"]}, list[tuple[str, str]]()
     if isinstance(points := fixed["forcing"], dict):
         forces = points.get("f") or points["levels"]
         fixed["forcing"] = max(map(abs, forces))
@@ -61,6 +67,7 @@ def _oscillator(responses: xr.Dataset) -> list[tuple[str, str]]:
     held = {n: responses[n].values if n in responses else fixed[n] for n in _NUMBERS}
     is_moving = bool(np.any(held["unbalance"]) or np.any(held["base_amplitude"]))
     absent = {name for name in _OPTIONAL if not np.any(held[name])}
+    absent |= {name for name in OF_LABELS if name not in responses}
     absent |= set() if is_moving else {*_OF_MOVING}
     numbers = [
         f"{symbol} {_text(held[name])} {unit}".strip()
@@ -134,9 +141,9 @@ def _numbers_of_contacts(
         ratios = np.ravel(responses["K_ratio"].values) if "K_ratio" in responses else np.ones(1)
         none = "" if ratios.all() else "; 0: no lower wall"
         yield _RATIO[0], f"{_text(ratios)} {_RATIO[1]}{none}"
-    if "damping" in responses:
-        symbol, unit = _NUMBERS["damping"]
-        yield symbol, f"{_text(np.ravel(responses['damping'].values))} {unit}"
+    for name in (name for name in _LOSSES if name in responses):
+        symbol, unit = _NUMBERS[name]
+        yield symbol, f"{_text(np.ravel(responses[name].values))} {unit}".strip()
     for contact, table in own.items():
         settings = (
             f"{symbol} {_written(table[name])}".strip()

@@ -44,10 +44,7 @@ _OF_ATTRACTORS = ("x_max", "basin_share", "response_class")
 def is_wide(responses: xr.Dataset) -> bool:
     """Whether an overview replaces figures of every set: for systems, many sets, points or axes.
 
-    Parameters
-    ----------
-    responses : Dataset
-        As stored in ``responses.nc``.
+    `responses`: as stored in ``responses.nc``.
     """
     asked = responses["status"].load() != Status.NOT_REQUESTED
     dims = scene_dims(asked.dims)
