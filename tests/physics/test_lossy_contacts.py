@@ -461,6 +461,35 @@ def test_two_orbits_meet_at_a_border_fold_and_none_is_beyond():
         assert (np.abs(np.linalg.eigvals(ended.tangent)).max() < 1.0) == (side < 0)
 
 
+@pytest.mark.parametrize("at", [0.015, 0.022])
+def test_a_branch_of_twice_the_period_begins_at_a_border_flip(at):
+    """Its orbits touch the wall once in two periods, return after both and not after one."""
+    law, omega = stop(damping=15.0), 0.95 / TURN
+    found = gs.branches(oscillator(), law, "forcing", (0.01, 0.03), at=at, omega=omega, follow=1)
+    assert found["parent"].values.tolist() == [-1, 0]
+    along = found.isel(branch=1).dropna("step", how="all", subset=["forcing"])
+    names = np.array(found["special"].attrs["flag_meanings"].split())[along["special"].values]
+    ends = along.isel(step=[0, -1])
+    assert {*names[[0, -1]]} == {"border_flip", "period_doubling"}
+    flip = ends["forcing"].values[names[[0, -1]] == "border_flip"]
+    assert flip == pytest.approx([GRAZE], rel=1e-9)
+    assert set(along["period_multiple"].values) == {2}
+    (rows,) = np.nonzero(
+        (along["n_contacts"].values == 2) & (np.abs(along["forcing"] / GRAZE - 1.0).values > 1e-3)
+    )
+    assert len(rows) > 3
+    one, walls = np.eye(1), [Wall([1.0], 0.1745, 20.0, 15.0, pulls=False)]
+    for row in rows[[0, -1]]:
+        oracle = Lossy(one, 0.05 * one, one, [along["forcing"].values[row]], 0.95, walls)
+        y = along["start_state"].values[row]
+        halfway, ended = (oracle.run(y, n * TURN / 0.95) for n in (1, 2))
+        assert ended.n_contacts == 2
+        assert ended.y == pytest.approx(y, abs=1e-10)
+        assert np.abs(halfway.y - y).max() > 1e-4
+        expected = np.sort(np.linalg.eigvals(ended.tangent))
+        assert np.sort(along["multiplier_real"].values[row]) == pytest.approx(expected, rel=1e-6)
+
+
 @pytest.mark.extended
 def test_grazes_of_a_chain_have_both_sets_of_multipliers():
     """A graze from beyond the wall, too: seed 230 of the drawn systems has both."""
