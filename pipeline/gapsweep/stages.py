@@ -486,7 +486,14 @@ STAGES = (
         _gradients,
         lambda study: study.spec.gradients is not None,
     ),
-    Stage(FIT, (), (SETTINGS,), _fit, lambda study: study.spec.fit is not None),
+    Stage(
+        FIT,
+        (),
+        (SETTINGS,),
+        _fit,
+        lambda study: study.spec.fit is not None,
+        failures=("fit_status", Status.DIVERGED),
+    ),
     Stage(
         CLAIMS,
         _DATASETS,

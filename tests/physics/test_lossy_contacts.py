@@ -713,6 +713,9 @@ def test_numbers_of_losses_are_drawn_within_their_range():
             drawn("piecewise", **{name: uniform})
         with pytest.raises(StudyError, match=f"{name}: {family}-0.5 has it in its label"):
             drawn(f"{family}-0.5", **{name: uniform})
+    for representation in ("poly-5", "huntcrossley-0.5"):
+        with pytest.raises(StudyError, match=f"damping: {representation} has none"):
+            drawn(representation, damping=uniform)
     with pytest.raises(StudyError, match="restitution > 1"):
         drawn("rigid", restitution={"uniform": [0.9, 1.1]})
 
@@ -1043,6 +1046,25 @@ def test_a_branch_passes_the_graze_of_a_rigid_wall(at):
     )
     assert sums[fold] == pytest.approx(1.0 + 0.8**2 * np.linalg.det(free), rel=1e-5)
     assert sorted(forcing[[0, -1]]) == pytest.approx([0.02, 0.3], rel=1e-12)
+
+
+def test_a_branch_goes_on_where_an_impact_passes_the_phase_of_the_initial_state():
+    """The velocity there is reversed at once, as the impact comes before the end of the period."""
+    found = gs.branches(
+        oscillator(zeta=0.05), rigid(0.8), "forcing", (0.45, 2.0), at=0.6, omega=0.7 / TURN
+    ).isel(branch=0)
+    found = found.dropna("step", how="all", subset=["forcing"])
+    assert sorted(found["forcing"].values[[0, -1]]) == pytest.approx([0.45, 2.0], rel=1e-12)
+    (x, v), forcing = found["start_state"].values.T, found["forcing"].values
+    jumps = np.flatnonzero(np.abs(np.diff(v)) > 0.5)
+    assert len(jumps) == 1
+    assert x[jumps] == pytest.approx([1.0], abs=1e-6)
+    one = np.eye(1)
+    for row in (jumps[0], jumps[0] + 1, len(x) - 1, 0):
+        oracle = Lossy(one, 0.1 * one, one, [forcing[row]], 0.7, [Wall([1.0], 1.0, 0.0, e=0.8)])
+        start = np.array([min(x[row], 1.0 - 1e-12), v[row]])
+        one_later, two_later = (oracle.run(start, n * TURN / 0.7).y for n in (1.37, 2.37))
+        assert two_later == pytest.approx(one_later, abs=1e-6)
 
 
 def test_a_branch_along_the_restitution_has_its_determinants():

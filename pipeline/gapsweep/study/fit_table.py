@@ -81,6 +81,8 @@ def with_sweep(tables: Any, source: str) -> Any:
             ],
             "sweep": [one.direction for one in several for _ in one.omega],
         }
+        if noise := [x for one in several if one.noise is not None for x in one.noise.tolist()]:
+            columns[f"noise [{written(units) or 1}]"] = noise
         found |= {"data": columns}
         if "noise" in table:
             found |= {"noise": without_units("noise", table["noise"], units)}
