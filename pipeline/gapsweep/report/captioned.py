@@ -51,14 +51,9 @@ def maps_of(
 ) -> Iterator[Figured]:
     """One figure of maps; a value that is the same everywhere is stated in its caption.
 
-    Parameters
-    ----------
-    parts : sequence of (Dataset, str)
-        Dataset and name of each variable.
-    axes : list of str
-        The horizontal and the vertical axis.
-    where : str
-        Representation and parameters, for the caption.
+    `parts`: dataset and name of each variable.
+    `axes`: the horizontal and the vertical axis.
+    `where`: representation and parameters, for the caption.
     """
     pictures = [(name, picture(part, name, axes[0], axes[1], {})[0]) for part, name in parts]
     alike = [(name, value) for name, one in pictures if (value := _everywhere(one))]

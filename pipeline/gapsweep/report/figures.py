@@ -73,14 +73,9 @@ def attractors(
 ) -> Figure:
     """Peak of every attractor over frequency, its dot as large as its basin, a panel per label.
 
-    Parameters
-    ----------
-    found : Dataset
-        Part of ``attractors.nc``; dimensions representation, `along`, attractor.
-    along : str
-        Numeric dimension of the horizontal axis.
-    continued : Dataset, optional
-        ``branches.nc``, drawn behind.
+    `found`: part of ``attractors.nc``; dimensions representation, `along`, attractor.
+    `along`: numeric dimension of the horizontal axis.
+    `continued`: ``branches.nc``, drawn behind.
     """
 
     def peaks(axes: Axes, one: xr.Dataset) -> None:

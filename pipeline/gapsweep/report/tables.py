@@ -173,14 +173,9 @@ def special_points(found: xr.Dataset | None, here: xr.Dataset, along: str) -> It
     Mirror images of an orbit share a row. If the second table has the points of approximations,
     the first one has only those of the exact law.
 
-    Parameters
-    ----------
-    found : Dataset or None
-        ``branches.nc``, or ``curves.nc``: then over the second parameter in place of the peak.
-    here : Dataset
-        The parameter set.
-    along : str
-        The parameter.
+    `found`: ``branches.nc``, or ``curves.nc``: then over the second parameter in place of the peak.
+    `here`: the parameter set.
+    `along`: the parameter.
     """
     if found is not None and f"attractor_{along}" in found and "attractor_on_branch" in found:
         yield from _lost_attractors(found, here, along)

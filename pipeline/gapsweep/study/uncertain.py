@@ -316,14 +316,10 @@ class UncertainTable(TomlTable):
     ) -> Iterator[str]:
         """Yield a line per number, quantity or distribution that the study cannot have.
 
-        Parameters
-        ----------
-        known : dict
-            Values of the numbers that may be uncertain, by name; None without a value.
-        axes : dict
-            Axes of the study.
-        structure, parts
-            Structure of its models, and dimensions within a point, with the names along them.
+        `known`: values of the numbers that may be uncertain, by name; None without a value.
+        `axes`: axes of the study.
+        `structure` and `parts`: structure of its models, and dimensions within a point, with the
+        names along them.
         """
         for name, table in self.tables.items():
             of = self.parameter.get(name, table)
