@@ -38,16 +38,11 @@ def scene_tables(
 ) -> list[Table]:
     """Tables of agreement with the exact law, if that was computed, and of cost.
 
-    Parameters
-    ----------
-    agreement, timing : Dataset
-        One parameter set of the files of a run; several give medians without intervals.
-    labels : list of str
-        Representations computed there.
-    over : str
-        Added to the titles.
-    apart : sequence of (str, position)
-        Parameter sets, in words, whose agreement has separate rows.
+    `agreement` and `timing`: one parameter set of the files of a run; several give medians without
+    intervals.
+    `labels`: representations computed there.
+    `over`: added to the titles.
+    `apart`: parameter sets, in words, whose agreement has separate rows.
     """
     labels = sorted(
         labels, key=lambda label: Representation(label).protocol != ""

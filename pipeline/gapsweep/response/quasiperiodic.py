@@ -34,16 +34,11 @@ def torus_test(
 
     A torus must be found in two successive windows: chaos may resemble it once by chance.
 
-    Parameters
-    ----------
-    motions : RecordedWindows
-        Not changed.
-    points : ndarray of int, shape (m,)
-        Numbers of the motions to test.
-    windows : dict of int to float
-        Periods of windows, which begin at the present states, and allowed difference of means.
-    longest : ndarray, shape (m,)
-        Largest number of periods to integrate.
+    `motions`: not changed.
+    `points`: shape (m,); numbers of the motions to test.
+    `windows`: periods of windows, which begin at the present states, and allowed difference of
+    means.
+    `longest`: shape (m,); largest number of periods to integrate.
     """
     is_torus, is_locked, seemed = np.zeros((3, len(points)), bool)
     y, n_periods = motions.y[:, points], np.zeros(len(points), np.int64)

@@ -358,16 +358,10 @@ def outside(
 ) -> str:
     """Return the problem of a distribution that leaves the range of its number; empty without.
 
-    Parameters
-    ----------
-    kind : str
-        Kind of the distribution, for the message.
-    nominal : str, optional
-        How it acts on the nominal value, as of `Samples`.
-    value : float
-        Nominal value.
-    in_metres : bool
-        Whether the model is an oscillator.
+    `kind`: kind of the distribution, for the message.
+    `nominal`: how it acts on the nominal value, as of `Samples`.
+    `value`: nominal value.
+    `in_metres`: whether the model is an oscillator.
     """
     bounds = _range(name, in_metres=in_metres)
     if nominal == "plus":
