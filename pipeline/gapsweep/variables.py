@@ -75,12 +75,8 @@ class Variable:
 
         It has no unit if these differ; see `PART_UNITS`.
 
-        Parameters
-        ----------
-        units : mapping of str to sequence of str
-            Units of all coordinates, and of all contacts: of the displacement ``b · q``.
-        of : str
-            Dimension that a variable without dimensions belongs to.
+        `units`: units of all coordinates, and of all contacts: of the displacement ``b · q``.
+        `of`: dimension that a variable without dimensions belongs to.
         """
         own = {*units[CONTACT if CONTACT in self.dims else of]}
         return replace(self, units=unit_in(self.units, own.pop() if len(own) == 1 else ""))
@@ -295,15 +291,20 @@ def as_html(dataset: "xr.Dataset") -> str:
     return str((shown if dataset["status"].dims else shown.T)._repr_html_())
 
 
+def flags_of(variable: "xr.DataArray") -> dict[int, str]:
+    """Return the meanings of a flag variable by value; none of other variables."""
+    import numpy as np
+
+    values = np.ravel(variable.attrs.get("flag_values", [])).tolist()
+    return dict(zip(values, str(variable.attrs.get("flag_meanings", "")).split(), strict=False))
+
+
 def _in_words(dataset: "xr.Dataset") -> "xr.Dataset":
     import numpy as np
 
     words = {}
     for name, variable in dataset.data_vars.items():
-        if "flag_meanings" in variable.attrs:
-            meanings = variable.attrs["flag_meanings"].split()
-            values = np.atleast_1d(variable.attrs["flag_values"]).tolist()
-            known = dict(zip(values, meanings, strict=True))
+        if known := flags_of(variable):
             text = [known.get(value, "") for value in variable.values.ravel().tolist()]
             words[name] = (variable.dims, np.array(text, dtype=object).reshape(variable.shape))
     return dataset.assign(words)

@@ -713,8 +713,57 @@ def test_numbers_of_losses_are_drawn_within_their_range():
             drawn("piecewise", **{name: uniform})
         with pytest.raises(StudyError, match=f"{name}: {family}-0.5 has it in its label"):
             drawn(f"{family}-0.5", **{name: uniform})
+    for representation in ("poly-5", "huntcrossley-0.5"):
+        with pytest.raises(StudyError, match=f"damping: {representation} has none"):
+            drawn(representation, damping=uniform)
     with pytest.raises(StudyError, match="restitution > 1"):
         drawn("rigid", restitution={"uniform": [0.9, 1.1]})
+
+
+def test_tables_of_a_study_name_only_parameters_that_its_laws_have():
+    """Branches, fits, gradients and histories, by chi and by the restitution."""
+    base = {
+        "study": {"name": "tables"},
+        "oscillator": {"zeta": 0.025, "omega_n": 1.0 / TURN, "mass": 1.0, "forcing": 0.03},
+    }
+    block = {"representation": ["huntcrossley", "piecewise"], "K_c": 20.0, "gap": [0.0, 0.1745]}
+    block |= {"omega": 0.95 / TURN, "chi": [0.1, 0.3]}
+    history = {"representation": "huntcrossley", "K_c": 20.0, "gap": [0.0, 0.1], "t_end": 100.0}
+    history |= {"omega": 0.1}
+    data = {"omega [Hz]": [0.1, 0.2, 0.3], "amplitude [m]": [0.1, 0.2, 0.3]}
+
+    def checked(table, value, **others):
+        return gs.Study.from_dict(base | {"sweep": [block | others], table: value})
+
+    one = {"chi": 0.1}
+    checked("branches", {"along": "chi"})
+    checked("branches", {"along": "chi", "second": "K_c", "range": [10.0, 30.0]})
+    checked("gradients", {"by": ["chi", "K_c"]})
+    checked("fit", {"data": data, "free": {"chi": [0.0, 1.0]}}, **one)
+    found = checked("history", [history | {"chi": 0.3}])
+    assert laws_of(found.history_point(*of_history(found)))[0].chi == 0.3
+    found = checked("history", [history], **one)
+    assert laws_of(found.history_point(*of_history(found)))[0].chi == 0.1
+    with pytest.raises(StudyError, match=r"history\[0\]\.chi: swept by the study"):
+        checked("history", [history])
+    with pytest.raises(StudyError, match=r"history\[0\]\.chi: huntcrossley-0\.3 has it"):
+        checked("history", [history | {"representation": "huntcrossley-0.3", "chi": 0.3}])
+    with pytest.raises(StudyError, match=r"history\[0\]\.restitution: missing, rigid"):
+        checked("history", [history | {"representation": "rigid", "chi": 0.3}])
+    for table, value in (
+        ("branches", {"along": "omega", "second": "restitution", "range": [0.5, 0.8]}),
+        ("gradients", {"by": ["restitution"]}),
+        ("fit", {"data": data, "free": {"restitution": [0.5, 0.8]}}),
+    ):
+        with pytest.raises(StudyError, match=f"{table}.*restitution.*: must be one of .*chi"):
+            checked(table, value, **one)
+    with pytest.raises(StudyError, match=r"fit.free: chi = -0\.1: must be >= 0"):
+        checked("fit", {"data": data, "free": {"chi": [-0.1, 1.0]}}, **one)
+
+
+def of_history(found):
+    (table,) = found.spec.history
+    return table, table.representation[0]
 
 
 def laws_of(table):
@@ -888,6 +937,22 @@ def test_chatter_ends_in_a_hold_until_the_load_lets_go(restitution, omega, engin
     assert releases - before.max() == pytest.approx(share, rel=1e-6)
 
 
+def test_a_response_that_a_wall_at_zero_holds_is_that_at_a_shifted_wall():
+    """A ball on a table that shakes with 1.1 times gravity; rounding moves it off a wall at 0."""
+    g, shakes = 9.81, 5.0
+    ball = gs.Oscillator(
+        mass=1.0, omega_n=0.0, zeta=0.0, forcing=0.0, mean_load=g,
+        base_amplitude=1.1 * g / (TURN * shakes) ** 2,
+    )  # fmt: skip
+    found = [
+        gs.respond(ball, gs.Rigid(gs.Gap(None, wall), restitution=0.5), shakes, wall)
+        for wall in (0.0, 1.0)
+    ]
+    at_zero, shifted = ((one.amplitude, one.contact_share) for one in found)
+    assert [one.period_multiple for one in found] == [1, 1]
+    assert at_zero == pytest.approx(shifted, rel=1e-9)
+
+
 def test_responses_with_impacts_lose_what_the_forcing_supplies():
     from gapsweep.report.losses import energy_lost
 
@@ -981,6 +1046,25 @@ def test_a_branch_passes_the_graze_of_a_rigid_wall(at):
     )
     assert sums[fold] == pytest.approx(1.0 + 0.8**2 * np.linalg.det(free), rel=1e-5)
     assert sorted(forcing[[0, -1]]) == pytest.approx([0.02, 0.3], rel=1e-12)
+
+
+def test_a_branch_goes_on_where_an_impact_passes_the_phase_of_the_initial_state():
+    """The velocity there is reversed at once, as the impact comes before the end of the period."""
+    found = gs.branches(
+        oscillator(zeta=0.05), rigid(0.8), "forcing", (0.45, 2.0), at=0.6, omega=0.7 / TURN
+    ).isel(branch=0)
+    found = found.dropna("step", how="all", subset=["forcing"])
+    assert sorted(found["forcing"].values[[0, -1]]) == pytest.approx([0.45, 2.0], rel=1e-12)
+    (x, v), forcing = found["start_state"].values.T, found["forcing"].values
+    jumps = np.flatnonzero(np.abs(np.diff(v)) > 0.5)
+    assert len(jumps) == 1
+    assert x[jumps] == pytest.approx([1.0], abs=1e-6)
+    one = np.eye(1)
+    for row in (jumps[0], jumps[0] + 1, len(x) - 1, 0):
+        oracle = Lossy(one, 0.1 * one, one, [forcing[row]], 0.7, [Wall([1.0], 1.0, 0.0, e=0.8)])
+        start = np.array([min(x[row], 1.0 - 1e-12), v[row]])
+        one_later, two_later = (oracle.run(start, n * TURN / 0.7).y for n in (1.37, 2.37))
+        assert two_later == pytest.approx(one_later, abs=1e-6)
 
 
 def test_a_branch_along_the_restitution_has_its_determinants():

@@ -488,6 +488,23 @@ def test_a_study_with_damping_has_its_range():
     assert (stop.gap, stop.damping, stop.pulls) == (gs.Gap(0.1, 0.2), 0.5, True)
 
 
+def test_losses_of_single_laws_have_sliders():
+    swept = {"sweep__0__representation": ["piecewise", "huntcrossley"], "sweep__0__chi": [0.1, 0.3]}
+    question, ranges = of_study(gs.Study.from_dict(changed(TWO_MASSES, **swept)))
+    (dial,) = (one for one in dials(question, ranges) if one.name == "chi")
+    assert (dial.low, dial.high) == (0.1, 0.3)
+    moved = asked(question, numbers(question) | {"chi": 0.2})
+    assert moved.laws("huntcrossley")[0].chi == 0.2
+    assert moved.laws("huntcrossley-2")[0].chi == 2.0
+    assert moved.laws(EXACT)[0] == gs.Piecewise(10.0, gs.Gap(0.1, 0.2))
+    for machine in (LINEAR, gs.systems.two_masses()):
+        question = of_model(machine, gs.Rigid(gs.Gap(0.1, 0.2), restitution=0.8), approximations=[])
+        (dial,) = (one for one in dials(question) if one.name == "restitution")
+        assert (dial.low, dial.value, dial.high) == (0.0, 0.8, 1.0)
+        law = next(iter(asked(question, numbers(question) | {"restitution": 0.5}).laws(EXACT)))
+        assert law == gs.Rigid(gs.Gap(0.1, 0.2), restitution=0.5)
+
+
 def test_a_study_of_systems_gives_ranges_and_keeps_its_own_contacts():
     study = gs.Study.from_dict(TWO_MASSES)
     question, ranges = of_study(study)

@@ -613,7 +613,8 @@ def test_of_many_cases_those_that_tell_most_are_listed():
 
 def test_the_frequencies_at_which_the_machine_touches_are_stated(tmp_path):
     def at(label, omega, start):
-        return periodic([(1e-3, 0.0)], omega, contact_share=0.1 * (2.0 <= omega <= 4.0))
+        meets = 2.0 <= omega <= 4.0
+        return periodic([(1e-3, 0.0)], omega, contact_share=0.1 * meets, force_max=1.0 * meets)
 
     omega = (1.0, 2.0, 3.0, 4.0, 5.0)
     responses, _ = datasets(tmp_path, tables(LABELS, omega, starts=2, **HALF), at)

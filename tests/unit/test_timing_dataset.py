@@ -19,10 +19,11 @@ def responses(host, cpu_time):
         return POINT_DIMS, np.reshape(np.array(values, dtype), shape)
 
     zeros = np.zeros(shape)
+    hosts = {"flag_meanings": "left right", "flag_values": [0, 1]}
     return xr.Dataset(
         {
             "status": grid(zeros, int),
-            "host": (*grid(host, int), {"flag_meanings": "left right"}),
+            "host": (*grid(host, int), hosts),
             "cpu_time": grid(cpu_time),
             **{name: grid(zeros, int) for name in COSTS if name != "cpu_time"},
         },

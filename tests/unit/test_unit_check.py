@@ -101,6 +101,19 @@ def test_a_force_in_the_gap_is_reported_where_the_softest_wall_has_it():
     assert not [*doubts_of(study_of(coarse, K_c=[1e7, 1e8], forcing=[50.0, 5e4]))]
 
 
+def test_values_given_as_factors_of_the_nominal_value_are_doubted():
+    def found(**of):
+        tables = study_of({}).spec.tables
+        tables["uncertain"] = {"samples": 8, "quantities": ["amplitude"], "forcing": of}
+        return [*doubts_of(gs.Study.from_dict(tables))]
+
+    assert not found(normal=1.1, sd=0.1, nominal="times")
+    assert not found(normal=50.0, sd=1.0)
+    (message,) = found(normal=4.0, sd=0.1, nominal="times")
+    assert "forcing" in message
+    assert "4;" in message
+
+
 def test_each_call_warns_once_where_it_is_written():
     law = gs.Tanh(1e6, gs.Gap(0.15, 0.3), 1.0)
     oscillator = gs.Oscillator(**USUAL | {"zeta": 3.0})

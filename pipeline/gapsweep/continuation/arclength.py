@@ -13,12 +13,13 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from itertools import combinations_with_replacement
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gapsweep.continuation import thresholds as limit
-from gapsweep.continuation.border import rigid_graze
+from gapsweep.continuation.border import behind_impact, rigid_graze
 from gapsweep.continuation.crossing import crossing
 from gapsweep.continuation.hopf import hopf_point
 from gapsweep.continuation.locate import Step, orbits_at
@@ -153,6 +154,9 @@ class Continuation:
     def _ahead(self, half: Half, orbit: Orbit | None, reference: Reference) -> Orbit | None:
         """The next orbit where steps are at their smallest; a half without one ends."""
         last = half.orbits[-1]
+        behind = behind_impact(self.corrector, last, reference)
+        if behind is not None:
+            return behind
         # A branch that comes back to a kink has turned round there.
         ways = (np.abs(last.unknowns - kink.unknowns).max() for kink in half.kinks)
         is_first = all(way > limit.SAME_KINK for way in ways)
@@ -256,6 +260,8 @@ class Continuation:
     def _closing(self, first: Orbit, half: Half) -> Orbit | None:
         """The first orbit, in any phase, if it lies between the last two."""
         step, n = half.step(len(half.orbits) - 2), self.equations.n_states
+        if _jumps(step.chord, step.before.tangent):
+            return None
         if self.equations.has_period:
             parts = [_between(step.before, first, step.after)]
             normal = np.eye(len(first.unknowns))[-1]
@@ -336,12 +342,18 @@ def _is_passed(orbits: Sequence[Orbit], orbit: Orbit) -> bool:
     apart = ((orbit.unknowns - places[alike]) ** 2).sum(axis=1)
     if apart.min(initial=np.inf) <= limit.ON_CHORD**2 * way:
         return True
-    (rows,) = np.nonzero(alike[:-1] & alike[1:])
-    chords, to = places[rows + 1] - places[rows], orbit.unknowns - places[rows]
+    chords, tangents = np.diff(places, axis=0), np.array([each.tangent for each in orbits[:-1]])
+    (rows,) = np.nonzero(alike[:-1] & alike[1:] & ~_jumps(chords, tangents))
+    chords, to = chords[rows], orbit.unknowns - places[rows]
     squares = np.maximum((chords**2).sum(axis=1), np.finfo(float).tiny)
     share = (chords * to).sum(axis=1) / squares
     aside = ((to - share[:, None] * chords) ** 2).sum(axis=1)
     return bool(((share >= 0.0) & (share <= 1.0) & (aside <= limit.ON_CHORD**2 * squares)).any())
+
+
+def _jumps(chord: Array, tangent: Array) -> Any:
+    """Whether chords are no parts of a branch, as where impacts pass the initial phase."""
+    return (chord * tangent).sum(axis=-1) < 0.5 * np.sqrt((chord**2).sum(axis=-1))
 
 
 def _bend(orbits: list[Orbit]) -> Array:

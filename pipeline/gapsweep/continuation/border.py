@@ -207,6 +207,39 @@ def rigid_graze(
     return []
 
 
+def behind_impact(corrector: Corrector, last: Orbit, reference: Reference) -> Orbit | None:
+    """Return the next orbit of a branch where an impact passes the phase at which orbits start.
+
+    There the initial state changes from that before the impact to that after it, or back.
+    """
+    equations, guess = corrector.equations, last.unknowns.copy()
+    model, n, size = equations.models_at(last), equations.n, reference.size[0]
+    for contact, side, wall in _rigid(equations, last):
+        outward = side * np.reshape(model.systems[0].directions[contact], -1)
+        near = on_wall(last, contact) * limit.NEAR_EDGE / limit.ON_WALL
+        speed, e = float(outward @ last.state[n : 2 * n]), model.laws[0][contact].losses.restitution
+        if abs(outward @ last.state[:n] - side * wall) > near or not (speed > 0.0 or e):
+            continue
+        push = np.linalg.solve(np.atleast_2d(model.systems[0].mass), outward)
+        change = speed * (1.0 + (e if speed > 0.0 else 1.0 / e)) / (outward @ push)
+        guess[n : 2 * n] -= change * push / size[n : 2 * n]
+        along = np.copysign(1.0, last.tangent[-1]) * np.eye(len(guess))[-1]
+        inwards = np.zeros_like(guess)
+        inwards[:n] = -outward / np.abs(outward).max()
+        distances = np.array(limit.BEHIND)
+        found, _ = corrector.orbits(
+            guess + np.outer(distances, inwards + abs(last.tangent[-1]) * along),
+            np.tile(along, (len(distances), 1)),
+            reference.take(np.zeros(len(distances), int)),
+            np.full(len(distances), limit.LARGEST),
+        )
+        n_impacts = _clearance(equations, last)[0]
+        for orbit in found:
+            if orbit is not None and _clearance(equations, orbit)[0] == n_impacts:
+                return orbit
+    return None
+
+
 def _zero(before: float, last: float, apart: float) -> float:
     """Distance from the last of two points to the zero of the line through both."""
     return last * apart / (before - last) if before != last else np.inf
@@ -310,13 +343,17 @@ def _located(corrector: Corrector, orbit: Orbit, reference: Reference) -> _Graze
         return None
     tangent = orbit.tangent * np.sign(slope)
     across = np.eye(len(tangent))[-1]
-    ahead = (-limit.CLEAR_OF_WALL * limit.ON_WALL - value) / abs(slope)
-    (graze,), _ = corrector.orbits(
-        (orbit.unknowns + ahead * tangent)[None, :], across[None, :], reference,
-        np.array([limit.BEFORE_RIGID]),
-    )  # fmt: skip
-    if graze is None or _clearance(equations, graze)[0] != n:
-        return None
+    graze, ahead = orbit, 0.0
+    for nearer in (100.0, 1.0):
+        ahead += (-nearer * limit.CLEAR_OF_WALL * limit.ON_WALL - value) / abs(slope)
+        (found,), _ = corrector.orbits(
+            (orbit.unknowns + ahead * tangent)[None, :], across[None, :], reference,
+            np.array([limit.BEFORE_RIGID]),
+        )  # fmt: skip
+        now = (n + 1, 0.0) if found is None else _clearance(equations, found)
+        if found is None or now[0] != n:
+            return None
+        graze, value = found, now[1]
     return _graze(equations, graze, tangent, abs(slope), reference)
 
 

@@ -335,12 +335,8 @@ class _Survey:
 
         The first slice is at `holds` if the demand fails there, too.
 
-        Parameters
-        ----------
-        holds : float
-            Place at which all demands hold as far as known.
-        known : _Slice
-            A slice nearby that violates a demand.
+        `holds`: place at which all demands hold as far as known.
+        `known`: a slice nearby that violates a demand.
         """
         trail, lost = [known], holds
         towards = LOCATED if holds > known.place else -LOCATED

@@ -92,17 +92,10 @@ class Machine:
 
         The first point starts from rest. All sweeps at all values advance together.
 
-        Parameters
-        ----------
-        values : ndarray, shape (m, number of parameters)
-        frequencies : sequence of ndarray
-            Frequencies [Hz] of each sweep in its order.
-
-        Returns
-        -------
-        list of Responses
-            For each sweep, of ``m * len(frequencies)`` points: all values at the first frequency,
-            then at the second one.
+        `values`: shape (m, number of parameters).
+        `frequencies`: frequencies [Hz] of each sweep in its order.
+        Result: for each sweep, of ``m * len(frequencies)`` points: all values at the first
+        frequency, then at the second one.
         """
         m = len(values)
         states = [np.zeros((m, self.n_states)) for _ in frequencies]

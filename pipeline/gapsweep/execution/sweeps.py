@@ -34,12 +34,8 @@ def start_of(
     """State from which a sweep continues after the point `previous`, and the key of its origin.
 
     The origin is the last point up to `previous` that has an end state. Without one, the state is
-    rest (`n_states` zeros) and the key zero.
-
-    Raises
-    ------
-    StoreError
-        If a point of the sweep is not stored.
+    rest (`n_states` zeros) and the key zero. Raises `StoreError` if a point of the sweep is not
+    stored.
     """
     while previous != np.zeros(1, KEY):
         place = cache.place(previous)

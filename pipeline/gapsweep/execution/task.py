@@ -205,12 +205,8 @@ def respond_to(tile: Tile, ask: Ask | None = None) -> Responses:
     The first points of all sweeps advance together, then the second ones, and so on. A point whose
     predecessor has no end state starts from the last one that has; `origins` says which.
 
-    Parameters
-    ----------
-    tile : Tile
-    ask : callable, optional
-        Function that returns responses of independent points from states, shape (n, n_states);
-        None computes them in this process, all in one call.
+    `ask`: function that returns responses of independent points from states, shape (n, n_states);
+    None computes them in this process, all in one call.
     """
     states, first, lengths = tile.states.copy(), tile.firsts, tile.lengths
     order, parts = [], []

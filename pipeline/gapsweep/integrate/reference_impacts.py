@@ -89,29 +89,34 @@ def has_dependent_holds(scene: ReferenceScene, modes: tuple[int, ...]) -> bool:
 
 
 def is_inside(scene: ReferenceScene, y: State) -> bool:
-    """Whether all gaps are between their rigid walls, or by rounding on them."""
+    """Whether all gaps are between their rigid walls, or pass them by less than the tolerance."""
     for k, law in enumerate(scene.laws):
         if law.losses.is_rigid:
-            gap, (low, high), slack = scene.gap(k, y), law.walls, _rounding(scene, k, y)
+            gap, (low, high), (_, slack) = scene.gap(k, y), law.walls, _near(scene, k, y)
             if not low - slack <= gap <= high + slack:
                 return False
     return True
 
 
-def _rounding(scene: ReferenceScene, contact: int, y: State) -> float:
-    """Distance [m] from a rigid wall within which a gap is on it."""
-    return _AT_WALL * float(np.abs(scene.directions[contact]) @ np.abs(y[: scene.n]))
+def _near(scene: ReferenceScene, contact: int, y: State) -> tuple[float, float]:
+    """Distances [m] before and beyond a rigid wall within which a gap is on it.
+
+    At a wall at zero, the size of the gap is no scale of rounding.
+    """
+    slack = _AT_WALL * float(np.abs(scene.directions[contact]) @ np.abs(y[: scene.n]))
+    return slack, max(slack, scene.atol)
 
 
 def on_rigid_walls(scene: ReferenceScene, y: State) -> list[tuple[int, int]]:
     """Contacts, and sides, that are on rigid walls up to rounding and do not leave them."""
     found = []
     for k, law in enumerate(scene.laws):
-        near = _rounding(scene, k, y)
+        before, beyond = _near(scene, k, y)
         for side in (1, -1) if law.losses.is_rigid else ():
             size = _STILL * float(np.abs(scene.directions[k]) @ np.abs(y[scene.n : 2 * scene.n]))
             speed = side * scene.gap(k, y[scene.n :])
-            if abs(scene.gap(k, y) - scene.wall(k, side)) <= near and speed >= -size:
+            depth = side * (scene.gap(k, y) - scene.wall(k, side))
+            if -before <= depth <= beyond and speed >= -size:
                 found.append((k, side))
     return found
 

@@ -61,22 +61,17 @@ def split_title(title: str) -> tuple[str, str]:
 def factor_of(where: str, title: str, name: str, *units: str) -> float | None:
     """Return the factor from the unit in a column's title to one of `units`; None without a unit.
 
-    The last word of ``time_ms`` is a unit, too, if it has the right dimension.
+    The last word of ``time_ms`` is a unit, too, if it has the right dimension. Raises `ModelError`
+    if the unit has another dimension or is unknown.
 
     Parameters
     ----------
     where : str
         Name of the table, for messages.
-    title : str
     name : str
         Name of the numbers, for messages.
     *units : str
         Units of the numbers that are allowed, as UDUNITS text.
-
-    Raises
-    ------
-    ModelError
-        If the unit has another dimension or is unknown.
     """
     words, unit = split_title(title)
     tail = "" if unit else words.rpartition("_")[2] if "_" in words else ""
@@ -99,19 +94,11 @@ def factor_of(where: str, title: str, name: str, *units: str) -> float | None:
 
 @dataclass(frozen=True, slots=True)
 class Columns:
-    """Columns of a text file.
-
-    Attributes
-    ----------
-    path : str
-    titles : list of str
-        Titles above the columns; empty without titles.
-    lines : list of (int, str, list of str)
-        The lines of the columns: their numbers in the file, texts and cells.
-    """
+    """Columns of a text file."""
 
     path: str
-    titles: list[str]
+    titles: list[str]  # titles above the columns; empty without titles
+    # The lines of the columns: their numbers in the file, texts and cells.
     lines: list[tuple[int, str, list[str]]]
 
     def texts(self, place: int) -> list[str]:
@@ -119,13 +106,7 @@ class Columns:
         return [cells[place].strip() if place < len(cells) else "" for *_, cells in self.lines]
 
     def numbers(self, place: int) -> Array:
-        """Return the numbers of a column, shape (n,).
-
-        Raises
-        ------
-        ModelError
-            If a cell is no finite number.
-        """
+        """Return the numbers of a column, shape (n,); ModelError if a cell is no finite number."""
         found = np.full(len(self.lines), math.nan)
         for row, text in enumerate(self.texts(place)):
             with suppress(ValueError):
@@ -143,10 +124,7 @@ class Columns:
     def place(self, name: str) -> int:
         """Return the place of the column with a title, without its unit.
 
-        Raises
-        ------
-        ModelError
-            If the file has no such column.
+        Raises `ModelError` if the file has no such column.
         """
         names = [split_title(title)[0] for title in self.titles]
         if name not in names:
@@ -160,12 +138,8 @@ def read_columns(path: str | PathLike[str]) -> Columns:
 
     Columns are separated by commas, semicolons, tabs or blanks. They begin at the first line with a
     number; the last line of words above it has the titles. Lines that begin with ``#`` are skipped,
-    unless no other line has the titles.
-
-    Raises
-    ------
-    ModelError
-        If the file cannot be read, has no line with a number, or decimal commas.
+    unless no other line has the titles. Raises `ModelError` if the file cannot be read, has no line
+    with a number, or decimal commas.
     """
     try:
         lines = Path(path).read_text(encoding="utf-8-sig").splitlines()

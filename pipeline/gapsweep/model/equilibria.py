@@ -32,20 +32,12 @@ _GAUSS_NODES, _GAUSS_WEIGHTS = np.polynomial.legendre.leggauss(5)
 
 @dataclass(frozen=True, slots=True)
 class Equilibria:
-    """Static equilibria in ascending order.
+    """Static equilibria in ascending order."""
 
-    Attributes
-    ----------
-    x : ndarray, shape (n,)
-        Positions [m].
-    stable : ndarray of bool, shape (n,)
-        Whether the restoring force rises through zero: a minimum of the potential.
-    energy : ndarray, shape (n,)
-        Potential energy of springs, contact and mean load [J], zero at ``x = 0``.
-    """
-
-    x: Array
+    x: Array  # shape (n,); positions [m]
+    # Shape (n,); whether the restoring force rises through zero: a minimum of the potential.
     stable: NDArray[np.bool_]
+    # Shape (n,); potential energy of springs, contact and mean load [J], zero at ``x = 0``.
     energy: Array
 
     @property

@@ -94,14 +94,10 @@ def rational_fit(
 ) -> Fit:
     """Return the best pole-free rational polynomial over 401 uniform points of ``±fit_range``.
 
-    The numerator is linear and therefore eliminated (variable projection, Golub & Pereyra
-    1973); the denominator is searched from deterministic starts. The problem has many
-    local optima, about half of them with a pole inside the range: those are discarded.
-
-    Raises
-    ------
-    ModelError
-        If every optimum found has a pole inside the range; the message names it.
+    The numerator is linear and therefore eliminated (variable projection, Golub & Pereyra 1973);
+    the denominator is searched from deterministic starts. The problem has many local optima, about
+    half of them with a pole inside the range: those are discarded. Raises `ModelError` if every
+    optimum found has a pole inside the range; the message names it.
     """
     for name, degree in (("numerator", numerator), ("denominator", denominator)):
         whole(f"{name} degree", degree, 1, MAX_RATIONAL_DEGREE)
@@ -159,10 +155,7 @@ def rational_candidates(
 ) -> tuple[Fit, ...]:
     """Local optima of the rational fit, one per initial denominator, also those with poles.
 
-    Parameters
-    ----------
-    odd : bool
-        Use only the terms of an odd function: odd ones in the numerator, even ones below.
+    `odd`: use only the terms of an odd function: odd ones in the numerator, even ones below.
     """
     top, bottom = np.arange(numerator + 1), np.arange(1, denominator + 1)
     if odd:

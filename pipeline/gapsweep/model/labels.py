@@ -60,10 +60,7 @@ class Representation(str):
     def parsed(cls, label: str) -> Representation:
         """Return the representation of a label in canonical spelling.
 
-        Raises
-        ------
-        ModelError
-            If the law is unknown or its parameter is out of range.
+        Raises `ModelError` if the law is unknown or its parameter is out of range.
         """
         law, at, protocol = label.partition("@")
         return cls(canonical_label(law) + at + protocol)

@@ -19,21 +19,13 @@ from gapsweep.user_code.snapshot import Snapshot
 
 @dataclass(frozen=True)
 class OwnLaw:
-    """A user's contact law, independent of stiffness and gap.
+    """A user's contact law, independent of stiffness and gap."""
 
-    Attributes
-    ----------
-    module, name : str
-        Module and name of a function or table; or file and unit of measured forces.
-    source : Snapshot or ForceTable
-        The code that defines the function, or the table itself.
-    parameters : tuple of (str, float)
-        Values of named numbers; a function uses those that are its arguments.
-    """
-
+    # `module`, `name`: module and name of a function or table; or file and unit of measured forces.
     module: str
     name: str
-    source: Snapshot | ForceTable
+    source: Snapshot | ForceTable  # the code that defines the function, or the table itself
+    # Values of named numbers; a function uses those that are its arguments.
     parameters: tuple[tuple[str, float], ...] = ()
 
     @classmethod
@@ -41,12 +33,8 @@ class OwnLaw:
         """Read the code of a label; the module is searched on Python's path, then in `folders`.
 
         A module that ends in ``.csv`` is a file of measured forces, the name the unit of its
-        displacements; forces are in newtons.
-
-        Raises
-        ------
-        ModelError
-            If the module or file cannot be read.
+        displacements; forces are in newtons. Raises `ModelError` if the module or file cannot be
+        read.
         """
         module, _, name = label.partition(":")
         try:
@@ -74,10 +62,7 @@ class OwnLaw:
     def load(self) -> Callable[..., float] | ForceTable:
         """Return the function or table of the label; its module is executed if need be.
 
-        Raises
-        ------
-        ModelError
-            If the code raises, or has no such name.
+        Raises `ModelError` if the code raises, or has no such name.
         """
         if isinstance(self.source, ForceTable):
             return self.source
@@ -112,12 +97,8 @@ class OwnLaw:
 def checked(own: OwnLaw) -> OwnLaw:
     """Return the law, tested by a call at x = 0, with only the parameters that it takes.
 
-    A table that the module defines is returned as numbers, without the code.
-
-    Raises
-    ------
-    ModelError
-        If the law cannot be loaded, or is no function of x.
+    A table that the module defines is returned as numbers, without the code. Raises `ModelError` if
+    the law cannot be loaded, or is no function of x.
     """
     own.law(0.0, Gap(0.0, 0.0))
     found = own.load()

@@ -22,10 +22,7 @@ _OF_CONTACT = re.compile(r"(\w+)\[(.+)\]")
 def made_model(function: Callable[..., Any], values: Mapping[str, float]) -> Oscillator | System:
     """Return the model that a user's function makes of parameter values.
 
-    Raises
-    ------
-    ModelError
-        If the function raises, or returns no model.
+    Raises `ModelError` if the function raises, or returns no model.
     """
     try:
         made = function(**values)
@@ -82,10 +79,7 @@ class Parameter:
     def values(self, model: Any, laws: Sequence[ContactLaw], omega: float) -> list[float]:
         """Return the value, or those of all contacts and walls that it changes together.
 
-        Raises
-        ------
-        ModelError
-            If there is no such parameter.
+        Raises `ModelError` if there is no such parameter.
         """
         if self.name in self.arguments:
             return [self.arguments[self.name]]

@@ -91,10 +91,7 @@ def copies(example: T, columns: Mapping[str, Sequence[Any]]) -> list[T]:
 def read_structure(fields: Mapping[str, Any]) -> AnyStructure:
     """Return the structure with these fields, read from JSON; without fields, an oscillator's.
 
-    Raises
-    ------
-    ValueError, TypeError, KeyError
-        If the fields are those of no structure.
+    Raises `ValueError`, `TypeError` or `KeyError` if the fields are those of no structure.
     """
     return Structure.read(fields) if "n" in fields else OscillatorStructure.read(fields)
 
@@ -148,28 +145,18 @@ class OscillatorStructure:
 
 @dataclass(frozen=True, kw_only=True)
 class Structure:
-    """Structure of a system: its sizes and the frequencies of its loads, without other numbers.
+    """Structure of a system: its sizes and the frequencies of its loads, without other numbers."""
 
-    Attributes
-    ----------
-    n, m : int
-        Coordinates and first-order states.
-    n_cubic : int
-        Cubic springs.
-    loads : tuple of (int, int) or Wave
-        For every load the multiple of the forcing frequency and its `Harmonic.power`, or its wave.
-    contacts : tuple of tuple of int
-        For every contact the multiples of the forcing frequency in its periodic stiffness.
-    in_metres, is_odd : bool
-        Unknown, hence False; see `OscillatorStructure`.
-    """
-
+    # `in_metres`, `is_odd`: unknown, hence False; see `OscillatorStructure`.
     in_metres: ClassVar[bool] = False
     is_odd: ClassVar[bool] = False
+    # `n`, `m`: coordinates and first-order states.
     n: int
     m: int
-    n_cubic: int
+    n_cubic: int  # cubic springs
+    # For every load the multiple of the forcing frequency and its `Harmonic.power`, or its wave.
     loads: tuple[tuple[int, int] | Wave, ...]
+    # For every contact the multiples of the forcing frequency in its periodic stiffness.
     contacts: tuple[tuple[int, ...], ...]
 
     @classmethod

@@ -30,20 +30,13 @@ _LEAST = 2.0**-20  # of an interval between kinks: a shorter piece contains anot
 
 @dataclass(frozen=True, repr=False)
 class Wave:
-    """The values of a force by pieces, divided by its largest modulus.
+    """The values of a force by pieces, divided by its largest modulus."""
 
-    Attributes
-    ----------
-    ends : tuple of float, length n
-        Ends of the pieces, ascending: in periods, from 0 to 1; or in seconds, up to infinity.
-    coefficients : tuple of tuple of float, length n
-        Polynomial of every piece, by powers of the time since its end (negative within it).
-    in_seconds : bool
-        Whether the wave is a record in seconds; otherwise it repeats in every period.
-    """
-
+    # Ends of the pieces, ascending: in periods, from 0 to 1; or in seconds, up to infinity.
     ends: tuple[float, ...]
+    # Polynomial of every piece, by powers of the time since its end (negative within it).
     coefficients: tuple[tuple[float, ...], ...]
+    # Whether the wave is a record in seconds; otherwise it repeats in every period.
     in_seconds: bool = False
 
     @classmethod

@@ -45,12 +45,8 @@ def curves(
 ) -> Iterator[Marks]:
     """A curve per representation and initial state, broken at jumps; the exact law thick.
 
-    Parameters
-    ----------
-    variable : DataArray
-        Dimensions representation, `along`, initial_condition.
-    kinds : DataArray, optional
-        The ``response_class`` of each value; unresolved responses set no axis.
+    `variable`: dimensions representation, `along`, initial_condition.
+    `kinds`: the ``response_class`` of each value; unresolved responses set no axis.
     """
     setting = variable.notnull() if kinds is None else sets_axis(variable, kinds)
     x, order = drawn(variable[along]), ("initial_condition", along)
@@ -91,12 +87,8 @@ def start_kinds(shown: Any) -> list[str]:
 def key_of_marks(shown: xr.Dataset, variable: str = "", other: str = "") -> Iterator[Marks]:
     """Legend entries of the symbols of a figure: sweeps, and responses that are not periodic.
 
-    Parameters
-    ----------
-    variable : str
-        Variable that is drawn; if empty, all responses are drawn alike.
-    other : str
-        Colour of responses that are not periodic; empty: grey.
+    `variable`: variable that is drawn; if empty, all responses are drawn alike.
+    `other`: colour of responses that are not periodic; empty: grey.
     """
     for kind in SWEEPS:
         if kind in start_kinds(shown):
@@ -191,12 +183,8 @@ def caption_of_marks(figure: "Figure") -> str:
 def frame(scene: xr.Dataset, lowest: str, exact: str) -> tuple[float, float]:
     """Limits of a common axis: range of the exact law, extended by up to half of it for others.
 
-    Parameters
-    ----------
-    lowest : str
-        The variable of the lower limit; ``x_max`` is the variable of the upper limit.
-    exact : str
-        The exact law's label.
+    `lowest`: the variable of the lower limit; ``x_max`` is the variable of the upper limit.
+    `exact`: the exact law's label.
     """
     bottom, top = (
         drawn(scene[name].where(sets_axis(scene[name], scene["response_class"])))

@@ -19,6 +19,7 @@ from gapsweep.report.selection import missing_variable, scene
 from gapsweep.report.style import BLANK, CLASS_COLOURS, GREY, NUMBERED, sequence
 from gapsweep.response.result import ResponseClass
 from gapsweep.status import Status
+from gapsweep.variables import flags_of
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -70,13 +71,10 @@ def picture(
     Raises `DatasetError` if a variable or coordinate is missing, or another dimension has several
     values.
 
-    Parameters
-    ----------
-    x, y : str
-        Numeric dimensions, or ``x_0`` and ``v_0`` if the initial conditions form a full grid; `y`
-        is the longest other numeric dimension if None.
-    wanted : mapping
-        As for `gapsweep.analysis.dimensions.selected`; all other dimensions must have one value.
+    `x` and `y`: numeric dimensions, or ``x_0`` and ``v_0`` if the initial conditions form a full
+    grid; `y` is the longest other numeric dimension if None.
+    `wanted`: as for `gapsweep.analysis.dimensions.selected`; all other dimensions must have one
+    value.
     """
     if variable not in dataset.data_vars:
         raise DatasetError(missing_variable(dataset, variable))
@@ -288,11 +286,9 @@ def _mark_periods(made: MapImage, numbers: NDArray[np.int64]) -> None:
 
 def _mark_whole_numbers(made: MapImage, values: xr.DataArray) -> None:
     """Give the cells of each flag or whole number a kind; more than 8 stay numbers."""
-    whole, attributes = values.values, values.attrs
+    whole, known = values.values, flags_of(values)
     first = 1 if values.name == "n_attractors" else 0
     there = np.unique(whole[whole >= first]).tolist()
-    flags = np.ravel(attributes.get("flag_values", [])).tolist()
-    known = dict(zip(flags, str(attributes.get("flag_meanings", "")).split(), strict=False))
     if not known and len(there) > MOST_KINDS:
         made.numbers = made.numbers.where(whole >= first)
         return
@@ -326,16 +322,9 @@ def _norm(numbers: NDArray[np.float64]) -> tuple[Any, str]:
 def edges(values: NDArray[np.float64], *, log: bool) -> NDArray[np.float64]:
     """Edges of the cells of an axis, halfway between its values.
 
-    Parameters
-    ----------
-    values : ndarray, shape (n,)
-        Ascending.
-    log : bool
-        Whether halfway on a logarithmic axis.
-
-    Returns
-    -------
-    ndarray, shape (n + 1,)
+    `values`: shape (n,); ascending.
+    `log`: whether halfway on a logarithmic axis.
+    Result: shape (n + 1,).
     """
     at = np.log(values) if log else values
     if at.size == 1:

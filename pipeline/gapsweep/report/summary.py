@@ -9,7 +9,7 @@ import xarray as xr
 from gapsweep.quantities import written
 from gapsweep.report.selection import places
 from gapsweep.study.axis_selection import is_numeric, listed
-from gapsweep.variables import STATUS_FLAGS
+from gapsweep.variables import STATUS_FLAGS, flags_of
 
 _FEW = 6  # values that are named one by one
 _NOT_REQUESTED = "not_requested"
@@ -65,11 +65,8 @@ def _facts(dataset: xr.Dataset) -> Iterator[tuple[str, str]]:
 
 
 def _counts(variable: xr.DataArray) -> str:
-    meanings = str(variable.attrs["flag_meanings"]).split()
-    counts = {
-        label: int((variable.values == value).sum())
-        for label, value in zip(meanings, variable.attrs["flag_values"], strict=True)
-    }
+    flags = flags_of(variable).items()
+    counts = {label: int((variable.values == value).sum()) for value, label in flags}
     shown = (f"{n} {label}" for label, n in counts.items() if n and label not in _PADDING)
     return ", ".join(label.replace("_", " ") for label in shown)
 

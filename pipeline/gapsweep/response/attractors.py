@@ -42,32 +42,23 @@ _BLOCK = 1 << 20  # numbers that are compared at a time
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Attractors:
-    """Attractors of many cases as columns, sorted by case, then by peak.
+    """Attractors of many cases as columns, sorted by case, then by peak."""
 
-    Attributes
-    ----------
-    of_response : ndarray of int, shape (n_responses,)
-        Row, in the columns below, of the attractor of each response, `NONE` without an attractor.
-    scene, number : ndarray of int, shape (n,)
-        Number of the attractor's case, and of the attractor within the case.
-    first : ndarray of int, shape (n,)
-        Number of the first response on the attractor.
-    leaders : Responses, length n
-        The first response on each attractor.
-    n_ending, n_starts : ndarray of int, shape (n,)
-        Number of the case's counted initial conditions that lead to it, and of all counted ones.
-    mirror_of : ndarray of int, shape (n,)
-        Number of the attractor that is its mirror image (the same if it is symmetric), `NONE` if
-        none was found, or if the gap is not symmetric.
-    """
-
+    # Shape (n_responses,); row, in the columns below, of the attractor of each response, `NONE`
+    # without an attractor.
     of_response: Numbers
+    # `scene`, `number`: shape (n,); number of the attractor's case, and of the attractor within the
+    # case.
     scene: Numbers
     number: Numbers
-    first: Numbers
-    leaders: Responses
+    first: Numbers  # shape (n,); number of the first response on the attractor
+    leaders: Responses  # the first response on each attractor
+    # `n_ending`, `n_starts`: shape (n,); number of the case's counted initial conditions that lead
+    # to it, and of all counted ones.
     n_ending: Numbers
     n_starts: Numbers
+    # Shape (n,); number of the attractor that is its mirror image (the same if it is symmetric),
+    # `NONE` if none was found, or if the gap is not symmetric.
     mirror_of: Numbers
 
     @property

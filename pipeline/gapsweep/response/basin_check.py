@@ -17,26 +17,15 @@ Numbers = NDArray[np.intp]
 
 
 class Approach(NamedTuple):
-    """Approach of m motions to their orbits.
+    """Approach of m motions to their orbits."""
 
-    Attributes
-    ----------
-    is_own : ndarray of bool, shape (m,)
-        Whether the motion is near its orbit and came closer over its window.
-    has_shrunk : ndarray of bool, shape (m,)
-        Whether it came closer by at least half as much as the orbit's multiplier predicts.
-    is_near : ndarray of bool, shape (m,)
-    goal : ndarray, shape (m,)
-        Distance [m] that the motion must reach.
-    stretch : ndarray of int, shape (m,)
-        Periods that it needs for that at the rate of the multiplier.
-    """
-
-    is_own: Mask
+    is_own: Mask  # shape (m,); whether the motion is near its orbit and came closer over its window
+    # Shape (m,); whether it came closer by at least half as much as the orbit's multiplier
+    # predicts.
     has_shrunk: Mask
-    is_near: Mask
-    goal: Array
-    stretch: Counts
+    is_near: Mask  # shape (m,)
+    goal: Array  # shape (m,); distance [m] that the motion must reach
+    stretch: Counts  # shape (m,); periods that it needs for that at the rate of the multiplier
 
 
 def basin_check(

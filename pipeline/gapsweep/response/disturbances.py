@@ -62,23 +62,14 @@ _ROUNDS = 4  # of rays in new directions
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Disturbances:
-    """The smallest disturbances that leave n attractors; NaN where none was found.
+    """The smallest disturbances that leave n attractors; NaN where none was found."""
 
-    Attributes
-    ----------
-    size : ndarray, shape (n,)
-        Norm of the disturbance [m].
-    state : ndarray, shape (n, n_states)
-        State on the attractor that is disturbed, at forcing phase zero.
-    change : ndarray, shape (n, n_states)
-        Disturbance, added to `state`.
-    single : ndarray, shape (n, n_states, 2)
-        Smallest changes of one state and no other, down and up, each in the unit of the state.
-    """
-
-    size: Array
+    size: Array  # shape (n,); norm of the disturbance [m]
+    # Shape (n, n_states); state on the attractor that is disturbed, at forcing phase zero.
     state: Array
-    change: Array
+    change: Array  # shape (n, n_states); disturbance, added to `state`
+    # Shape (n, n_states, 2); smallest changes of one state and no other, down and up, each in the
+    # unit of the state.
     single: Array
 
     def arrays(self, n_coordinates: int) -> dict[str, Array]:

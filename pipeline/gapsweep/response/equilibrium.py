@@ -29,7 +29,6 @@ def linear_stability(ensemble: Ensemble, scene: int, y: Array) -> tuple[float, f
 
     Parameters
     ----------
-    ensemble : Ensemble
     scene : int
         Number of the case.
     y : ndarray, shape (n_states,)

@@ -180,12 +180,8 @@ class LyapunovExponents:
     def linear_growth(self, points: Numbers, omega: Array) -> Array:
         """Apparent exponents [1/s] of linear growth, with which neighbours on a torus separate.
 
-        Parameters
-        ----------
-        points : ndarray of int, shape (m,)
-            Points that have all blocks.
-        omega : ndarray, shape (m,)
-            Forcing frequency [Hz].
+        `points`: shape (m,); points that have all blocks.
+        `omega`: shape (m,); forcing frequency [Hz].
         """
         n_periods = self.n_all_periods(points)
         # numpy's logarithm differs between processors.

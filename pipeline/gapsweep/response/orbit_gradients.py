@@ -56,20 +56,11 @@ _STILL = 1e-9  # speed at a turning point, as a share of the largest speed
 
 @dataclass(frozen=True, slots=True)
 class Cases:
-    """Parameter sets, and the parameters by which quantities are differentiated.
-
-    Attributes
-    ----------
-    models : sequence of Oscillator or System
-    laws : sequence of tuple of ContactLaw
-    omega : ndarray, shape (n,)
-        Frequency [Hz] of each set; 0 for unforced systems.
-    parameters : tuple of Parameter
-    """
+    """Parameter sets, and the parameters by which quantities are differentiated."""
 
     models: Sequence[Any]
     laws: Sequence[Laws]
-    omega: Array
+    omega: Array  # shape (n,); frequency [Hz] of each set; 0 for unforced systems
     parameters: tuple[Parameter, ...]
 
     def __len__(self) -> int:
@@ -132,30 +123,16 @@ def _shifted(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class OrbitGradients:
-    """Quantities of n periodic orbits, and their derivatives by parameters.
+    """Quantities of n periodic orbits, and their derivatives by parameters."""
 
-    Attributes
-    ----------
-    names : tuple of str
-        The quantities.
-    value : ndarray, shape (n, n_quantities)
-    gradient : ndarray, shape (n, n_quantities, n_parameters)
-        NaN where the quantity is, or has no derivative.
-    state : ndarray, shape (n, n_states)
-        Initial state of each orbit.
-    state_gradient : ndarray, shape (n, n_states, n_parameters)
-    monodromy : ndarray, shape (n, n_states, n_states)
-    is_ok : ndarray of bool, shape (n,)
-        Whether Newton's method has found the orbit.
-    """
-
-    names: tuple[str, ...]
-    value: Array
+    names: tuple[str, ...]  # the quantities
+    value: Array  # shape (n, n_quantities)
+    # Shape (n, n_quantities, n_parameters); NaN where the quantity is, or has no derivative.
     gradient: Array
-    state: Array
-    state_gradient: Array
-    monodromy: Array
-    is_ok: NDArray[np.bool_]
+    state: Array  # shape (n, n_states); initial state of each orbit
+    state_gradient: Array  # shape (n, n_states, n_parameters)
+    monodromy: Array  # shape (n, n_states, n_states)
+    is_ok: NDArray[np.bool_]  # shape (n,); whether Newton's method has found the orbit
 
 
 class Orbits:

@@ -19,24 +19,12 @@ MOST_POINTS = 1 << 20  # of sections kept at a time: with eight states, some ten
 
 
 class TorusTest(NamedTuple):
-    """Result of the torus test of m motions.
+    """Result of the torus test of m motions."""
 
-    Attributes
-    ----------
-    is_torus : ndarray of bool, shape (m,)
-        Whether the motion is on a torus.
-    is_locked : ndarray of bool, shape (m,)
-        Whether the motion repeats after any number of periods.
-    y : ndarray, shape (n_states, m)
-        States at the end of the test.
-    n_periods : ndarray of int, shape (m,)
-        Periods that the test took.
-    """
-
-    is_torus: Mask
-    is_locked: Mask
-    y: Array
-    n_periods: NDArray[np.int64]
+    is_torus: Mask  # shape (m,); whether the motion is on a torus
+    is_locked: Mask  # shape (m,); whether the motion repeats after any number of periods
+    y: Array  # shape (n_states, m); states at the end of the test
+    n_periods: NDArray[np.int64]  # shape (m,); periods that the test took
 
 
 def torus_test(

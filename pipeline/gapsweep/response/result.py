@@ -462,12 +462,9 @@ def columns_with(
 ) -> dict[str, NDArray[Any]]:
     """Return the columns of n points, with values of some points; the others have no response.
 
-    Parameters
-    ----------
-    values : mapping of str to ndarray, shape (len(points), ...)
-        Columns by name; columns that are left out have missing values.
-    points : ndarray of int
-        Numbers of the points, ascending.
+    `values`: shape (len(points), ...); columns by name; columns that are left out have missing
+    values.
+    `points`: numbers of the points, ascending.
     """
     columns: dict[str, NDArray[Any]] = {}
     for name, (dtype, shape) in columns_of(structure).items():
@@ -489,22 +486,14 @@ def missing(n: int, structure: AnyStructure) -> dict[str, NDArray[Any]]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Responses:
-    """Steady responses of n points as columns; `row` gives one as a `Response`.
+    """Steady responses of n points as columns; `row` gives one as a `Response`."""
 
-    Attributes
-    ----------
-    columns : dict of str to ndarray, shape (n,)
-        Columns of `COLUMNS`, named as in a `Response`; enumerations as their numbers. Some columns
-        of systems have a second axis.
-    lists : dict of str to (ndarray, ndarray of int, shape (n,))
-        Lists of `LISTS`: the items of all rows, row after row, and the number of each row.
-    messages : dict of int to str
-        Messages by row, for rows that have one.
-    """
-
+    # Shape (n,); columns of `COLUMNS`, named as in a `Response`; enumerations as their numbers.
+    # Some columns of systems have a second axis.
     columns: dict[str, NDArray[Any]]
+    # Lists of `LISTS`: the items of all rows, row after row, and how many each row has.
     lists: dict[str, tuple[NDArray[Any], NDArray[np.int64]]]
-    messages: dict[int, str]
+    messages: dict[int, str]  # messages by row, for rows that have one
 
     def __len__(self) -> int:
         return len(self.columns["status"])
@@ -582,12 +571,9 @@ class Responses:
     ) -> dict[str, NDArray[Any]]:
         """Return the values of the dataset's variables, shape (n, ...), with padded lists.
 
-        Parameters
-        ----------
-        sizes : mapping of str to int
-            Lengths of the dimensions within a point; 0 leaves out the extrema.
-        directions : ndarray, shape (n, n_contacts, n_coordinates)
-            Contact directions of each response, for relative displacements ``b · q``.
+        `sizes`: lengths of the dimensions within a point; 0 leaves out the extrema.
+        `directions`: shape (n, n_contacts, n_coordinates); contact directions of each response, for
+        relative displacements ``b · q``.
         """
         n, (_, n_contacts, n_q), n_states = len(self), directions.shape, self.ends.shape[1]
         found = {

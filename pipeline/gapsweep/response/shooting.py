@@ -124,12 +124,8 @@ class NewtonShooting:
     def parts(self, points: Numbers, tolerance: Array) -> Counts:
         """Periods of the largest part after which each orbit repeats, or of the whole orbit.
 
-        Parameters
-        ----------
-        points : ndarray of int, shape (m,)
-            Points with an orbit.
-        tolerance : ndarray, shape (m,)
-            Distances [m] within which two section points are the same.
+        `points`: shape (m,); points with an orbit.
+        `tolerance`: shape (m,); distances [m] within which two section points are the same.
         """
         return np.asarray(largest_parts(self.section, self.n, points, tolerance))
 
@@ -178,16 +174,10 @@ class NewtonShooting:
 def newton_steps(monodromy: Array, moved: Array) -> Array:
     """Newton steps from initial states to fixed points of their maps; infinite if none is near.
 
-    Parameters
-    ----------
-    monodromy : ndarray, shape (n, n_states, n_states)
-        Derivatives of end states with respect to initial states, as section points.
-    moved : ndarray, shape (n, n_states)
-        Ends minus starts, as section points [m].
-
-    Returns
-    -------
-    ndarray, shape (n, n_states)
+    `monodromy`: shape (n, n_states, n_states); derivatives of end states with respect to initial
+    states, as section points.
+    `moved`: shape (n, n_states); ends minus starts, as section points [m].
+    Result: shape (n, n_states).
     """
     matrices = np.eye(moved.shape[1]) - monodromy
     try:
@@ -211,15 +201,9 @@ def floquet_multipliers(monodromy: Array, determinant: Array) -> NDArray[np.comp
     it the smaller one. With more states, small eigenvalues are lost in rounding of the largest one.
     Eigenvalues below the smallest normal numbers are zero.
 
-    Parameters
-    ----------
-    monodromy : ndarray, shape (n, n_states, n_states)
-    determinant : ndarray, shape (n,)
-        Exact determinants, >= 0.
-
-    Returns
-    -------
-    ndarray of complex, shape (n, n_states)
+    `monodromy`: shape (n, n_states, n_states).
+    `determinant`: shape (n,); exact determinants, >= 0.
+    Result: shape (n, n_states).
     """
     if monodromy.shape[1] == 2:
         return np.asarray(multiplier_pairs(np.ascontiguousarray(monodromy), determinant))

@@ -67,12 +67,8 @@ def positions(
 def numbers_of_sweeps(wanted: Any, kinds: Sequence[str]) -> Any:
     """Return selected initial conditions with numbers for the names of sweeps.
 
-    Parameters
-    ----------
-    wanted : object
-        Numbers, or ``"sweep_up"`` and ``"sweep_down"``, or a sequence of both.
-    kinds : sequence of str
-        ``fixed`` or the name of the sweep, for each initial condition.
+    `wanted`: numbers, or ``"sweep_up"`` and ``"sweep_down"``, or a sequence of both.
+    `kinds`: ``fixed`` or the name of the sweep, for each initial condition.
     """
     if is_several(wanted) and not isinstance(wanted, slice):
         return [numbers_of_sweeps(each, kinds) for each in wanted]

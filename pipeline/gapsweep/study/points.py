@@ -81,15 +81,9 @@ class Kind:
     def laws(self, walls: NDArray[np.float64]) -> list[tuple[ContactLaw, ...]]:
         """Return the laws of all contacts for each of n rows.
 
-        Parameters
-        ----------
-        walls : ndarray, shape (n, n_contacts * number of columns)
-            Columns `OF_CONTACT` of every contact.
+        Raises `ModelError` if a law cannot be built.
 
-        Raises
-        ------
-        ModelError
-            If a law cannot be built.
+        `walls`: shape (n, n_contacts * number of columns); columns `OF_CONTACT` of every contact.
         """
         several = np.split(walls, len(self.contacts), axis=1) if self.contacts else []
         pairs = zip(self.contacts, several, strict=True)
@@ -124,13 +118,7 @@ class Kind:
 
     @classmethod
     def of(cls, identity: str) -> "Kind":
-        """Return the kind of an identity.
-
-        Raises
-        ------
-        ValueError
-            If the text is no identity.
-        """
+        """Return the kind of an identity; ValueError if the text is no identity."""
         try:
             whole = json.loads(identity)
             values = {"fit_range": FIT_RANGE, **whole["kind"]}
@@ -214,10 +202,8 @@ class Points:
     def keys(self, follows: NDArray[np.bool_] | None = None) -> NDArray[np.void]:
         """Return content keys: SHA-256 of the kind's identity and a row's numbers.
 
-        Parameters
-        ----------
-        follows : ndarray of bool, shape (n,), optional
-            Whether a point starts in the end state of the one before; its key includes that key.
+        `follows`: shape (n,); whether a point starts in the end state of the one before; its key
+        includes that key.
         """
         begun, keys, previous = hashlib.sha256(self.kind.identity.encode()).copy, [], b""
         if follows is None or not follows.any():

@@ -236,7 +236,10 @@ class BranchesTable(TomlTable):
     def problems(
         self, axes: Axes, known: Mapping[str, float], contacts: Mapping[str, ContactTable]
     ) -> Iterator[str]:
-        """Problems of the parameters, for the axes and the other parameters of a study."""
+        """Problems of the parameters, for the axes and the other parameters of a study.
+
+        `known` are values of the numbers of the model and of contacts in its representations.
+        """
         names = [name for name in axes if name not in _NO_PARAMETERS and len(axes[name]) > 1]
         if self.along not in names:
             swept = ", ".join(names) or "none; write several values in [[sweep]]"
@@ -257,7 +260,7 @@ class BranchesTable(TomlTable):
                 yield "branches: give both or neither, as second = 'K_c' and range = [1.0, 2.0]"
             return
         others = {"representation", START, along, *(["gap"] if along in WALLS else [])}
-        every = dict.fromkeys([*axes, *known, *OF_WALLS, *WALLS])
+        every = dict.fromkeys([*axes, *known, *WALLS])
         allowed = [x for x in every if x not in others]
         if name not in allowed:
             yield f"branches.second = {name!r}: must be one of {', '.join(allowed)}"
@@ -265,7 +268,7 @@ class BranchesTable(TomlTable):
         (low, high), of_name = self.range, {*WALLS} if name in WALLS else {name}
         if any(len(axes[x]) > 1 for x in {*axes} & of_name - {along}):
             yield f"branches.second = {name!r}: must have one value in [[sweep]]; range varies it"
-        value = axes[name][0] if name in axes else {**OF_WALLS, **known}.get(name)
+        value = axes[name][0] if name in axes else known.get(name)
         if name in WALLS and "gap" in axes:
             gap = axes["gap"][0]
             value = gap.distances[0] if name == "gap" else getattr(gap, name)

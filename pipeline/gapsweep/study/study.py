@@ -157,7 +157,8 @@ class Study:
             *(table.undecided(f"history[{i}]", known, axes) for i, table in histories),
         )
         if self.spec.branches:
-            of_branches = self.spec.branches.problems(axes, known, self.spec.contact)
+            several = {**known, **self._of_contacts}
+            of_branches = self.spec.branches.problems(axes, several, self.spec.contact)
             second = {self.spec.branches.second or "": self.spec.branches.range or []}
             lines = chain(lines, of_branches, self._problems_of_ranges("branches.range", second))
         if fit := self.spec.fit:
@@ -184,6 +185,12 @@ class Study:
                 f"<= {MAX_POINTS}; split them into several studies"
             )
         return self
+
+    @property
+    def _of_contacts(self) -> dict[str, float]:
+        """Elastic values of the parameters of contacts that some representation takes."""
+        laws, takes = self._axes["representation"], self.model.takes
+        return {n: x for n, x in OF_WALLS.items() if any(takes(one.law, n) for one in laws)}
 
     def _problems_of_solvers(self) -> Iterator[str]:
         """Representations with solver settings with which the engine cannot locate contacts."""
@@ -422,9 +429,7 @@ class Study:
         """Numbers of [uncertain] that the study does not have or that leave their range."""
         assert self.spec.uncertain is not None
         of_laws = set() if self.spec.system else set(self.spec.parameters)
-        laws, takes = self._axes["representation"], self.model.takes
-        of_walls = {n: x for n, x in OF_WALLS.items() if any(takes(one.law, n) for one in laws)}
-        known: dict[str, Any] = {**self.spec.model, **of_walls}
+        known: dict[str, Any] = {**self.spec.model, **self._of_contacts}
         walls = [name for name in ("K_c", "gap", "j_1", "j_2") if name in self._axes]
         walls += ["j_1", "j_2"] if "gap" in self._axes else []
         known |= dict.fromkeys([*walls, *columns_of(self.structure)[-self.structure.n_states :]])

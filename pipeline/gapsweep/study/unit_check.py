@@ -148,7 +148,19 @@ def doubts_of(study: Study, far: str = "", own: bool = True) -> Iterator[str]:
             laws.append(tuple(_laws(study, label, stiffness, gap, ratio, own)))
     omega, starts = grid.axes.get("omega", 0.0), starts_of(grid.axes).states
     yield from doubts([model.at(some) for some in points], laws, omega, starts) if laws else ()
+    yield from _doubts_of_factors(study)
     yield from [far] * bool(far)
+
+
+def _doubts_of_factors(study: Study) -> Iterator[str]:
+    """Warnings of uncertain factors of a nominal value that are probably values themselves."""
+    for name, table in study.spec.uncertain.tables.items() if study.spec.uncertain else ():
+        factor = float(table.distribution.ppf(0.5)) if table.nominal == "times" else 1.0
+        if not 0.5 <= factor <= 2.0:
+            yield (
+                f"uncertain.{name}: the median of the factors is {factor:g}; leave out nominal = "
+                f"'times' if these are values of {name}"
+            )
 
 
 def doubts_of_run(study: Study, values: Callable[[str], Any]) -> Iterator[str]:

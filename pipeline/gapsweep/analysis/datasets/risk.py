@@ -92,17 +92,10 @@ AXES = {
 def risk_of(responses: xr.Dataset, table: UncertainTable) -> xr.Dataset:
     """Return probabilities, quantiles and Sobol indices.
 
-    Parameters
-    ----------
-    responses : Dataset
-        With all samples of a study or call, and coordinates `matrix` and `repeat` over `sample`.
-    table : UncertainTable
-        Events, quantities and uncertain numbers.
-
-    Returns
-    -------
-    Dataset
-        Variables `RISK` and, with ``indices``, `INDICES`.
+    `responses`: with all samples of a study or call, and coordinates `matrix` and `repeat` over
+    `sample`.
+    `table`: events, quantities and uncertain numbers.
+    Result: variables `RISK` and, with ``indices``, `INDICES`.
     """
     dims = [str(dim) for dim in responses["status"].dims if dim != SAMPLE]
     repeats, matrices = (int(responses[name].max()) + 1 for name in ("repeat", "matrix"))

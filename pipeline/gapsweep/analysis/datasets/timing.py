@@ -12,6 +12,7 @@ from scipy.special import stdtrit
 
 from gapsweep.analysis.dimensions import Array, of_study, swept
 from gapsweep.status import Status
+from gapsweep.variables import flags_of
 
 COSTS = {
     "cpu_time": ("s", "CPU time per point"),
@@ -46,9 +47,8 @@ def timing(responses: xr.Dataset) -> xr.Dataset:
         count = where.sum(swept(where)).astype("i4").drop_attrs(deep=False)
         long_name = "sweep points measured" if name == "n_points" else "points of other machines"
         variables[name] = count.assign_attrs(units="1", long_name=long_name)
-    names = str(host.attrs.get("flag_meanings", "")).split()
-    chosen_name = names[chosen] if 0 <= chosen < len(names) else ""
-    return xr.Dataset(variables).assign_attrs(of_study(responses), measured_on=chosen_name)
+    machine = flags_of(host).get(chosen, "")
+    return xr.Dataset(variables).assign_attrs(of_study(responses), measured_on=machine)
 
 
 def repeatability(ratios: Array) -> float:

@@ -237,14 +237,20 @@ def _set_modes(at, point):
 
 @internal
 def _set_on_rigid_wall(at, point, contact, gap):
-    """Put a gap that only rounding separates from a rigid wall on the wall; return the gap."""
+    """Return the gap, on a rigid wall that only rounding separates from it.
+
+    Also on one that it passes by less than the absolute tolerance: at a wall at zero, the size of
+    the gap is no scale of rounding.
+    """
     size = abs(gap)
     if not at.is_plain:
         size = 0.0
         for i in range(at.n):
             size += abs(point[at.direction + contact * at.n + i] * point[at.q + i])
-    for wall in (point[at.lower + contact], point[at.upper + contact]):
-        if abs(gap - wall) <= _AT_WALL * size:
+    for side in (-1.0, 1.0):
+        wall = point[(at.upper if side > 0.0 else at.lower) + contact]
+        slack = _AT_WALL * size
+        if -slack <= side * (gap - wall) <= max(slack, point[at.atol]):
             gap = wall
     point[at.q if at.is_plain else at.gap + contact] = gap
     return gap

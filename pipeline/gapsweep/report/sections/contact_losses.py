@@ -28,9 +28,9 @@ _LOSSES, _MOST = ("damping", *OF_LABELS), 5  # number of values of such a parame
 _TITLE = "Energy lost in contacts"
 _HEADER = ["Representation", "Response", "J per forcing period", "J per contact"]
 _SHOWN = (
-    "Shown: of each representation, and of each value of its damping, chi or restitution, the "
-    "response with the largest contact force or, where that is not stored (rigid walls, periodic "
-    "stiffness), the largest product of amplitude and frequency. with_losses() computes the "
+    "Shown: the response with the largest contact force of each representation, and of each value "
+    "of its damping, chi or restitution; where the force is not stored (rigid walls, periodic "
+    "stiffness), with the largest product of amplitude and frequency. with_losses() computes the "
     "energies of all."
 )
 _OF_LOOPS = (

@@ -23,6 +23,7 @@ from gapsweep.study.points import FIXED
 from gapsweep.study.spec import check
 from gapsweep.study.study import Study
 from gapsweep.study.unit_check import doubts_of, never_reached
+from gapsweep.variables import flags_of
 
 
 def sections(inputs: Inputs) -> Iterator[Part]:
@@ -223,8 +224,7 @@ def counted(found: Sequence[Contact]) -> Iterator[str]:
 
 def _choices(advice: xr.Dataset) -> str:
     """Sentence on the models that representation ``auto`` uses, with their counts."""
-    flags = advice["model"].attrs
-    names = dict(zip(np.ravel(flags["flag_values"]), flags["flag_meanings"].split(), strict=True))
+    names = flags_of(advice["model"])
     chosen, counts = np.unique(advice["model"].values, return_counts=True)
     parts = [f"{n} {names[m]}" for m, n in zip(chosen, counts, strict=True) if m >= 0]
     return (
