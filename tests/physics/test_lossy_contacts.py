@@ -1175,3 +1175,19 @@ def test_what_a_rigid_wall_holds_all_the_time_is_a_response(second, engine):
         w = 0.2 * TURN
         reach = 1.0 / abs(2.0 - w**2 + 0.2j * w)
         assert (peak[1], trough[1]) == pytest.approx((0.1 + reach, 0.1 - reach), rel=1e-6)
+
+
+@pytest.mark.parametrize("kind", ["damping", "chi"])
+def test_a_branch_along_a_loss_that_reaches_zero_ends_at_the_elastic_orbit(kind):
+    def law(value):
+        if kind == "chi":
+            return gs.HuntCrossley(2.0, gs.Gap(1.0, 1.0), chi=value)
+        return gs.Piecewise(2.0, gs.Gap(1.0, 1.0), damping=value)
+
+    model, omega = oscillator(forcing=1.0), 1.2 / TURN
+    branch = gs.branches(model, law(0.2), kind, (0.0, 0.3), omega=omega).isel(branch=0)
+    at_zero = branch["x_max"].values[branch[kind].values == 0.0]
+    elastic = gs.respond(model, gs.Piecewise(2.0, gs.Gap(1.0, 1.0)), omega, rtol=1e-11)
+    assert elastic.contact_share > 0.0
+    assert at_zero.size
+    assert at_zero == pytest.approx(elastic.x_max, rel=1e-7)

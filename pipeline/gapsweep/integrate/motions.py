@@ -115,13 +115,15 @@ class Motions:
 
 
 def merged(parts: Sequence[Motions], rows: Sequence[NDArray[np.intp]]) -> Motions:
-    """Join the motions of several calls, each part at its `rows` of the result."""
+    """Join the motions of several calls, each part at its `rows` of the result.
+
+    Times and largest forces of contacts are left out: only motions of some laws have them.
+    """
     if len(parts) == 1:
         return parts[0]
     order = np.argsort(np.concatenate(rows))
     columns: dict[str, Any] = {}
-    of_motions = "state", "reach", "monodromy", "columns", "contact_time", "contact_loss"
-    for name in (*SCALARS, *of_motions, "contact_force"):
+    for name in (*SCALARS, "state", "reach", "monodromy", "columns", "contact_loss"):
         values = [getattr(part, name) for part in parts]
         columns[name] = None if values[0] is None else np.concatenate(values)[order]
 
