@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from gapsweep.errors import ModelError
 from gapsweep.integrate.motions import Motions
-from gapsweep.model.contact import ContactLaw, Piecewise, checked_law
+from gapsweep.model.contact import ContactLaw, checked_law
 from gapsweep.model.laws.tanh import Tanh
 from gapsweep.model.oscillator import Oscillator, checked
 from gapsweep.model.structure import general_form, with_walls_apart
@@ -517,8 +517,8 @@ class Solver:
             )
         if 0 < n_located < n_contacts:
             raise ModelError(
-                f"{Piecewise.family}: contacts are located for all contacts or none, as those of "
-                "own functions f(x, v) are; use located=False (piecewise-noevents)"
+                "contacts are located for all contacts or none; those of smooth laws and own "
+                "functions f(x) are not: next to them use located=False (piecewise-noevents)"
             )
 
     def with_rtol(self, rtol: float) -> "Solver":
