@@ -96,6 +96,8 @@ def of_model(
     is_one = len(set(map(id, several.values()))) == 1
     of_laws = {contact: _numbers_of(several[contact]) for contact in example.contacts}
     walls: dict[str, dict[str, str | float]] = {contact: {} for contact in of_laws}
+    if approximations is DEFAULT_APPROXIMATIONS and not all("K_c" in of for of in of_laws.values()):
+        typed = []  # rigid walls have no stiffness for it
     values: dict[str, float] = {"omega": _LOOKED_AT * example.slowest}
     for contact, of_law in of_laws.items():
         for name, value in of_law.items():

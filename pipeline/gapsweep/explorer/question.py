@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from gapsweep.errors import ModelError
 from gapsweep.integrate.problem import Laws, Model
-from gapsweep.model.contact import FIT_RANGE, OF_LABELS, OF_WALLS, ContactLaw, Piecewise
+from gapsweep.model.contact import FIT_RANGE, OF_LABELS, OF_WALLS, ContactLaw, Piecewise, Rigid
 from gapsweep.model.labels import EXACT, Representation, canonical_label, contact_law
 from gapsweep.model.oscillator import Gap, Oscillator, checked
 from gapsweep.variables import CONTACT, COORDINATE
@@ -187,6 +187,9 @@ class Question:
                 found.append(replace(exact, **of_walls))
                 continue
             one = Representation(law)
+            if "K_c" not in of_walls and one.family != Rigid.family:
+                raise ModelError("rigid walls have no stiffness for it; remove it")
+            of_walls = {"K_c": 0.0} | of_walls
             others = {name for name in OF_LABELS if not one.takes(name)}
             # Other laws with losses have no damper in addition.
             others |= {"damping"} if law != EXACT and one.is_located else set()
