@@ -177,7 +177,7 @@ def rigid_graze(
     grazing orbit is that of the branch past it. Empty where no graze is passed.
     """
     equations, last = corrector.equations, orbits[-1]
-    if last.special == Special.GRAZING or not any(_rigid(equations, last)):
+    if last.special == Special.GRAZING or not any(equations.family.is_rigid):
         return []
     (n, gap), before = _clearance(equations, last), orbits[-2] if len(orbits) > 1 else None
     if found is not None:
