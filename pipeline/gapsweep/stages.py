@@ -134,12 +134,8 @@ class Stage:
     def made_from(self, folder: Path, run: RunContext | None = None) -> MadeFrom:
         """Present digests of the file's inputs and of the code, to compare with the stored ones.
 
-        Parameters
-        ----------
-        folder : Path
-            Folder of the run.
-        run : RunContext, optional
-            Gives the digests of sources; not needed for a page, which has no sources.
+        `folder`: folder of the run.
+        `run`: gives the digests of sources; not needed for a page, which has no sources.
         """
         found = {"code": package_fingerprint() if self.is_drawn else data_fingerprint()}
         for name in self.inputs:
@@ -166,12 +162,8 @@ def make_files(
 ) -> None:
     """Make those files of some stages that are not up to date.
 
-    Parameters
-    ----------
-    n_points : int
-        Sweep points of the study.
-    retry_failed : bool
-        Whether to rewrite files with failed motions.
+    `n_points`: sweep points of the study.
+    `retry_failed`: whether to rewrite files with failed motions.
     """
     for stage in stages:
         path, now = run.folder / stage.file, stage.made_from(run.folder, run)
@@ -494,7 +486,14 @@ STAGES = (
         _gradients,
         lambda study: study.spec.gradients is not None,
     ),
-    Stage(FIT, (), (SETTINGS,), _fit, lambda study: study.spec.fit is not None),
+    Stage(
+        FIT,
+        (),
+        (SETTINGS,),
+        _fit,
+        lambda study: study.spec.fit is not None,
+        failures=("fit_status", Status.DIVERGED),
+    ),
     Stage(
         CLAIMS,
         _DATASETS,

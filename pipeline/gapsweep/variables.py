@@ -75,12 +75,8 @@ class Variable:
 
         It has no unit if these differ; see `PART_UNITS`.
 
-        Parameters
-        ----------
-        units : mapping of str to sequence of str
-            Units of all coordinates, and of all contacts: of the displacement ``b · q``.
-        of : str
-            Dimension that a variable without dimensions belongs to.
+        `units`: units of all coordinates, and of all contacts: of the displacement ``b · q``.
+        `of`: dimension that a variable without dimensions belongs to.
         """
         own = {*units[CONTACT if CONTACT in self.dims else of]}
         return replace(self, units=unit_in(self.units, own.pop() if len(own) == 1 else ""))

@@ -40,10 +40,7 @@ def made(names, responses, *, kind=KIND, host="machine"):
 def commit(cache, study, answer, host="here"):
     """Store what a function answers for every point of a study.
 
-    Parameters
-    ----------
-    answer : callable
-        From the point's place on every axis, by name, to a Response; None: is not stored.
+    `answer`: from the point's place on every axis, by name, to a Response; None: is not stored.
     """
     grid = study.grid
     for block in plan(study).blocks():

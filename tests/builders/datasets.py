@@ -110,10 +110,8 @@ def tables(labels, omega, *, gap=(0.4e-3, 0.4e-3), starts=1, sweeps=(), **more):
 def datasets(folder, study_tables, answer) -> tuple[xr.Dataset, xr.Dataset]:
     """Responses and attractors of a study whose points have been answered by a function.
 
-    Parameters
-    ----------
-    answer : callable
-        From label, frequency [Hz] and number of the start to a Response; None: not in the cache.
+    `answer`: from label, frequency [Hz] and number of the start to a Response; None: not in the
+    cache.
     """
     study = Study.from_dict(study_tables)
     grid = study.grid
@@ -149,10 +147,7 @@ def datasets_by_place(folder, study, at) -> tuple[xr.Dataset, xr.Dataset]:
 def over_forcing(folder, study, answer, values):
     """Responses and attractors over a dimension ``forcing`` [N] before the last one of points.
 
-    Parameters
-    ----------
-    answer : callable
-        From label, frequency [Hz], number of the start and forcing [N] to a Response.
+    `answer`: from label, frequency [Hz], number of the start and forcing [N] to a Response.
     """
     parts = [datasets(folder, study, lambda *at, f=f: answer(*at, f)) for f in values]
     axis = xr.DataArray(np.array(values), dims="forcing", name="forcing", attrs=FORCING)
@@ -165,10 +160,7 @@ def over_forcing(folder, study, answer, values):
 def over_walls(folder, label, omega, j_1, j_2, answer):
     """Responses and attractors over ``j_1`` and ``j_2`` [m], and the same over ``gap``.
 
-    Parameters
-    ----------
-    answer : callable
-        From label, frequency [Hz] and number of the start to a Response.
+    `answer`: from label, frequency [Hz] and number of the start to a Response.
     """
     study = tables(label, omega)
     study["sweep"][0]["gap"] = [[a, b] for a in j_1 for b in j_2]

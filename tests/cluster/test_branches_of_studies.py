@@ -187,6 +187,34 @@ def test_a_state_of_each_attractor_returns_after_its_period(branches):
 
 
 @pytest.mark.extended
+def test_branches_follow_chi_and_are_continued_once_where_a_law_has_none(client, tmp_path):
+    """Along chi, branches are those of the call; along omega, a law without chi has one branch."""
+    (block,) = tables()["sweep"]
+    block |= {"representation": ["piecewise", "huntcrossley"], "initial_condition": [0.35, 0.0]}
+    swept = block | {"omega": 0.24, "chi": [0.1, 0.5, 1.0]}
+    along = tables(sweep=[swept], branches={"along": "chi"})
+    found = run(gs.Study.from_dict(along), client, tmp_path).load()
+    assert {*found["representation"].values} == {"huntcrossley"}
+    law = gs.HuntCrossley(3.0, gs.Gap(0.1745, 0.1745), chi=0.1)
+    expected = gs.branches(gs.Oscillator(**OSCILLATOR), law, "chi", (0.1, 1.0), omega=0.24)
+    for one in (found, expected):
+        assert one["chi"].min() == pytest.approx(0.1)
+        assert one["chi"].max() == pytest.approx(1.0)
+    (peaks, others) = (
+        np.interp([0.2, 0.4, 0.8], *(np.ravel(one[name]) for name in ("chi", "x_max")))
+        for one in (found, expected)
+    )
+    assert peaks == pytest.approx(others, rel=1e-3)
+
+    both = tables(sweep=[block | {"chi": [0.1, 0.5], "omega": [0.15, 0.16, 0.17]}])
+    found = run(gs.Study.from_dict(both), client, tmp_path / "omega").load()
+    exact = found.isel(branch=found["representation"].values == "piecewise")
+    assert exact["chi"].values.tolist() == [0.1, 0.5]
+    np.testing.assert_array_equal(*exact["x_max"].values)
+    assert len([*(tmp_path / "omega" / "c" / "branches").iterdir()]) == 1 + 2
+
+
+@pytest.mark.extended
 def test_special_points_of_laws_are_compared(branches):
     assert branches["match_kind"].values.tolist() == [1, 1, 5, 5]
     exact, law = branches["match_exact"].values, branches["match_law"].values

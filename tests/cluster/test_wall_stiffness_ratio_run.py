@@ -106,7 +106,7 @@ def test_axes_of_losses_have_the_results_of_labels(tables, client, tmp_path):
     for law, n in (("piecewise", 1), ("huntcrossley", 2), ("rigid", 2)):
         assert len(np.unique(swept["nfev"].sel(representation=law, omega=9.0))) == n
     with Cache(tmp_path / "swept-cache", read_only=True) as store:
-        assert len(store) == 2 * (1 + 2 + 2)
+        assert store.n_points == 2 * (1 + 2 + 2)
     page = (tmp_path / "swept" / "report" / "index.html").read_text()
     assert "huntcrossley, chi = 0.3 s/m" in page
     assert "rigid, restitution = 0.6" in page

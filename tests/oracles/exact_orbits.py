@@ -49,22 +49,12 @@ def exact_system(model: gs.Oscillator | gs.System, law: gs.Piecewise) -> exact.S
 
 @dataclass(frozen=True)
 class Point:
-    """A periodic orbit of the exact motion.
+    """A periodic orbit of the exact motion."""
 
-    Attributes
-    ----------
-    unknowns : ndarray
-        State, parameter, and the period [s] where nothing forces the system.
-    monodromy : ndarray
-    n_crossings : int
-    clearance : float
-        Smallest distance of a turning point of a gap from a wall [m].
-    """
-
-    unknowns: np.ndarray
+    unknowns: np.ndarray  # state, parameter, and the period [s] where nothing forces the system
     monodromy: np.ndarray
     n_crossings: int
-    clearance: float
+    clearance: float  # smallest distance of a turning point of a gap from a wall [m]
 
     @property
     def multipliers(self) -> np.ndarray:

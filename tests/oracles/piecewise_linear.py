@@ -138,55 +138,31 @@ class System:
 
 @dataclass(frozen=True)
 class Crossing:
-    """A gap passes a wall.
+    """A gap passes a wall."""
 
-    Attributes
-    ----------
-    t : float
-        Time [s].
-    contact : int
-        Number of the contact.
-    wall : int
-        +1 the upper, -1 the lower wall.
-    is_entry : bool
-        Whether contact begins here, or ends.
-    """
-
-    t: float
-    contact: int
-    wall: int
-    is_entry: bool
+    t: float  # time [s]
+    contact: int  # number of the contact
+    wall: int  # +1 the upper, -1 the lower wall
+    is_entry: bool  # whether contact begins here, or ends
 
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """Outcome of `motion`.
+    """Outcome of `motion`."""
 
-    Attributes
-    ----------
-    q, v, z : ndarray, shapes (n,), (n,), (m,)
-        State at the end [m, m/s, the lags' own unit].
-    crossings : tuple of Crossing
-        In order of time; those of one instant in the order they were taken in.
-    modes : tuple of int
-        Contacts at the end: -1 lower wall, 0 gap, +1 upper wall.
-    monodromy : ndarray, shape (2 n + m, 2 n + m)
-        Derivative of (q, v, z) at the end by (q, v, z) at the start.
-    rate : float
-        Fastest undamped rate with all contacts closed [rad/s].
-    clearance : float
-        Smallest distance of a gap's extreme from a wall [m], crossed there or not; inf if all are
-        further than `NEAR` of the gap's size. A small one means that the crossings' number hangs on
-        as small a change of the motion.
-    """
-
+    # `q`, `v`, `z`: shapes (n,), (n,), (m,); state at the end [m, m/s, the lags' own unit].
     q: NDArray[np.float64]
     v: NDArray[np.float64]
     z: NDArray[np.float64]
+    # In order of time; those of one instant in the order they were taken in.
     crossings: tuple[Crossing, ...]
-    modes: tuple[int, ...]
+    modes: tuple[int, ...]  # contacts at the end: -1 lower wall, 0 gap, +1 upper wall
+    # Shape (2 n + m, 2 n + m); derivative of (q, v, z) at the end by (q, v, z) at the start.
     monodromy: NDArray[np.float64]
-    rate: float
+    rate: float  # fastest undamped rate with all contacts closed [rad/s]
+    # Smallest distance of a gap's extreme from a wall [m], crossed there or not; inf if all are
+    # further than `NEAR` of the gap's size. A small one means that the crossings' number hangs on
+    # as small a change of the motion.
     clearance: float
 
     @property
@@ -216,23 +192,17 @@ def motion(
 ) -> Motion:
     """The motion from t = 0 to `t_end` [s].
 
-    A start on a wall is in contact if the motion goes into it; that is no crossing.
+    A start on a wall is in contact if the motion goes into it; that is no crossing. Raises
+    `RuntimeError` if a contact opens and closes without end at one instant.
 
     Parameters
     ----------
-    system : System
     omega : float
         Forcing frequency w [Hz].
     q_0, v_0 : array_like, shape (n,)
         State at the start [m, m/s].
     z_0 : array_like, shape (m,)
         Lags at the start; () where there are none.
-    t_end : float
-
-    Raises
-    ------
-    RuntimeError
-        If a contact opens and closes without end at one instant.
     """
     flows = _Flows(system, omega)
     n, m, rate = system.n, flows.n_states, flows.rate

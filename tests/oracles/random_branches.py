@@ -77,29 +77,15 @@ FAULTS = {
 
 @dataclass(frozen=True)
 class Scene:
-    """Arguments of one call, and the facts about the machine that its checks use.
-
-    Attributes
-    ----------
-    kind : str
-    model : Oscillator, System, or callable
-    law : ContactLaw or mapping
-    options : dict
-        `along`, `between`, `at` and others.
-    is_symmetric : bool
-        Whether the mirror image of every motion is one.
-    ratio : float
-        Stiffness of the hardest wall over that of the spring.
-    equilibrium : callable, optional
-        Largest growth rate [1/s] of the equilibrium for a parameter value.
-    """
+    """Arguments of one call, and the facts about the machine that its checks use."""
 
     kind: str
     model: Any
     law: Any
-    options: dict[str, Any]
-    is_symmetric: bool = False
-    ratio: float = 1.0
+    options: dict[str, Any]  # `along`, `between`, `at` and others
+    is_symmetric: bool = False  # whether the mirror image of every motion is one
+    ratio: float = 1.0  # stiffness of the hardest wall over that of the spring
+    # Largest growth rate [1/s] of the equilibrium for a parameter value.
     equilibrium: Callable[[float], float] | None = None
 
     @property

@@ -331,6 +331,24 @@ def test_residuals_beyond_the_noise_are_said_to_be_unexplained(share, is_explain
     assert any("does not explain" in note for note in found.notes) != is_explained
 
 
+def test_points_count_by_their_noise():
+    """Mean of a linear response to a force, each measured value weighted by 1 / noise²."""
+    linear, omega = gs.Piecewise(0.0, gs.Gap(9.0, 9.0)), np.array([0.1, 0.11, 0.12, 0.13])
+    rate = 2.0 * math.pi * omega
+    unit = 1.0 / np.hypot(1.0 - rate**2, 0.05 * rate)  # amplitude per force
+    noise = np.array([1e-4, 2e-3, 1e-3, 5e-4])
+    values = 0.03 * unit + noise * [0.5, -1.0, 1.5, 1.0]
+    weights = (unit / noise) ** 2
+    mean = (weights * values / unit).sum() / weights.sum()
+    table = {"frequency [Hz]": omega, "amplitude [m]": values, "noise [mm]": 1e3 * noise}
+    found = gs.fit(table, PUBLIC, linear, free={"forcing": (0.02, 0.06)})
+    assert found.values["forcing"] == pytest.approx(mean, rel=1e-6)
+    assert found.errors["forcing"] == pytest.approx(weights.sum() ** -0.5, rel=1e-4)
+    np.testing.assert_allclose(found.noise, noise)
+    with pytest.raises(gs.ModelError, match="leave it out, the table has a column noise"):
+        gs.fit(table, PUBLIC, linear, free={"forcing": (0.02, 0.06)}, noise=1e-3)
+
+
 def test_a_parameter_that_nothing_depends_on_cannot_be_identified():
     """Sweeps whose amplitudes stay within the gap say nothing of the walls."""
     far = gs.Piecewise(2.0, gs.Gap(5.0, 5.0))
@@ -386,6 +404,12 @@ def test_sweeps_from_rpm_columns_of_both_directions_and_other_tables(tmp_path):
     assert name == "x_max"
     np.testing.assert_allclose(up.omega, [10.0, 11.0, 12.0])
     np.testing.assert_allclose(down.values, [6e-6, 4e-6, 2e-6], rtol=1e-14)
+    titles = "omega [rpm], peak up [um], noise up [nm], peak down [um], noise down [nm]"
+    rows = [(600, 1.0, 10.0, 2.0, 40.0), (660, 3.0, 20.0, 4.0, 50.0), (720, 5.0, 30.0, 6.0, 60.0)]
+    _, several = sweeps(written_csv(tmp_path / "noise.csv", titles, rows))
+    np.testing.assert_allclose(
+        [each.noise for each in several], [[1e-8, 2e-8, 3e-8], [6e-8, 5e-8, 4e-8]]
+    )
     savemat(tmp_path / "a.mat", {"omega_rpm": [600, 660, 720], "x_max_um": [1.0, 3.0, 5.0]})
     np.testing.assert_allclose(sweeps(tmp_path / "a.mat")[1][0].values, up.values)
     both = {"f_Hz": up.omega, "x_max_up_um": [1.0, 3.0, 5.0], "x_max_down_um": [2.0, 4.0, 6.0]}
@@ -422,6 +446,13 @@ def test_sweeps_from_rpm_columns_of_both_directions_and_other_tables(tmp_path):
         ("frequency [Hz], amplitude [mm]", ROWS[:2], ["2 points"]),
         ("frequency [Hz], amplitude [mm]", [(-1.0, 1.0), *ROWS], ["> 0"]),
         ("frequency [Hz], amplitude [mm]", [(1.0, -1.0), *ROWS], ["-1", ">= 0"]),
+        ("frequency [Hz], amplitude [mm], noise [s]", [(9, 1, 1)] * 4, ["noise [s]", "'1 s'"]),
+        ("frequency [Hz], amplitude [mm], noise [mm]", [(9, 1, 0)] * 4, ["noise", "> 0"]),
+        (
+            "frequency [Hz], amplitude up [mm], amplitude down [mm], noise up [mm]",
+            [(9, 1, 1, 1), (10, 1, 1, 1), (11, 1, 1, 1)],
+            ["amplitude down", "no noise"],
+        ),
         ("frequency [Hz], f [Hz], f [Hz]", [(9, 1, 1)] * 4, ["f [Hz]", "occurs twice"]),
     ],
 )
@@ -546,13 +577,37 @@ def test_the_report_shows_the_fit_and_what_is_not_determined():
     assert rows[0][2] == "unknown"
 
 
+def test_a_fit_that_fails_in_a_run_is_data():
+    """The function has no model between the ends of its range, where the study checks it."""
+    law = {"representation": "piecewise", "K_c": 1.0, "gap": [1.0, 1.0], "omega": [0.05, 0.06]}
+    table = {"frequency [Hz]": [0.05, 0.06, 0.07], "x_max [m]": [1.0, 1.1, 1.2]}
+    table["noise [m]"] = [0.01, 0.02, 0.03]
+    study = gs.Study.from_dict(
+        {
+            **{"study": {"name": "gears"}, "system": {"function": "gear_pair"}},
+            **{"parameters": {"mean_load": 0.1}, "sweep": [law]},
+            "fit": {"data": table, "free": {"mean_load": [0.05, 0.2]}},
+        }
+    )
+
+    def refuse(*args, **options):
+        raise gs.ModelError("mean_load = 0.1: no such gears")
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("gapsweep.analysis.datasets.fit_file.fit", refuse)
+        found = fit_of(study)
+    assert found["fit_status"].item() == gs.Status.MODEL_INVALID
+    (part,) = fitted.sections(Inputs(None, None, fit=found))
+    assert part.sentences == ["The fit has failed: mean_load = 0.1: no such gears"]
+
+
 @pytest.mark.parametrize(
     ("change", "words"),
     [
         ({"data": "none.csv"}, r"none\.csv: cannot be read"),
         ({"data": 3}, "measured = 3: must be a file"),
         ({"free": {"gap": [0.3, 0.1]}}, "must be ascending"),
-        ({"free": {"gapp": [0.1, 0.3]}}, r"fit\.free\.gapp: must be one of K_c, gap, .*mass"),
+        ({"free": {"gapp": [0.1, 0.3]}}, r"fit\.free\.gapp: must be one of K_c, .*gap, .*mass"),
         ({"free": {"mass": [-1.0, 1.0]}}, r"fit\.free: .*mass"),
         ({"free": {"K_c": [-0.1, 0.3]}}, r"fit\.free: K_c"),
         ({"free": None}, "fit: free = None: must be ranges by name"),

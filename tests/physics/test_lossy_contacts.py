@@ -131,6 +131,18 @@ def test_force_and_time_of_a_damped_contact_are_those_while_it_acts(pulls):
     assert ended.worked == pytest.approx(ended.lost, rel=1e-9)
 
 
+def test_a_force_that_returns_ends_mode_slack():
+    """The forcing presses bodies back before they have left the wall."""
+    start, omega, one = [0.2300, 0.2450, 0.2540, 0.2930], [0.513, 0.512, 0.475, 0.473], np.eye(1)
+    law = gs.Piecewise(2.0, gs.Gap(0.1745, 0.1745), damping=1.0)
+    run = gs.simulate(oscillator(0.6), law, omega=omega, x_0=start, t_end=3.0)
+    walls = [Wall([side], 0.1745, 2.0, 1.0, pulls=False) for side in (-1.0, 1.0)]
+    for x_0, rate, x_end, n in zip(start, omega, run.x_end, run.n_contacts, strict=True):
+        found = Lossy(one, 0.05 * one, one, [0.6], rate * TURN, walls).run([x_0, 0.0], 3.0)
+        assert x_end == pytest.approx(found.y[0], abs=1e-9)
+        assert n == found.n_contacts
+
+
 def damper(x, v, low, high, k, c):
     """A spring and a damper beyond two walls, which pull."""
     if low <= x <= high:
@@ -742,6 +754,9 @@ def test_numbers_of_losses_are_drawn_within_their_range():
             drawn("piecewise", **{name: uniform})
         with pytest.raises(StudyError, match=f"{name}: {family}-0.5 has it in its label"):
             drawn(f"{family}-0.5", **{name: uniform})
+    for representation in ("poly-5", "huntcrossley-0.5"):
+        with pytest.raises(StudyError, match=f"damping: {representation} has none"):
+            drawn(representation, damping=uniform)
     with pytest.raises(StudyError, match="restitution > 1"):
         drawn("rigid", restitution={"uniform": [0.9, 1.1]})
 

@@ -11,7 +11,6 @@ from functools import partial
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
-from scipy.integrate import quad
 
 import gapsweep as gs
 from gapsweep.model.systems import paper_oscillator
@@ -27,14 +26,6 @@ LOOSE = {"engine": "scipy", "rtol": 1e-4, "atol": 1e-7}
 def tight(request):
     """Every engine at tight tolerances: one operation, several engines."""
     return {"engine": request.param, "rtol": 1e-10, "atol": 1e-14}
-
-
-def potential(oscillator, law, x):
-    """Potential energy [J] of springs and contact."""
-    springs = (
-        0.5 * oscillator.mass * oscillator.omega_n_rad**2 * x**2 + 0.25 * oscillator.alpha * x**4
-    )
-    return springs + quad(law.force, 0.0, x, epsabs=1e-18, points=[-law.gap.j_1, law.gap.j_2])[0]
 
 
 @pytest.mark.parametrize("wall", [3e-4, 0.0])

@@ -53,12 +53,8 @@ def scene_dims(dims: Iterable[Hashable]) -> list[str]:
 def over(dims: tuple[str, ...], of_points: tuple[str, ...]) -> tuple[str, ...]:
     """Dimensions of a metric in a study, from those in a study that sweeps stiffness and gap.
 
-    Parameters
-    ----------
-    dims : tuple of str
-        Some of `POINT_DIMS`, and further dimensions of the metric.
-    of_points : tuple of str
-        Dimensions of a sweep point, as from `point_dims`.
+    `dims`: some of `POINT_DIMS`, and further dimensions of the metric.
+    `of_points`: dimensions of a sweep point, as from `point_dims`.
     """
     left_out = {REPRESENTATION, *SWEPT} - set(dims)
     own = (dim for dim in dims if dim not in POINT_DIMS)
@@ -97,12 +93,8 @@ def by_coordinate(dataset: xr.Dataset) -> Iterator[tuple[xr.Dataset, str]]:
 def with_rate(dataset: xr.Dataset, rate: float) -> xr.Dataset:
     """A dataset of unforced responses with a dimension `omega` of one frequency.
 
-    Parameters
-    ----------
-    dataset : Dataset
-        ``responses.nc`` or ``attractors.nc``.
-    rate : float
-        Section points per second [Hz].
+    `dataset`: ``responses.nc`` or ``attractors.nc``.
+    `rate`: section points per second [Hz].
     """
     at = list(dataset["response_class"].dims)
     axis = at.index(START) if START in at else len(at) - 1

@@ -225,13 +225,10 @@ class _Survey:
     ) -> tuple[Array, Array, Array]:
         """Return the largest margin of each row, its response's end state and initial state.
 
-        Parameters
-        ----------
-        places, omega : ndarray, shape (m,)
-        seeds : ndarray, shape (m, s, n_states)
-            Initial states of each row; a survey without following has none.
-        starts : bool
-            Whether all rows start from the initial conditions of the call, too.
+        `places` and `omega`: shape (m,).
+        `seeds`: shape (m, s, n_states); initial states of each row; a survey without following has
+        none.
+        `starts`: whether all rows start from the initial conditions of the call, too.
         """
         m, _, n = seeds.shape
         states = seeds if self.follows else seeds[:, :0]
@@ -335,12 +332,8 @@ class _Survey:
 
         The first slice is at `holds` if the demand fails there, too.
 
-        Parameters
-        ----------
-        holds : float
-            Place at which all demands hold as far as known.
-        known : _Slice
-            A slice nearby that violates a demand.
+        `holds`: place at which all demands hold as far as known.
+        `known`: a slice nearby that violates a demand.
         """
         trail, lost = [known], holds
         towards = LOCATED if holds > known.place else -LOCATED

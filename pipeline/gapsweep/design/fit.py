@@ -56,8 +56,8 @@ class Fit:
         where the sweeps do not determine a parameter.
     covariance, correlation : ndarray, shape (p, p)
         Covariance and correlation of the parameters, in the order of `values`.
-    noise : float
-        Standard deviation of the measured values: as given, or estimated from the residuals.
+    noise : ndarray, shape (n,)
+        Standard deviation of each measured value: as given, or estimated from the residuals.
     quantity : str
         Measured quantity, as ``"amplitude"``.
     omega, measured, computed, residual : ndarray, shape (n,)
@@ -89,7 +89,7 @@ class Fit:
     errors: dict[str, float]
     covariance: Array
     correlation: Array
-    noise: float
+    noise: Array
     quantity: str
     omega: Array
     measured: Array
@@ -192,8 +192,8 @@ class _Residuals:
     """
 
     points: _Points
-    noise: float
-    limit: float  # in units of the noise
+    noise: Array
+    limit: Array  # in units of the noise
     states: Array
     _least: float = np.inf
     _last: tuple[Array, Array, Array] | None = None
@@ -203,7 +203,7 @@ class _Residuals:
         if self._last is None or not np.array_equal(self._last[0], place):
             values, slopes, states = self.points.with_derivatives(place, self.states)
             residual, is_on = limited(values, self.points.values, self.noise, self.limit)
-            jacobian = np.where(is_on[:, None], slopes / self.noise, 0.0)
+            jacobian = np.where(is_on[:, None], slopes / self.noise[:, None], 0.0)
             cost = float((residual**2).sum())
             if cost < self._least:
                 self._least, self.states = cost, states
@@ -227,7 +227,7 @@ class _Residuals:
 
 
 def limited(
-    values: Array, measured: Array, noise: float, limit: float
+    values: Array, measured: Array, noise: Array | float, limit: Array | float
 ) -> tuple[Array, NDArray[np.bool_]]:
     """Return residuals over the noise within ± a limit, and which ones are smaller."""
     with np.errstate(invalid="ignore"):
@@ -264,7 +264,8 @@ def fit(
         searched by its logarithm.
     noise : float, optional
         Standard deviation of the measured values, in the SI unit of the quantity or a quantity of
-        pint, ``> 0``; None: estimated from the residuals.
+        pint, ``> 0``; None: that of the column ``noise`` of the table, which may differ from point
+        to point, or without it an estimate from the residuals.
     rtol : float, optional
         As in `gapsweep.respond`.
 
@@ -295,15 +296,18 @@ def fit(
     scale = max(float(np.abs(each.values).max()) for each in found)
     if not scale > 0.0:
         raise ModelError("measured: all values are 0")
-    given = None
-    if noise is not None:
-        units = RESPONSE[name].units
-        given = checked("noise", without_units("noise", noise, units), low=0.0, strict=True)
+    columns = [each.noise for each in found if each.noise is not None]
+    if noise is not None and columns:
+        raise ModelError(f"noise = {noise!r}: leave it out, the table has a column noise")
+    given = np.concatenate(columns) if columns else None
     ends = {window.name: (window.low, window.high) for window in windows}
     omega = np.concatenate([each.omega for each in found])
     machine = Machine.of(oscillator, law, ends, omega, rtol)
     points = _Points(machine, windows, name, found)
-    sigma = given or 0.01 * scale
+    if noise is not None:
+        value = without_units("noise", noise, RESPONSE[name].units)
+        given = np.full(len(omega), checked("noise", value, low=0.0, strict=True))
+    sigma = np.full(len(omega), 0.01 * scale) if given is None else given
     places = [_minimum(points, start, sigma, scale) for start in _starts(points, scale)]
     return _result(points, places, given, sigma, scale)
 
@@ -323,7 +327,7 @@ def _starts(points: _Points, scale: float) -> list[Array]:
     return chosen
 
 
-def _minimum(points: _Points, place: Array, sigma: float, scale: float) -> Array:
+def _minimum(points: _Points, place: Array, sigma: Array, scale: float) -> Array:
     """Place of the minimum that a search from a place finds."""
     limit = ON_BRANCH * scale / sigma
     values, states = points.swept(place[None, :])
@@ -338,16 +342,16 @@ def _minimum(points: _Points, place: Array, sigma: float, scale: float) -> Array
     return place
 
 
-def _outside(values: Array, measured: Array, sigma: float, scale: float) -> float:
-    """Limit of residuals, in units of sigma: some deviations of most points."""
+def _outside(values: Array, measured: Array, sigma: Array, scale: float) -> Array:
+    """Limit of each residual, in units of sigma: some deviations of most points."""
     with np.errstate(invalid="ignore"):
         residual = np.abs(values - measured) / sigma
     typical = MEDIAN * float(np.median(np.nan_to_num(residual, nan=np.inf)))
-    return min(OUTSIDE * max(typical, 1.0), ON_BRANCH * scale / sigma)
+    return np.minimum(OUTSIDE * max(typical, 1.0), ON_BRANCH * scale / sigma)
 
 
 def _result(
-    points: _Points, places: list[Array], given: float | None, sigma: float, scale: float
+    points: _Points, places: list[Array], given: Array | None, sigma: Array, scale: float
 ) -> Fit:
     """Fit at the best of some minima."""
     swept, all_states = points.swept(np.stack(places))
@@ -369,7 +373,7 @@ def _result(
     noise = given
     if noise is None:
         noise = sigma * (squares / freedom) ** 0.5
-    covariance = _covariance(slopes[is_on], noise)
+    covariance = _covariance(slopes[is_on] / noise[is_on, None])
     step = 1e-6
     lower, upper = points.parameters(np.stack([place - step, place + step]))
     by_place = (upper - lower) / (2.0 * step)
@@ -414,10 +418,13 @@ def _result(
     )
 
 
-def _covariance(slopes: Array, noise: float) -> Array:
-    """Covariance of places; infinite for those that the points do not determine."""
+def _covariance(slopes: Array) -> Array:
+    """Covariance of places from slopes of residuals over the noise.
+
+    Infinite for places that the points do not determine.
+    """
     p = slopes.shape[1]
-    _, sizes, rows = np.linalg.svd(slopes / noise, full_matrices=True)
+    _, sizes, rows = np.linalg.svd(slopes, full_matrices=True)
     sizes = np.concatenate([sizes, np.zeros(p - len(sizes))])
     is_known = sizes > 1e-6  # a place known to 1e6 ranges is unknown
     part = rows[is_known] / sizes[is_known, None]

@@ -72,13 +72,9 @@ class Machine:
     def respond(self, values: Array, omega: Array, states: Array) -> Responses:
         """Return the steady responses of n rows.
 
-        Parameters
-        ----------
-        values : ndarray, shape (n, number of parameters)
-            Values of the parameters `family.names`.
-        omega : ndarray, shape (n,)
-            Forcing frequencies [Hz]; 0 if the model is not forced.
-        states : ndarray, shape (n, n_states)
+        `values`: shape (n, number of parameters); values of the parameters `family.names`.
+        `omega`: shape (n,); forcing frequencies [Hz]; 0 if the model is not forced.
+        `states`: shape (n, n_states).
         """
         models, laws, which = self.parts(values)
         if "omega" in self.family.names:
@@ -92,17 +88,10 @@ class Machine:
 
         The first point starts from rest. All sweeps at all values advance together.
 
-        Parameters
-        ----------
-        values : ndarray, shape (m, number of parameters)
-        frequencies : sequence of ndarray
-            Frequencies [Hz] of each sweep in its order.
-
-        Returns
-        -------
-        list of Responses
-            For each sweep, of ``m * len(frequencies)`` points: all values at the first frequency,
-            then at the second one.
+        `values`: shape (m, number of parameters).
+        `frequencies`: frequencies [Hz] of each sweep in its order.
+        Result: for each sweep, of ``m * len(frequencies)`` points: all values at the first
+        frequency, then at the second one.
         """
         m = len(values)
         states = [np.zeros((m, self.n_states)) for _ in frequencies]

@@ -1,11 +1,11 @@
 """Measured sweeps in SI units, and ranges of the parameters that are fitted to them.
 
 A table has a column of frequencies (``omega`` or ``frequency``), a column of one quantity
-(``amplitude``, ``x_max`` or ``peak``, ``x_min``, ``force_max``) and, if it is known, a column
-``sweep`` with the words up and down. The name of a column ends in its unit: ``frequency [Hz]``,
-``amplitude (mm)``, ``peak_up_um``. Without a column ``sweep``, rising frequencies are a sweep up
-and falling ones a sweep down. ``amplitude up [mm]`` and ``amplitude down [mm]`` in two columns are
-two sweeps.
+(``amplitude``, ``x_max`` or ``peak``, ``x_min``, ``force_max``) and, if they are known, a column
+``sweep`` with the words up and down, and a column ``noise`` of standard deviations. The name of a
+column ends in its unit: ``frequency [Hz]``, ``amplitude (mm)``, ``peak_up_um``. Without a column
+``sweep``, rising frequencies are a sweep up and falling ones a sweep down. ``amplitude up [mm]``
+and ``amplitude down [mm]`` in two columns are two sweeps.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ _OTHER_NAMES = {
     "force": "force_max",
     "direction": "sweep",
 }
-_NAMES = ("omega", "sweep", *QUANTITIES)
+_NAMES = ("omega", "sweep", "noise", *QUANTITIES)
 _EXAMPLE = "frequency [Hz], amplitude [mm], sweep"
 _FEWEST = 3  # points of a sweep
 DIRECTIONS = {"up": 1, "down": -1}
@@ -49,6 +49,7 @@ class Sweep:
     direction: str  # up or down
     omega: Array  # [Hz]
     values: Array  # in the unit of the quantity
+    noise: Array | None  # standard deviations of the values
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,22 +84,29 @@ def sweeps(measured: Any) -> tuple[str, list[Sweep]]:
     if len(names) != 1:
         said = " and ".join(names) or ", ".join(table)
         raise ModelError(f"{where}: columns {said}: must hold one quantity, as {_EXAMPLE}")
-    omega = _numbers(where, *of_omega[0])
+    units = RESPONSE[names[0]].units
+    omega = _numbers(where, *of_omega[0], "Hz")
+    of_noise = {each[0].direction: each for each in columns if each[0].name == "noise"}
     several: list[Sweep] = []
     for column, values in of_values:
-        measured_values = _numbers(where, column, values)
-        if len(measured_values) != len(omega):
-            raise ModelError(
-                f"{where}: {column.title}: {len(measured_values)} values for {len(omega)} "
-                "frequencies; must be as many"
-            )
+        noise = of_noise.get(column.direction, of_noise.get(""))
+        if of_noise and noise is None:
+            raise ModelError(f"{where}: {column.title}: has no noise, other columns have")
+        points = [omega]
+        for title, of_points in [(column, values)] if noise is None else [(column, values), noise]:
+            points.append(_numbers(where, title, of_points, units))
+            if len(points[-1]) != len(omega):
+                raise ModelError(
+                    f"{where}: {title.title}: {len(points[-1])} values for {len(omega)} "
+                    "frequencies; must be as many"
+                )
         if column.direction:
             parts = [(column.direction, np.arange(len(omega)))]
         elif words:
             parts = _by_words(where, np.ravel(words[0]), len(omega))
         else:
             parts = _by_order(omega)
-        several += [_sweep(where, name, omega[rows], measured_values[rows]) for name, rows in parts]
+        several += [_sweep(where, name, np.stack(points)[:, rows]) for name, rows in parts]
     return names[0], several
 
 
@@ -120,8 +128,12 @@ def ranges(free: Any, n_points: int) -> tuple[Window, ...]:
     return tuple(Window.of(name, ends) for name, ends in free.items())
 
 
-def _sweep(where: str, direction: str, omega: Array, values: Array) -> Sweep:
-    """A sweep in its order, from points in this or the opposite order."""
+def _sweep(where: str, direction: str, points: Array) -> Sweep:
+    """A sweep in its order, from points in this or the opposite order.
+
+    `points`: shape (2, n) or (3, n); frequencies [Hz], values and, if it is measured, their noise.
+    """
+    omega = points[0]
     if len(omega) < _FEWEST:
         said = f"has {len(omega)} points; must have >= {_FEWEST}"
         raise ModelError(f"{where}: the sweep {direction} {said}")
@@ -133,8 +145,9 @@ def _sweep(where: str, direction: str, omega: Array, values: Array) -> Sweep:
             "frequencies must be sorted and different"
         )
     if np.sign(steps[0]) != DIRECTIONS[direction]:
-        omega, values = omega[::-1], values[::-1]
-    return Sweep(direction, omega.copy(), values.copy())
+        points = points[:, ::-1]
+    omega, values, *noise = points.copy()
+    return Sweep(direction, omega, values, noise[0] if noise else None)
 
 
 def _by_words(where: str, words: NDArray[Any], n: int) -> list[tuple[str, NDArray[np.intp]]]:
@@ -162,9 +175,8 @@ def _by_order(omega: Array) -> list[tuple[str, NDArray[np.intp]]]:
     ]
 
 
-def _numbers(where: str, column: _Column, values: Any) -> Array:
-    """Values of a column in the unit of its quantity."""
-    units = "Hz" if column.name == "omega" else RESPONSE[column.name].units
+def _numbers(where: str, column: _Column, values: Any, units: str) -> Array:
+    """Values of a column in a unit."""
     factor = factor_of(where, column.title, column.name, units)
     if factor is None and units != "1":
         example = {"Hz": "Hz", "m": "mm"}.get(units, written(units))
@@ -182,7 +194,7 @@ def _numbers(where: str, column: _Column, values: Any) -> Array:
         said = f"row {wrong[0] + 1} is {found[wrong[0]]}"
         raise ModelError(f"{where}: {column.title}: {said}; leave out rows without a number")
     least = found.min(initial=1.0)
-    if column.name == "omega" and least <= 0.0:
+    if column.name in ("omega", "noise") and least <= 0.0:
         raise ModelError(f"{where}: {column.title}: {least:g}: must be > 0")
     if column.name == AMPLITUDE and least < 0.0:
         raise ModelError(f"{where}: {column.title}: {least:g}: must be >= 0")
@@ -229,7 +241,7 @@ def _csv(path: Path) -> dict[str, Any]:
     for title in found.titles:
         if found.titles.count(title) > 1:
             raise ModelError(f"{path}: column {title}: occurs twice; name one of both otherwise")
-    has_numbers = [_column(title).name in ("omega", *QUANTITIES) for title in found.titles]
+    has_numbers = [_column(title).name in ("omega", "noise", *QUANTITIES) for title in found.titles]
     return {
         title: found.numbers(k) if has_numbers[k] else np.array(found.texts(k))
         for k, title in named

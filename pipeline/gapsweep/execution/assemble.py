@@ -97,12 +97,9 @@ def fill(
 ) -> None:
     """Fill empty datasets with the cached responses and attractors of a study.
 
-    Parameters
-    ----------
-    dataset, others : netCDF4.Dataset
-        The datasets of `responses.nc` and `attractors.nc`.
-    selection : Selection, optional
-        Part of the study to write; attractors are then those of the selected initial conditions.
+    `dataset` and `others`: the datasets of `responses.nc` and `attractors.nc`.
+    `selection`: part of the study to write; attractors are then those of the selected initial
+    conditions.
     """
     filling = _Filling(dataset, others, plan, selection)
     while filling.pieces:

@@ -77,12 +77,8 @@ def model_of(
 ) -> tuple[Any, dict[str, ContactLaw], float | None]:
     """Return the model of a sweep point, its laws by contact, and its frequency if it is forced.
 
-    Parameters
-    ----------
-    point : Points
-        A table of one row.
-    system : AlongParameter, optional
-        A function of parameters that is returned in place of the point's model.
+    `point`: a table of one row.
+    `system`: a function of parameters that is returned in place of the point's model.
     """
     kind = point.kind
     n = len(kind.contacts) * len(OF_CONTACT)
@@ -139,12 +135,8 @@ def followed(
 
     Raises `ClusterError` if all workers run other code, or the cluster is lost.
 
-    Parameters
-    ----------
-    timeout : float
-        CPU time limit [s] of a parameter set in an isolated process.
-    waiting : callable
-        Called until there is a worker.
+    `timeout`: CPU time limit [s] of a parameter set in an isolated process.
+    `waiting`: called until there is a worker.
     """
     check_workers(client, waiting)
     left = [(i, bool(each.point.kind.own or each.system)) for i, each in enumerate(scenes)][::-1]

@@ -63,12 +63,9 @@ def try_out(study: Study, timeout: float, say: Callable[[str], None]) -> None:
     Raises `StudyError` if a law ends the process, hangs, raises an error that is no `ModelError`,
     cannot be compiled although its points need that, or jumps.
 
-    Parameters
-    ----------
-    timeout : float
-        CPU time limit [s] of a point; the limit of a law here is this, but within 10 to 60 s.
-    say : callable
-        Called with a text before each step, with its time limit.
+    `timeout`: CPU time limit [s] of a point; the limit of a law here is this, but within 10 to 60
+    s.
+    `say`: called with a text before each step, with its time limit.
     """
     limit = min(max(timeout, SHORTEST_TRIAL), LONGEST_TRIAL)
     swept, axes = study.grid.representations, study.grid.axes

@@ -56,12 +56,8 @@ def worker_process(folder: str) -> "Iterator[subprocess.Popen[bytes]]":
 def start_workers(process: "subprocess.Popen[bytes]", address: str, n: int, options: Any) -> None:
     """Make a `worker_process` start workers, and restart them when they die.
 
-    Parameters
-    ----------
-    address : str
-        Address of the scheduler.
-    options : dict
-        Arguments of Dask's ``Nanny``.
+    `address`: address of the scheduler.
+    `options`: arguments of Dask's ``Nanny``.
     """
     import dask
 

@@ -375,12 +375,8 @@ def nearest(
 ) -> tuple[Curve, int] | None:
     """The curve, and the position on it, nearest to a place in the figure; None without curves.
 
-    Parameters
-    ----------
-    omega, x_max : float
-        The place [Hz], [m].
-    scale : (float, float)
-        Distances that count as equal in the two directions [Hz], [m].
+    `omega` and `x_max`: the place [Hz], [m].
+    `scale`: distances that count as equal in the two directions [Hz], [m].
     """
     found, least = None, math.inf
     for each in shown:

@@ -45,12 +45,8 @@ def curves(
 ) -> Iterator[Marks]:
     """A curve per representation and initial state, broken at jumps; the exact law thick.
 
-    Parameters
-    ----------
-    variable : DataArray
-        Dimensions representation, `along`, initial_condition.
-    kinds : DataArray, optional
-        The ``response_class`` of each value; unresolved responses set no axis.
+    `variable`: dimensions representation, `along`, initial_condition.
+    `kinds`: the ``response_class`` of each value; unresolved responses set no axis.
     """
     setting = variable.notnull() if kinds is None else sets_axis(variable, kinds)
     x, order = drawn(variable[along]), ("initial_condition", along)
@@ -91,12 +87,8 @@ def start_kinds(shown: Any) -> list[str]:
 def key_of_marks(shown: xr.Dataset, variable: str = "", other: str = "") -> Iterator[Marks]:
     """Legend entries of the symbols of a figure: sweeps, and responses that are not periodic.
 
-    Parameters
-    ----------
-    variable : str
-        Variable that is drawn; if empty, all responses are drawn alike.
-    other : str
-        Colour of responses that are not periodic; empty: grey.
+    `variable`: variable that is drawn; if empty, all responses are drawn alike.
+    `other`: colour of responses that are not periodic; empty: grey.
     """
     for kind in SWEEPS:
         if kind in start_kinds(shown):
@@ -140,14 +132,9 @@ def peaks(
 ) -> Iterator[Marks]:
     """Peaks of one representation: filled if periodic, else hollow; ticks at the frame.
 
-    Parameters
-    ----------
-    one : Dataset
-        ``x_max(along, initial_condition)``, ``response_class`` and `SETS`.
-    size : float
-        Diameter [points].
-    low, high : float
-        Edges of the frame; a tick marks a point beyond them.
+    `one`: ``x_max(along, initial_condition)``, ``response_class`` and `SETS`.
+    `size`: diameter [points].
+    `low` and `high`: edges of the frame; a tick marks a point beyond them.
     """
     label = _label(one)
     for points, look in _by_mark(one, "x_max", along):
@@ -191,12 +178,8 @@ def caption_of_marks(figure: "Figure") -> str:
 def frame(scene: xr.Dataset, lowest: str, exact: str) -> tuple[float, float]:
     """Limits of a common axis: range of the exact law, extended by up to half of it for others.
 
-    Parameters
-    ----------
-    lowest : str
-        The variable of the lower limit; ``x_max`` is the variable of the upper limit.
-    exact : str
-        The exact law's label.
+    `lowest`: the variable of the lower limit; ``x_max`` is the variable of the upper limit.
+    `exact`: the exact law's label.
     """
     bottom, top = (
         drawn(scene[name].where(sets_axis(scene[name], scene["response_class"])))
@@ -300,14 +283,9 @@ def summary(
 ) -> Iterator[Marks]:
     """A row per representation: number, confidence interval, and reproducibility limit.
 
-    Parameters
-    ----------
-    value : DataArray
-        Over representation.
-    interval : DataArray, optional
-        Over representation and bound.
-    floor : DataArray, optional
-        One number, of the exact law with other settings.
+    `value`: over representation.
+    `interval`: over representation and bound.
+    `floor`: one number, of the exact law with other settings.
     """
     labels = [str(label) for label in value["representation"].values]
     for row, (label, number) in enumerate(zip(labels, drawn(value), strict=True)):

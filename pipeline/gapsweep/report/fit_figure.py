@@ -8,7 +8,7 @@ import numpy as np
 import xarray as xr
 
 from gapsweep.report import branch_lines, marks
-from gapsweep.report.scales import axis_label, drawn, shown_unit
+from gapsweep.report.scales import axis_label, drawn
 from gapsweep.report.style import NUMBERED, SWEEPS
 from gapsweep.variables import COORDINATE
 
@@ -52,8 +52,10 @@ def draw(above: Axes, below: Axes, found: xr.Dataset) -> None:
         marks.put(above, [marks.line(x=omega[order], y=computed[order], colour=_ORBITS)])
     label = axis_label(found["measured"], quantity)
     above.set(ylabel=label, xlim=(omega.min(), omega.max()))
-    noise = shown_unit(found["measured"])[0] * found.attrs["noise"]
-    marks.put(below, [marks.level(y=sign * noise) for sign in (-1.0, 1.0)])
+    order = np.argsort(omega, kind="stable")
+    noise = drawn(found["measured_noise"])[order]
+    for sign in (-1.0, 1.0):
+        marks.put(below, [marks.line(x=omega[order], y=sign * noise)])
     below.set(
         xlabel="forcing frequency [Hz]",
         ylabel=axis_label(found["measured"], "residual"),

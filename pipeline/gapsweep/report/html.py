@@ -30,12 +30,8 @@ _TEMPLATES = Path(__file__).parent / "templates"
 def write_report(path: Path, inputs: Inputs, made_from: str = "") -> Path:
     """Write the report: the files of its figures, and the page last.
 
-    Parameters
-    ----------
-    path : Path
-        The HTML file.
-    made_from : str
-        Value of a meta element, so that the report is rewritten only if it changes.
+    `path`: the HTML file.
+    `made_from`: value of a meta element, so that the report is rewritten only if it changes.
     """
     parts = for_page(_parts(inputs), MOST_FIGURES, FIGURES)
     scripts = dict.fromkeys(["figures", *(part["script"] for part in parts if part["script"])])

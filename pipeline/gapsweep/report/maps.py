@@ -71,13 +71,10 @@ def picture(
     Raises `DatasetError` if a variable or coordinate is missing, or another dimension has several
     values.
 
-    Parameters
-    ----------
-    x, y : str
-        Numeric dimensions, or ``x_0`` and ``v_0`` if the initial conditions form a full grid; `y`
-        is the longest other numeric dimension if None.
-    wanted : mapping
-        As for `gapsweep.analysis.dimensions.selected`; all other dimensions must have one value.
+    `x` and `y`: numeric dimensions, or ``x_0`` and ``v_0`` if the initial conditions form a full
+    grid; `y` is the longest other numeric dimension if None.
+    `wanted`: as for `gapsweep.analysis.dimensions.selected`; all other dimensions must have one
+    value.
     """
     if variable not in dataset.data_vars:
         raise DatasetError(missing_variable(dataset, variable))
@@ -325,16 +322,9 @@ def _norm(numbers: NDArray[np.float64]) -> tuple[Any, str]:
 def edges(values: NDArray[np.float64], *, log: bool) -> NDArray[np.float64]:
     """Edges of the cells of an axis, halfway between its values.
 
-    Parameters
-    ----------
-    values : ndarray, shape (n,)
-        Ascending.
-    log : bool
-        Whether halfway on a logarithmic axis.
-
-    Returns
-    -------
-    ndarray, shape (n + 1,)
+    `values`: shape (n,); ascending.
+    `log`: whether halfway on a logarithmic axis.
+    Result: shape (n + 1,).
     """
     at = np.log(values) if log else values
     if at.size == 1:

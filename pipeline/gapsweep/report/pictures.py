@@ -33,11 +33,8 @@ _NO_METADATA = dict.fromkeys(("Creator", "Date", "Format", "Type"))
 def pictures(figure: Figure, choices: Iterable[Choice] = ()) -> dict[str, str]:
     """A figure as texts for JSON; the figure is cleared.
 
-    Returns
-    -------
-    dict of str to str
-        ``svg``; if the figure shows numbers, also ``csv``, and ``json`` for a page that draws them,
-        with the data of its `choices`; all as from `packed`.
+    Result: ``svg``; if the figure shows numbers, also ``csv``, and ``json`` for a page that draws
+    them, with the data of its `choices`; all as from `packed`.
     """
     texts = as_csv(figure), as_json(figure), choices_as_json(figure, choices)
     labels: list[Any] = figure.findobj(Text)

@@ -11,13 +11,7 @@ Counts = NDArray[np.int64]
 def spans(first: NDArray[np.integer], counts: NDArray[np.integer]) -> Counts:
     """Positions ``first, ..., first + counts - 1`` of the items of each row, row after row.
 
-    Parameters
-    ----------
-    first, counts : ndarray of int, shape (n,)
-
-    Returns
-    -------
-    ndarray of int, shape (sum of counts,)
+    `first` and `counts`: shape (n,). Result: shape (sum of counts,).
     """
     begin = (first - counts.cumsum() + counts).repeat(counts)
     return np.asarray(begin + np.arange(len(begin)))

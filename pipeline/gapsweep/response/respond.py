@@ -105,12 +105,9 @@ def respond_all(scenes: Sequence[Scene], starts: ArrayLike, steady: Steady) -> R
 
     Points of a kind are integrated together; no response depends on the other points.
 
-    Parameters
-    ----------
-    scenes : sequence of `Scene`, length n
-        All oscillators, or systems of one size.
-    starts : array_like, shape (n, n_states) or (n_states,)
-        Initial displacements [m], velocities [m/s] and first-order states.
+    `scenes`: all oscillators, or systems of one size.
+    `starts`: shape (n, n_states) or (n_states,); initial displacements [m], velocities [m/s] and
+    first-order states.
     """
     starts = np.asarray(starts, float)
     starts = np.broadcast_to(starts, (len(scenes), starts.shape[-1]))
@@ -130,12 +127,9 @@ def respond_all(scenes: Sequence[Scene], starts: ArrayLike, steady: Steady) -> R
 def respond_models(models: Models, solver: Solver, starts: Array, steady: Steady) -> Responses:
     """Return the steady responses of models of any kinds, each from one initial state.
 
-    Parameters
-    ----------
-    models : Models
-        All oscillators, or systems of one size.
-    starts : ndarray, shape (n, n_states)
-        Initial displacements [m], velocities [m/s] and first-order states.
+    `models`: all oscillators, or systems of one size.
+    `starts`: shape (n, n_states); initial displacements [m], velocities [m/s] and first-order
+    states.
     """
     groups, found = replace(models, start=starts).by_kind(), []
     for rows, some in groups:

@@ -462,12 +462,9 @@ def columns_with(
 ) -> dict[str, NDArray[Any]]:
     """Return the columns of n points, with values of some points; the others have no response.
 
-    Parameters
-    ----------
-    values : mapping of str to ndarray, shape (len(points), ...)
-        Columns by name; columns that are left out have missing values.
-    points : ndarray of int
-        Numbers of the points, ascending.
+    `values`: shape (len(points), ...); columns by name; columns that are left out have missing
+    values.
+    `points`: numbers of the points, ascending.
     """
     columns: dict[str, NDArray[Any]] = {}
     for name, (dtype, shape) in columns_of(structure).items():
@@ -574,12 +571,9 @@ class Responses:
     ) -> dict[str, NDArray[Any]]:
         """Return the values of the dataset's variables, shape (n, ...), with padded lists.
 
-        Parameters
-        ----------
-        sizes : mapping of str to int
-            Lengths of the dimensions within a point; 0 leaves out the extrema.
-        directions : ndarray, shape (n, n_contacts, n_coordinates)
-            Contact directions of each response, for relative displacements ``b · q``.
+        `sizes`: lengths of the dimensions within a point; 0 leaves out the extrema.
+        `directions`: shape (n, n_contacts, n_coordinates); contact directions of each response, for
+        relative displacements ``b · q``.
         """
         n, (_, n_contacts, n_q), n_states = len(self), directions.shape, self.ends.shape[1]
         found = {

@@ -27,14 +27,7 @@ CLOUD_CLOSE = 0.25
 def unit_of(omega: ArrayLike) -> Array:
     """Displacement and velocity of an oscillator that correspond to one metre of the section.
 
-    Parameters
-    ----------
-    omega : float or array_like, shape (n,)
-        Forcing frequency [Hz].
-
-    Returns
-    -------
-    ndarray, shape (2, n)
+    `omega`: shape (n,); forcing frequency [Hz]. Result: shape (2, n).
     """
     omega_rad = 2.0 * np.pi * np.atleast_1d(np.asarray(omega, dtype=float))
     return np.stack((np.ones_like(omega_rad), omega_rad))
@@ -43,16 +36,9 @@ def unit_of(omega: ArrayLike) -> Array:
 def scaled(states: ArrayLike, unit: Array) -> Array:
     """Return the section points of states.
 
-    Parameters
-    ----------
-    states : array_like, shape (n, n_states)
-        Displacements [m], velocities [m/s], first-order states.
-    unit : ndarray, shape (n_states, n) or (n_states, 1)
-
-    Returns
-    -------
-    ndarray, shape (n_states, n)
-        In metres.
+    `states`: shape (n, n_states); displacements [m], velocities [m/s], first-order states.
+    `unit`: shape (n_states, n) or (n_states, 1).
+    Result: shape (n_states, n); in metres.
     """
     return np.asarray(np.asarray(states, dtype=float).T / unit)
 
@@ -69,10 +55,8 @@ def norm(parts: Array) -> Array:
 def reach_of(q: Array, unit: Array) -> Array:
     """Largest moduli [m] over coordinates, in metres of the section, shape (n,).
 
-    Parameters
-    ----------
-    q : ndarray, shape (n_coordinates, n)
-    unit : ndarray, shape (n_states, n)
+    `q`: shape (n_coordinates, n).
+    `unit`: shape (n_states, n).
     """
     return np.asarray((np.abs(q) / unit[: len(q)]).max(axis=0))
 
@@ -134,16 +118,10 @@ def likely_multiple(
 ) -> int:
     """Smallest n after which a noisy section repeats as well as after any; 0 if none is close.
 
-    Parameters
-    ----------
-    section : ndarray, shape (n_states, n_periods)
-        Section points [m].
-    closeness : float
-        Largest distance [m] of a point from the one n periods before.
-    largest : int
-        Largest n tried; at least 2 n points are needed to find n.
-    scatter : float
-        Largest root of these distances' mean square [m].
+    `section`: shape (n_states, n_periods); section points [m].
+    `closeness`: largest distance [m] of a point from the one n periods before.
+    `largest`: largest n tried; at least 2 n points are needed to find n.
+    `scatter`: largest root of these distances' mean square [m].
     """
     n_points = section.shape[1]
     distances = [
@@ -174,16 +152,10 @@ def repeat_nearly(sections: Array, lengths: Counts, error: Array, largest: int) 
 
     Each component relative to its largest modulus: a large one must not hide chaos of another.
 
-    Parameters
-    ----------
-    sections : ndarray, shape (n_states, m, longest)
-        Section points [m].
-    lengths : ndarray of int, shape (m,)
-        Number of section points in each row.
-    error : ndarray, shape (m,)
-        Error of the points of each row, from the solver's tolerances [m].
-    largest : int
-        Largest multiple of a forcing period tried.
+    `sections`: shape (n_states, m, longest); section points [m].
+    `lengths`: shape (m,); number of section points in each row.
+    `error`: shape (m,); error of the points of each row, from the solver's tolerances [m].
+    `largest`: largest multiple of a forcing period tried.
     """
     every = np.arange(len(lengths))
     inside = np.arange(sections.shape[2]) < lengths[:, None]
@@ -203,12 +175,8 @@ def drifts(sections: Array, lengths: Counts) -> Mask:
     Such a motion is a transient or unbounded; rounding errors that grow with its distance amplify
     disturbances as chaos does.
 
-    Parameters
-    ----------
-    sections : ndarray, shape (n_coordinates, m, longest)
-        Displacements of section points [m].
-    lengths : ndarray of int, shape (m,)
-        Number of section points in each row.
+    `sections`: shape (n_coordinates, m, longest); displacements of section points [m].
+    `lengths`: shape (m,); number of section points in each row.
     """
     moves = np.diff(sections, axis=2)
     outside = np.arange(moves.shape[2]) >= lengths[:, None] - 1
@@ -230,12 +198,8 @@ def repeats(shares: Array, modulus: Array) -> Counts:
 def prime_multiple(orbit: Array, tolerance: float) -> int:
     """Smallest divisor of the length of a closed orbit after which the orbit repeats itself.
 
-    Parameters
-    ----------
-    orbit : ndarray, shape (n_states, n)
-        Section points of one whole period of n forcing periods [m].
-    tolerance : float
-        Largest distance [m] of two points, in any component, taken for the same.
+    `orbit`: shape (n_states, n); section points of one whole period of n forcing periods [m].
+    `tolerance`: largest distance [m] of two points, in any component, taken for the same.
     """
     n = orbit.shape[1]
     divisors = [d for d in range(1, n) if n % d == 0]
@@ -257,13 +221,7 @@ def cloud_distances(a: Array, b: Array) -> Array:
     The distance below which `CLOUD_SHARE` of either cloud's points have a neighbour in the
     other: the full Hausdorff distance of chaotic samples is ruled by one outlier.
 
-    Parameters
-    ----------
-    a, b : ndarray, shape (n_states, m, n_a), (n_states, m, n_b)
-
-    Returns
-    -------
-    ndarray, shape (m,)
+    `a` and `b`: shape (n_states, m, n_a), (n_states, m, n_b). Result: shape (m,).
     """
     distances = _apart(a, b)
     nearest = [np.quantile(distances.min(axis=axis), CLOUD_SHARE, axis=1) for axis in (1, 2)]
@@ -276,13 +234,7 @@ def own_neighbours(a: Array, b: Array) -> Array:
     Half of them if both are samples of one distribution, all if they lie apart, whatever their
     shape and the number of states (Schilling 1986).
 
-    Parameters
-    ----------
-    a, b : ndarray, shape (n_states, m, n_a), (n_states, m, n_b)
-
-    Returns
-    -------
-    ndarray, shape (m,)
+    `a` and `b`: shape (n_states, m, n_a), (n_states, m, n_b). Result: shape (m,).
     """
     apart = _apart(a, b)
     own = [_nearest_own(cloud) < apart.min(axis=axis) for cloud, axis in ((a, 2), (b, 1))]

@@ -67,18 +67,13 @@ class NewtonShooting:
     ) -> None:
         """Start shooting from states near orbits.
 
-        Parameters
-        ----------
-        points : ndarray of int, shape (m,)
-        y : ndarray, shape (n_states, m)
-        n : ndarray of int, shape (m,)
-        goal : ndarray, shape (m,)
-            Newton step [m] at which the orbit counts as found.
-        noise : ndarray, shape (m,)
-            Distance [m] of an orbit's ends that solver noise may cause, if no step is shorter than
-            `goal`.
-        furthest : ndarray, shape (m,)
-            Distance [m] from `y` beyond which shooting stops.
+        `points`: shape (m,).
+        `y`: shape (n_states, m).
+        `n`: shape (m,).
+        `goal`: shape (m,); Newton step [m] at which the orbit counts as found.
+        `noise`: shape (m,); distance [m] of an orbit's ends that solver noise may cause, if no step
+        is shorter than `goal`.
+        `furthest`: shape (m,); distance [m] from `y` beyond which shooting stops.
         """
         self.y[:, points], self.n[points] = y, n
         self._goal[points], self._noise[points], self._furthest[points] = goal, noise, furthest
@@ -124,12 +119,8 @@ class NewtonShooting:
     def parts(self, points: Numbers, tolerance: Array) -> Counts:
         """Periods of the largest part after which each orbit repeats, or of the whole orbit.
 
-        Parameters
-        ----------
-        points : ndarray of int, shape (m,)
-            Points with an orbit.
-        tolerance : ndarray, shape (m,)
-            Distances [m] within which two section points are the same.
+        `points`: shape (m,); points with an orbit.
+        `tolerance`: shape (m,); distances [m] within which two section points are the same.
         """
         return np.asarray(largest_parts(self.section, self.n, points, tolerance))
 
@@ -178,16 +169,10 @@ class NewtonShooting:
 def newton_steps(monodromy: Array, moved: Array) -> Array:
     """Newton steps from initial states to fixed points of their maps; infinite if none is near.
 
-    Parameters
-    ----------
-    monodromy : ndarray, shape (n, n_states, n_states)
-        Derivatives of end states with respect to initial states, as section points.
-    moved : ndarray, shape (n, n_states)
-        Ends minus starts, as section points [m].
-
-    Returns
-    -------
-    ndarray, shape (n, n_states)
+    `monodromy`: shape (n, n_states, n_states); derivatives of end states with respect to initial
+    states, as section points.
+    `moved`: shape (n, n_states); ends minus starts, as section points [m].
+    Result: shape (n, n_states).
     """
     matrices = np.eye(moved.shape[1]) - monodromy
     try:
@@ -211,15 +196,9 @@ def floquet_multipliers(monodromy: Array, determinant: Array) -> NDArray[np.comp
     it the smaller one. With more states, small eigenvalues are lost in rounding of the largest one.
     Eigenvalues below the smallest normal numbers are zero.
 
-    Parameters
-    ----------
-    monodromy : ndarray, shape (n, n_states, n_states)
-    determinant : ndarray, shape (n,)
-        Exact determinants, >= 0.
-
-    Returns
-    -------
-    ndarray of complex, shape (n, n_states)
+    `monodromy`: shape (n, n_states, n_states).
+    `determinant`: shape (n,); exact determinants, >= 0.
+    Result: shape (n, n_states).
     """
     if monodromy.shape[1] == 2:
         return np.asarray(multiplier_pairs(np.ascontiguousarray(monodromy), determinant))

@@ -65,10 +65,7 @@ def verify(cache: Cache) -> Verdict:
 def clean(cache: Cache, numerics: str, *, apply: bool) -> tuple[int, int]:
     """Remove damaged slabs and slabs of other code or of no run, and merge small segments.
 
-    Returns
-    -------
-    (int, int)
-        Numbers of points and of damaged segments that are removed, or would be with `apply`.
+    Result: numbers of points and of damaged segments that are removed, or would be with `apply`.
     """
     gone = {
         frame: frame.n_points

@@ -26,21 +26,12 @@ def positions(
     Raises `ValueError` if the axis lacks a wanted value; one line with that value and the values of
     the axis.
 
-    Parameters
-    ----------
-    name : str
-        Name of the axis; ``representation`` and ``gap`` have labels with more than one spelling.
-    held : array_like, shape (n,)
-        Values of the axis: numbers or texts.
-    wanted : object
-        A value, a sequence of values, or for numbers a slice that includes both ends.
-    of : str
-        Owner of the axis, for messages.
-
-    Returns
-    -------
-    ndarray of int
-        All positions with a wanted value, ascending, each once; at least one.
+    `name`: name of the axis; ``representation`` and ``gap`` have labels with more than one
+    spelling.
+    `held`: shape (n,); values of the axis: numbers or texts.
+    `wanted`: a value, a sequence of values, or for numbers a slice that includes both ends.
+    `of`: owner of the axis, for messages.
+    Result: all positions with a wanted value, ascending, each once; at least one.
     """
     axis = np.atleast_1d(np.asarray(held))
     if is_numeric(axis):  # a label may look like a quantity, as "+0.4 mm"
@@ -67,12 +58,8 @@ def positions(
 def numbers_of_sweeps(wanted: Any, kinds: Sequence[str]) -> Any:
     """Return selected initial conditions with numbers for the names of sweeps.
 
-    Parameters
-    ----------
-    wanted : object
-        Numbers, or ``"sweep_up"`` and ``"sweep_down"``, or a sequence of both.
-    kinds : sequence of str
-        ``fixed`` or the name of the sweep, for each initial condition.
+    `wanted`: numbers, or ``"sweep_up"`` and ``"sweep_down"``, or a sequence of both.
+    `kinds`: ``fixed`` or the name of the sweep, for each initial condition.
     """
     if is_several(wanted) and not isinstance(wanted, slice):
         return [numbers_of_sweeps(each, kinds) for each in wanted]

@@ -30,14 +30,9 @@ class FitTable(TomlTable):
     ) -> Iterator[str]:
         """Yield a line per number that cannot be fitted or has several values.
 
-        Parameters
-        ----------
-        axes : dict
-            Axes of the study.
-        known : collection of str
-            Names of the numbers of the model and of all walls.
-        contacts : iterable of ContactTable
-            Tables of [contact].
+        `axes`: axes of the study.
+        `known`: names of the numbers of the model and of all walls.
+        `contacts`: tables of [contact].
         """
         own = {name for one in contacts for name in one.model_dump(exclude_none=True)}
         first = axes["representation"][0]
@@ -81,6 +76,8 @@ def with_sweep(tables: Any, source: str) -> Any:
             ],
             "sweep": [one.direction for one in several for _ in one.omega],
         }
+        if noise := [x for one in several if one.noise is not None for x in one.noise.tolist()]:
+            columns[f"noise [{written(units) or 1}]"] = noise
         found |= {"data": columns}
         if "noise" in table:
             found |= {"noise": without_units("noise", table["noise"], units)}

@@ -312,15 +312,18 @@ class ParametricModel:
         """
         drawn = self.spec.uncertain.names if self.spec.uncertain else ()
         swept = {*given, *drawn}.union(*(block.parameters for block in self.spec.sweep))
-        damps = "damping" in drawn or max(values(several(given.get("damping", 0.0)))) > 0.0
         for contact, one in product(self.contacts, representations):
             law = self._own(contact, "representation") or one
-            damping = self._own(contact, "damping")
-            if damps if damping is None else damping:
-                if not law.takes("damping"):
-                    yield f"damping: {law.refusal('damping')}"
+            for name in (name for name in TAKEN_BY if name not in OF_LABELS):
+                number = self._own(contact, name)
+                axis = given.get(name, 0.0) if number is None else number
+                is_drawn = name in drawn and number is None
+                if not (is_drawn or any(values(several(axis)))):
+                    continue
+                if not law.takes(name):
+                    yield f"{name}: {law.refusal(name)}"
                 elif law.law != EXACT and not self.spec.study.pulls:
-                    yield f"damping: walls of {law} pull; write pulls = true in [study], for all"
+                    yield f"{name}: walls of {law} pull; write pulls = true in [study], for all"
             for name in OF_LABELS:
                 is_own = self._own(contact, name) is not None
                 if name in law.missing and not is_own and name not in {*given, *drawn}:

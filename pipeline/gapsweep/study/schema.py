@@ -29,6 +29,23 @@ from gapsweep.variables import (
 POINT_DIMS = ("representation", "K_c", "gap", "omega", "initial_condition")
 ATTRACTOR = "attractor"
 
+# Description of every other number of an oscillator, which has a dimension if it is swept.
+_NUMBERS = {
+    "zeta": "damping ratio",
+    "omega_n": "natural frequency without contact",
+    "mass": "mass",
+    "alpha": "cubic stiffness",
+    "forcing": "forcing amplitude",
+    "mean_load": "constant load",
+    "c": "viscous damping added to that of zeta",
+    "unbalance": "unbalance",
+    "base_amplitude": "amplitude of the base's motion",
+    "base_damping": "share of the damping connected to the base",
+    "K_ratio": "stiffness ratio, lower wall over upper wall",
+    "damping": "damping of both walls",
+    "chi": "factor of the speed of penetration",
+    "restitution": "coefficient of restitution",
+}
 # Dimension and description of every coordinate. Walls that are swept separately have separate
 # dimensions.
 COORDINATES: dict[str, tuple[str, Variable]] = {
@@ -38,32 +55,10 @@ COORDINATES: dict[str, tuple[str, Variable]] = {
     "j_1": ("gap", Variable("f8", UNITS["j_1"], "distance of the lower wall from the origin")),
     "j_2": ("gap", Variable("f8", UNITS["j_2"], "distance of the upper wall from the origin")),
     "omega": ("omega", INPUTS["omega"]),
-    "zeta": ("zeta", Variable("f8", UNITS["zeta"], "damping ratio")),
-    "omega_n": ("omega_n", Variable("f8", UNITS["omega_n"], "natural frequency without contact")),
-    "mass": ("mass", Variable("f8", UNITS["mass"], "mass")),
-    "alpha": ("alpha", Variable("f8", UNITS["alpha"], "cubic stiffness")),
-    "forcing": ("forcing", Variable("f8", UNITS["forcing"], "forcing amplitude")),
-    "mean_load": ("mean_load", Variable("f8", UNITS["mean_load"], "constant load")),
-    "c": ("c", Variable("f8", UNITS["c"], "viscous damping added to that of zeta")),
-    "unbalance": ("unbalance", Variable("f8", UNITS["unbalance"], "unbalance")),
-    "base_amplitude": (
-        "base_amplitude",
-        Variable("f8", UNITS["base_amplitude"], "amplitude of the base's motion"),
-    ),
-    "base_damping": (
-        "base_damping",
-        Variable("f8", UNITS["base_damping"], "share of the damping connected to the base"),
-    ),
-    "K_ratio": (
-        "K_ratio",
-        Variable("f8", UNITS["K_ratio"], "stiffness ratio, lower wall over upper wall"),
-    ),
-    "damping": ("damping", Variable("f8", UNITS["damping"], "damping of both walls")),
-    "chi": ("chi", Variable("f8", UNITS["chi"], "factor of the speed of penetration")),
-    "restitution": (
-        "restitution",
-        Variable("f8", UNITS["restitution"], "coefficient of restitution"),
-    ),
+    **{
+        name: (name, Variable("f8", UNITS[name], description))
+        for name, description in _NUMBERS.items()
+    },
     "initial_condition": (START, INPUTS[START]),
     "x_0": (START, INPUTS["x_0"]),
     "v_0": (START, INPUTS["v_0"]),

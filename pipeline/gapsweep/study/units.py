@@ -23,12 +23,8 @@ def with_numbers(tables: Any) -> Any:
 def units_of(path: Path, own: Collection[str] = ()) -> str | None:
     """Return the unit of a number in a study as UDUNITS text; None if it has none.
 
-    Parameters
-    ----------
-    path : sequence of str or int
-        Keys and positions that lead to the number.
-    own : collection of str
-        Parameters of user functions: their unit is empty, for any dimension.
+    `path`: keys and positions that lead to the number.
+    `own`: parameters of user functions: their unit is empty, for any dimension.
     """
     for part in reversed(path):
         if part in _STATES and path[-1] in (0, 1):

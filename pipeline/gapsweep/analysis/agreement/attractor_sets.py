@@ -57,12 +57,8 @@ class Matching:
 def matching(ours: LawTable, theirs: LawTable, width: float, *, symmetric: bool) -> Matching:
     """Match the attractors of a representation with the exact ones.
 
-    Parameters
-    ----------
-    width : float
-        Width of the gap [m], the scale of distances.
-    symmetric : bool
-        Whether the gap is symmetric.
+    `width`: width of the gap [m], the scale of distances.
+    `symmetric`: whether the gap is symmetric.
     """
     common = ours.requested & theirs.requested
     classes = [mirror_classes(table.found) for table in (ours, theirs)]
@@ -206,11 +202,8 @@ def _mean_at(w: Ints, values: Array, size: int) -> Array:
 def basin_metrics(found: Matching, ours: LawTable, theirs: LawTable) -> dict[str, Array]:
     """Agreement of attractors per initial condition (A12), and distance of basin shares (A11).
 
-    Returns
-    -------
-    dict of str to ndarray
-        `same_attractor` over frequency and initial condition; `basin_distance` and
-        `basin_distance_error` over frequency.
+    Result: `same_attractor` over frequency and initial condition; `basin_distance` and
+    `basin_distance_error` over frequency.
     """
     own, exact = _labels(found, ours, theirs)
     common = ours.requested & theirs.requested

@@ -50,15 +50,8 @@ Tables = dict[str, NDArray[Any]]
 def agreement(responses: xr.Dataset, attractors: xr.Dataset) -> xr.Dataset:
     """Compare every representation with the swept `piecewise`.
 
-    Parameters
-    ----------
-    responses, attractors : Dataset
-        As in ``responses.nc`` and ``attractors.nc``; parameter sets are read one by one.
-
-    Returns
-    -------
-    Dataset
-        The variables of `gapsweep.analysis.agreement.metrics.variables`.
+    `responses` and `attractors`: as in ``responses.nc`` and ``attractors.nc``; parameter sets are
+    read one by one. Result: the variables of `gapsweep.analysis.agreement.metrics.variables`.
     """
     if COORDINATE in responses.dims:
         parts = zip(by_coordinate(responses), by_coordinate(attractors), strict=True)

@@ -19,14 +19,7 @@ _BATCH = 2**19
 def hausdorff_on_line(a: Array, b: Array) -> Array:
     """Hausdorff distance of sets of numbers: the largest distance of a member to the other set.
 
-    Parameters
-    ----------
-    a, b : ndarray, shape (n, ...)
-        Sets, one per row.
-
-    Returns
-    -------
-    ndarray, shape (n,)
+    `a` and `b`: shape (n, ...); sets, one per row. Result: shape (n,).
     """
     return _by_size(_hausdorff_on_line, a, b, power=1)
 
@@ -34,17 +27,10 @@ def hausdorff_on_line(a: Array, b: Array) -> Array:
 def hausdorff_in_plane(a: Array, b: Array, share: float = 1.0) -> Array:
     """Hausdorff distance of two sets of points in the plane, or the partial one.
 
-    Parameters
-    ----------
-    a, b : ndarray, shape (n, ..., 2)
-        Sets, one per row.
-    share : float
-        Quantile of the distances to the nearest member of the other set; 1 is their maximum,
-        the Hausdorff distance, which a single outlier of a chaotic sample determines.
-
-    Returns
-    -------
-    ndarray, shape (n,)
+    `a` and `b`: shape (n, ..., 2); sets, one per row.
+    `share`: quantile of the distances to the nearest member of the other set; 1 is their maximum,
+    the Hausdorff distance, which a single outlier of a chaotic sample determines.
+    Result: shape (n,).
     """
     return _by_size(partial(_hausdorff_in_plane, share=share), a, b, power=2)
 

@@ -105,12 +105,8 @@ class LawTable:
 def law_table(responses: xr.Dataset, attractors: xr.Dataset, at: At) -> LawTable:
     """Read the results of one representation in one parameter set.
 
-    Parameters
-    ----------
-    responses, attractors : Dataset
-        As stored in ``responses.nc`` and ``attractors.nc``.
-    at : mapping of str to int
-        Position along the representation and the dimensions of parameter sets.
+    `responses` and `attractors`: as stored in ``responses.nc`` and ``attractors.nc``.
+    `at`: position along the representation and the dimensions of parameter sets.
     """
     here = _read(responses, (*_KINDS, *_FIELDS), at)
     requested = here["status"] != Status.NOT_REQUESTED

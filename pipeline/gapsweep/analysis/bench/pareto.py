@@ -56,10 +56,8 @@ def cheapest(bench: xr.Dataset, target: float) -> xr.DataArray:
 def corners(bench: xr.Dataset, target: float) -> list[tuple[float, str, xr.DataArray]]:
     """Geometric mean of `cheapest` over the scenarios of each contact stiffness and gap.
 
-    Returns
-    -------
-    list of (K_c, gap, cost)
-        Cost over method; NaN if a method misses the target in a scenario of this stiffness and gap.
+    Result: K_c, gap and the cost over method; NaN if a method misses the target in a scenario of
+    this stiffness and gap.
     """
     cost = cheapest(bench, target)
     pairs = list(zip(bench["K_c"].values.tolist(), bench["gap"].values.tolist(), strict=True))

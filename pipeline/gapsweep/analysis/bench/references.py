@@ -176,16 +176,9 @@ def settled(
 def growth(scenario: Scenario, law: ContactLaw, section: Array) -> Array:
     """Largest growth factor of a disturbance of the initial state, at every period end.
 
-    Parameters
-    ----------
-    section : ndarray, shape (n, 2)
-        States at the motion's period ends, from which each period is integrated in its lane.
-
-    Returns
-    -------
-    ndarray, shape (n,)
-        The largest factor so far, ``>= 1``; velocities are divided by the angular frequency of the
-        forcing, or of the oscillator if that is higher.
+    `section`: shape (n, 2); states at the motion's period ends, from which each period is
+    integrated in its lane. Result: shape (n,); the largest factor so far, ``>= 1``; velocities are
+    divided by the angular frequency of the forcing, or of the oscillator if that is higher.
     """
     starts = np.vstack([[scenario.x_0, scenario.v_0], section[:-1]])
     omega = np.full(len(starts), scenario.omega)

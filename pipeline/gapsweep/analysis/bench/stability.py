@@ -26,17 +26,9 @@ def stability(
 ) -> xr.Dataset:
     """Outcomes of every method on every scenario with a stated solution.
 
-    Parameters
-    ----------
-    say, timeout
-        As for `gapsweep.analysis.bench.cells.cell_table`.
-
-    Returns
-    -------
-    Dataset
-        Over `scene`, `method` and `tolerance` (the rung of a method's ladder), `expected` over
-        `scene`. Attribute `n_silent_wrong` counts wrong results with status ok at rtol 1e-6 or
-        tighter.
+    `say` and `timeout`: as for `gapsweep.analysis.bench.cells.cell_table`. Result: over `scene`,
+    `method` and `tolerance` (the rung of a method's ladder), `expected` over `scene`. Attribute
+    `n_silent_wrong` counts wrong results with status ok at rtol 1e-6 or tighter.
     """
     found, ladder = scenarios(study, with_answer=True), methods(study)
     arrays = cell_table(found, ladder, timeout, say)

@@ -74,17 +74,9 @@ def work_precision(
 ) -> xr.Dataset:
     """Error, cost and status of every method on every scenario without a stated solution.
 
-    Parameters
-    ----------
-    say : callable
-        Called with a line of text before each step.
-    timeout : float
-        Processor time [s] of a scenario, and of each call of a user law.
-
-    Returns
-    -------
-    Dataset
-        Over `scene`, `method` and `tolerance` (the rung of a method's ladder).
+    `say`: called with a line of text before each step.
+    `timeout`: processor time [s] of a scenario, and of each call of a user law.
+    Result: over `scene`, `method` and `tolerance` (the rung of a method's ladder).
     """
     found, ladder = scenarios(study, with_answer=False), methods(study)
     assert study.spec.bench is not None

@@ -108,20 +108,24 @@ def branches(
     for file in ("branches.nc", "curves.nc")[: 1 + is_curves]:
         if file == "curves.nc":
             parts = [part for part in map(_with_points, parts) if part.scene.points]
-        missing = []
+        # Cases with equal inputs, as of laws without a swept parameter, are computed once.
+        missing: dict[Path, list[_SceneBranches]] = {}
         for part in parts:
             # Each case has its folder, so that SHA256SUMS has one writer.
             path = cache / FOLDER / part.scene.key / "scene.nc"
             with suppress(StoreError):
                 part.found = Followed(Status.OK, branches=netcdf.read(path))
             if part.found.branches is None:
-                missing.append((part, path))
+                missing.setdefault(path, []).append(part)
         if missing:
-            tasks = [part.scene for part, _ in missing]
+            paths = [*missing]
+            tasks = [several[0].scene for several in missing.values()]
             arriving = followed(tasks, connect(), timeout, lambda: say("waiting for workers"))
             for n_done, (number, found) in enumerate(arriving, len(parts) - len(missing) + 1):
-                part, path = missing[number]
-                part.found = found
+                path = paths[number]
+                for part in missing[path]:
+                    own = found.branches and found.branches.copy(deep=True)
+                    part.found = replace(found, branches=own)
                 if found.branches is not None:
                     netcdf.write(found.branches, path, {})
                 say(f"making {file}, {n_done} of {len(parts)} cases")

@@ -8,19 +8,22 @@ import xarray as xr
 
 from gapsweep.continuation.follow import branches
 from gapsweep.design.fit import Fit, fit
-from gapsweep.errors import ModelError, StudyError
+from gapsweep.errors import ModelError
 from gapsweep.execution.branch_tasks import model_of
 from gapsweep.integrate.problem import DEFAULT_ENGINE
 from gapsweep.response.result import RESPONSE
+from gapsweep.status import Status
 from gapsweep.study.study import Study
 from gapsweep.user_code.package_digest import numerics_fingerprint
-from gapsweep.variables import Variable, with_attributes
+from gapsweep.variables import STATUS_FLAGS, Variable, with_attributes
 
 PARAMETER, OTHER = "parameter", "other_parameter"
 _MEASUREMENT, _MINIMUM = "measurement", "minimum"
 _of_point = partial(Variable, dims=(_MEASUREMENT,))
+_STATUS = {"fit_status": Variable("i1", "1", "outcome of the fit", Status.OK, STATUS_FLAGS)}
 # Variables of ``fit.nc``; those of the quantity have its unit.
 VARIABLES = {
+    **_STATUS,
     "value": Variable("f8", "", "fitted value, in SI units", dims=(PARAMETER,)),
     "standard_error": Variable("f8", "", "standard error, inf: unknown", dims=(PARAMETER,)),
     "covariance": Variable("f8", "", "covariance of the parameters", dims=(PARAMETER, OTHER)),
@@ -28,6 +31,7 @@ VARIABLES = {
     "measured_omega": _of_point("f8", "Hz", "frequency of the measured point"),
     "direction": _of_point("str", "1", "direction of the sweep of the measured point"),
     "measured": _of_point("f8", "", "measured value"),
+    "measured_noise": _of_point("f8", "", "standard deviation of the measured value"),
     "computed": _of_point("f8", "", "value of the fitted model"),
     "residual": _of_point("f8", "", "measured minus computed value"),
     "is_on_branch": _of_point("i1", "1", "whether measurement and model are on the same branch"),
@@ -36,11 +40,15 @@ VARIABLES = {
 }
 
 
+_OF_QUANTITY = ("measured", "measured_noise", "computed", "residual")
+
+
 def fit_of(study: Study) -> xr.Dataset:
     """Return the fit of ``[fit]``, as a dataset.
 
     The law is that of the first representation; numbers that are not free have their values in the
-    study. Raises `StudyError` if the model is invalid in a range.
+    study. If the model is invalid in a range, the dataset has only `fit_status`, and the error as
+    the attribute `message`.
     """
     table, grid = study.spec.fit, study.grid
     assert table is not None
@@ -52,10 +60,11 @@ def fit_of(study: Study) -> xr.Dataset:
     solver = point.kind.solver
     rtol = solver.rtol if solver.engine == DEFAULT_ENGINE else None
     try:
-        found = fit(table.data, model, laws, free=table.free, noise=table.noise, rtol=rtol)
+        found = dataset(fit(table.data, model, laws, free=table.free, noise=table.noise, rtol=rtol))
     except ModelError as error:
-        raise StudyError(f"{study.source}: fit: {error}") from None
-    return dataset(found).assign_attrs(
+        status = with_attributes(_STATUS, {"fit_status": np.int8(Status.MODEL_INVALID)})
+        found = xr.Dataset(status, attrs={"message": str(error)})
+    return found.assign_attrs(
         **study.attributes,
         representation=grid.representations[0],
         numerics_fingerprint=numerics_fingerprint(),
@@ -70,17 +79,19 @@ def dataset(fitted: Fit) -> xr.Dataset:
     Dataset
         `value`, `standard_error`, `covariance` and `correlation` over `parameter`; the points
         over `measurement`; `minimum_value` and `misfit` over `minimum`. Attributes are
-        `quantity`, `noise` and `notes`. Branches, over `branch` and `step`, are those of
+        `quantity` and `notes`. Branches, over `branch` and `step`, are those of
         `gapsweep.branches`; a fit to another quantity than amplitude, peak or trough has none.
     """
     names = [*fitted.values]
     of_minima = [[one[name] for name in names] for one in fitted.minima]
     arrays = {
+        "fit_status": np.int8(Status.OK),
         "value": [*fitted.values.values()],
         "standard_error": [*fitted.errors.values()],
         "covariance": fitted.covariance,
         "correlation": fitted.correlation,
         "measured_omega": fitted.omega,
+        "measured_noise": fitted.noise,
         **{name: getattr(fitted, name) for name in ("direction", "measured", "computed")},
         **{name: getattr(fitted, name) for name in ("residual", "is_on_branch")},
         "minimum_value": of_minima,
@@ -88,7 +99,7 @@ def dataset(fitted: Fit) -> xr.Dataset:
     }
     units = RESPONSE[fitted.quantity].units
     described = {
-        name: replace(one, units=units) if name in ("measured", "computed", "residual") else one
+        name: replace(one, units=units) if name in _OF_QUANTITY else one
         for name, one in VARIABLES.items()
     }
     found = with_attributes(described, {name: np.asarray(x) for name, x in arrays.items()})
@@ -102,7 +113,6 @@ def dataset(fitted: Fit) -> xr.Dataset:
         made = orbits.merge(made)
     attributes = {
         "quantity": fitted.quantity,
-        "noise": fitted.noise,
         "notes": "\n".join(fitted.notes),
     }
     return made.assign_attrs(attributes)

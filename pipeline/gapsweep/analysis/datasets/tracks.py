@@ -23,12 +23,8 @@ def with_tracks(attractors: xr.Dataset, along: str) -> xr.Dataset:
     pairs at neighbouring values are joined, the nearest first, if peaks and troughs differ by at
     most half of the larger modulus. Every other attractor begins a track.
 
-    Parameters
-    ----------
-    attractors : Dataset
-        ``attractors.nc``, or some of it.
-    along : str
-        A dimension with ordered values.
+    `attractors`: ``attractors.nc``, or some of it.
+    `along`: a dimension with ordered values.
     """
     of_one = (along, ATTRACTOR, *({COORDINATE} & {*attractors["x_max"].dims}))
     ends = [attractors[name].transpose(..., *of_one) for name in ("x_max", "x_min")]

@@ -31,6 +31,7 @@ from gapsweep.integrate.vectors import (
     nearest,
     rough_exp2,
     rough_log2,
+    sqrt,
     where,
 )
 from gapsweep.model.contact_modes import HOLD, ON
@@ -238,16 +239,17 @@ class Modes:
         return reduce(lambda a, b: a + b, [value * b for value, b in pairs])
 
     def watched(self, gaps):
-        """Series that may not leave an interval in the present modes: gaps, then forces.
+        """For every contact, the series that may not leave an interval in the present mode.
 
         Returns
         -------
         list of (list of Vec, Vec, Vec)
-            Series, and both ends of the interval.
+            The gap, or the force where it decides, and both ends of the interval.
         """
         found = list(zip(gaps, self.lo, self.hi, strict=True))
-        pressures = zip(self.pressures, gaps, strict=False)
-        return found + [(each.series(gap), each.lo, each.hi) for each, gap in pressures]
+        for k, pressure in enumerate(self.pressures):
+            found[k] = pressure.watched(*found[k])
+        return found
 
 
 class Pressure:
@@ -255,8 +257,9 @@ class Pressure:
 
     Attributes
     ----------
-    decides : Mask
-        Whether the force ends the present mode *on*, which no wall ends then.
+    decides, is_slack : Mask
+        Whether the force ends the present mode *on*, which no wall ends then; whether the mode is
+        *slack*.
     lo, hi : Vec
         Interval of the force that the mode allows; infinite for modes that it does not end.
     """
@@ -271,19 +274,27 @@ class Pressure:
         self._stiffness = where(is_watched, where(above, stiffness[1], stiffness[0]), 0.0)
         self._damping = where(is_watched, damping, 0.0)
         self._switched = lanes[layout.switched + contact] > 0.0
-        self._is_slack = is_watched & ~self.decides
+        self.is_slack = is_watched & ~self.decides
         pushes_up = (self.decides & above) | (is_watched & ~self.decides & ~above)
         self.lo = where(pushes_up, 0.0, mode.constant(-math.inf))
         self.hi = where(is_watched & ~pushes_up, 0.0, mode.constant(math.inf))
 
     def longest(self, gap, h):
-        """Longest step in mode slack: several times as long as the gap needs to reach the wall.
+        """Longest step in mode slack: twice the time to the wall at the present acceleration.
 
         In a much longer step, the proof that the gap passes the wall once would fail, and the
         crossing would be next to the beginning. At least a thousandth of the step `h`.
         """
-        leaves = absolute((gap[0] - self._wall) / gap[1]) * _TO_WALL
-        return where(self._is_slack, maximum(leaves, h * 1e-3), h)
+        depth, speed = gap[0] - self._wall, gap[1]
+        root = sqrt(maximum(fma(speed, speed, depth * gap[2] * -4.0), 0.0 * speed))
+        leaves = absolute(depth) * (2.0 * _TO_WALL) / (absolute(speed) + root)
+        return where(self.is_slack, maximum(leaves, h * 1e-3), h)
+
+    def watched(self, gap, lo, hi):
+        """Series and interval of the force where it decides, elsewhere those of the gap."""
+        pairs = zip([*self.series(gap), self.lo, self.hi], [*gap, lo, hi], strict=True)
+        *series, lo, hi = [where(self.decides, a, b) for a, b in pairs]
+        return series, lo, hi
 
     def series(self, gap):
         """Series of the force, from the series of the gap."""

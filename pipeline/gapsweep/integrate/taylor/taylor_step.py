@@ -213,6 +213,8 @@ class _Exits:
         self.h, self.is_unclear = h, ~is_decided
         for leaves, crosses, *_ in found:
             self.is_unclear = self.is_unclear | (leaves & ~crosses)
+        for pressure, gap, shape in zip(modes.pressures, motion.gaps, self.shapes, strict=False):
+            self.is_unclear = self.is_unclear | _may_leave_slack(pressure, gap, shape, h)
         for rigid, e, held, (_, crosses, t, *_) in zip(
             lanes.rows("rigid"), lanes.rows("restitution"), modes.held, found, strict=False
         ):
@@ -221,7 +223,8 @@ class _Exits:
             if not lanes.layout.has_slack:
                 meets = meets & ((t * lanes["rate"] < SHORT_STEP) | ~(e > 0.0))
             self.is_unclear = self.is_unclear | held | meets
-        first = found[0] if len(found) == 1 and not modes.held else None
+        is_alone = len(found) == 1 and not (modes.held or modes.pressures)
+        first = found[0] if is_alone else None
         self.step = (
             where(first[1], first[2], h)
             if first
@@ -249,6 +252,26 @@ class _Exits:
         crosses = wants_root & is_found
         end = where(crosses, target, g_1), where(crosses, u, u_1)
         return leaves, crosses, t, outward, end
+
+
+def _may_leave_slack(pressure, gap, shape, h):
+    """Lanes in mode slack that the force may end, which only code for single lanes locates.
+
+    A gap that falls and is concave, or rises and is convex, takes the force away from zero. This is
+    almost always so; bounds of the force are needed for other lanes only.
+    """
+    leaves = (shape.falls & shape.is_concave) | (shape.rises & shape.is_convex)
+    is_open = pressure.is_slack & ~leaves
+
+    def by_bounds():
+        force, lo, hi = pressure.series(gap), pressure.lo, pressure.hi
+        end, _ = value_and_slope(force, h)
+        stays = _Shape(force, lo, hi, h).is_decided & (end > lo) & (end < hi)
+        return [is_open & ~stays]
+
+    is_any = is_nonzero(h.builder, is_open.bits())
+    (found,) = branch(h.builder, is_any, by_bounds, lambda: [is_open])
+    return found
 
 
 class _Passings:
@@ -368,8 +391,8 @@ def _commit_slack(lanes, modes, motion, exits, state):
     n_changes = none
     for k in range(n):
         mode, has_gap = lanes[layout.mode + k], lanes[layout.lower + k] < lanes[layout.upper + k]
-        at_wall, at_zero, side = exits.passes[k], exits.passes[n + k], exits.sides[k]
-        at_zero = at_zero & ~at_wall
+        passes, side, decides = exits.passes[k], exits.sides[k], modes.pressures[k].decides
+        at_wall, at_zero = passes & ~decides, passes & decides
         new, acted, acts = mode, none, none
         for number, row in enumerate(MODES):
             is_here = absolute(mode).equals(number)
@@ -384,7 +407,7 @@ def _commit_slack(lanes, modes, motion, exits, state):
         changes = where(is_swapped, 2.0, absolute(acts - acted))
         n_changes = n_changes + changes
         lanes[layout.mode + k], lanes[layout.mode_0 + k] = new, mode
-        lanes[layout.side + k] = where(at_zero, exits.sides[n + k], side)
+        lanes[layout.side + k] = side
         switched = where(at_zero, 1.0, none)
         old = lanes[layout.switched + k]
         lanes[layout.switched + k] = where(exits.is_unclear, old, switched)

@@ -13,6 +13,7 @@ from gapsweep.report.inputs import Inputs
 from gapsweep.report.parts import Figured, Part, Table
 from gapsweep.report.scales import plain, shown_unit
 from gapsweep.report.tables import number
+from gapsweep.status import Status
 
 _SIZE = (9.5, 5.4)  # inches, the report's column
 
@@ -22,6 +23,9 @@ def sections(inputs: Inputs) -> Iterator[Part]:
     if inputs.fit is None:
         return
     found = inputs.fit.load()
+    if found["fit_status"] != Status.OK:
+        yield Part("fit", "Fit", [f"The fit has failed: {found.attrs['message']}"])
+        return
     figure = Figure(figsize=_SIZE)
     above, below = figure.subplots(2, 1, height_ratios=(3, 1))
     fit_figure.draw(above, below, found)
@@ -30,7 +34,8 @@ def sections(inputs: Inputs) -> Iterator[Part]:
         f"{words}, dashed where unstable, and residuals with the noise (lines below). Hollow "
         "points are on another branch than the model and do not count."
     )
-    sentences = [_values(found), *found.attrs["notes"].splitlines(), _about(found)]
+    other = "All other sections show the numbers of the study, not the fitted ones."
+    sentences = [_values(found), *found.attrs["notes"].splitlines(), _about(found), other]
     yield Part("fit", "Fit", sentences, [_table(found)], [Figured(figure, caption, words)])
 
 
@@ -62,9 +67,11 @@ def _about(found: xr.Dataset) -> str:
     factor, unit = shown_unit(found["measured"])
     directions = found["direction"].values
     counts = [f"{(directions == one).sum()} {one}" for one in dict.fromkeys(directions.tolist())]
-    given = "noise" in json.loads(found.attrs["study_json"])["fit"]
+    table = json.loads(found.attrs["study_json"])["fit"]
+    given = "noise" in table or any(title.startswith("noise") for title in table["data"])
     how = "given" if given else "estimated from the residuals"
-    noise = f"{number(factor * found.attrs['noise'])} {unit}".strip()
+    ends = {factor * end(found["measured_noise"].values).item(): None for end in (np.min, np.max)}
+    noise = f"{' to '.join(map(number, ends))} {unit}".strip()
     return (
         f"Law: {found.attrs['representation']}. Points by direction of the sweep: "
         f"{', '.join(counts)}. Noise: {noise}, {how}."

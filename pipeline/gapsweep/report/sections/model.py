@@ -52,7 +52,12 @@ _MANY = 5  # values of a parameter; of more, the first and the last are shown
 def sections(inputs: Inputs) -> Iterator[Part]:
     """The equation of a run, its parameters and its contact laws, as pairs of name and text."""
     of_model = _system if "system_json" in inputs.responses.attrs else _oscillator
-    yield Part("model", "Model", [], content={"pairs": of_model(inputs.responses)})
+    pairs = of_model(inputs.responses)
+    if inputs.fit is not None:
+        pairs.append(
+            ("Fit", "the numbers above are those of the study; the section Fit has its own")
+        )
+    yield Part("model", "Model", [], content={"pairs": pairs})
 
 
 def _oscillator(responses: xr.Dataset) -> list[tuple[str, str]]:
