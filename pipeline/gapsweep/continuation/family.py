@@ -245,11 +245,6 @@ class Family:
         return (self.law,) * len(contacts)
 
     @cached_property
-    def is_rigid(self) -> tuple[bool, ...]:
-        """Whether the walls of each contact are rigid."""
-        return tuple(law.losses.is_rigid for law in self._laws_of_contacts)
-
-    @cached_property
     def _names_of_laws(self) -> frozenset[str]:
         """Names of parameters that a law may have."""
         return frozenset(GAP).union(*map(numbers_of, self._laws))
