@@ -131,6 +131,18 @@ def test_force_and_time_of_a_damped_contact_are_those_while_it_acts(pulls):
     assert ended.worked == pytest.approx(ended.lost, rel=1e-9)
 
 
+def test_a_force_that_returns_ends_mode_slack():
+    """The forcing presses bodies back before they have left the wall."""
+    start, omega, one = [0.2300, 0.2450, 0.2540, 0.2930], [0.513, 0.512, 0.475, 0.473], np.eye(1)
+    law = gs.Piecewise(2.0, gs.Gap(0.1745, 0.1745), damping=1.0)
+    run = gs.simulate(oscillator(0.6), law, omega=omega, x_0=start, t_end=3.0)
+    walls = [Wall([side], 0.1745, 2.0, 1.0, pulls=False) for side in (-1.0, 1.0)]
+    for x_0, rate, x_end, n in zip(start, omega, run.x_end, run.n_contacts, strict=True):
+        found = Lossy(one, 0.05 * one, one, [0.6], rate * TURN, walls).run([x_0, 0.0], 3.0)
+        assert x_end == pytest.approx(found.y[0], abs=1e-9)
+        assert n == found.n_contacts
+
+
 def damper(x, v, low, high, k, c):
     """A spring and a damper beyond two walls, which pull."""
     if low <= x <= high:
@@ -447,6 +459,35 @@ def test_two_orbits_meet_at_a_border_fold_and_none_is_beyond():
         assert ended.y == pytest.approx(here["start_state"].values, abs=1e-9)
         assert (ended.n_contacts > 0) == (side > 0)
         assert (np.abs(np.linalg.eigvals(ended.tangent)).max() < 1.0) == (side < 0)
+
+
+@pytest.mark.parametrize("at", [0.015, 0.022])
+def test_a_branch_of_twice_the_period_begins_at_a_border_flip(at):
+    """Its orbits touch the wall once in two periods, return after both and not after one."""
+    law, omega = stop(damping=15.0), 0.95 / TURN
+    found = gs.branches(oscillator(), law, "forcing", (0.01, 0.03), at=at, omega=omega, follow=1)
+    assert found["parent"].values.tolist() == [-1, 0]
+    along = found.isel(branch=1).dropna("step", how="all", subset=["forcing"])
+    names = np.array(found["special"].attrs["flag_meanings"].split())[along["special"].values]
+    ends = along.isel(step=[0, -1])
+    assert {*names[[0, -1]]} == {"border_flip", "period_doubling"}
+    flip = ends["forcing"].values[names[[0, -1]] == "border_flip"]
+    assert flip == pytest.approx([GRAZE], rel=1e-9)
+    assert set(along["period_multiple"].values) == {2}
+    (rows,) = np.nonzero(
+        (along["n_contacts"].values == 2) & (np.abs(along["forcing"] / GRAZE - 1.0).values > 1e-3)
+    )
+    assert len(rows) > 3
+    one, walls = np.eye(1), [Wall([1.0], 0.1745, 20.0, 15.0, pulls=False)]
+    for row in rows[[0, -1]]:
+        oracle = Lossy(one, 0.05 * one, one, [along["forcing"].values[row]], 0.95, walls)
+        y = along["start_state"].values[row]
+        halfway, ended = (oracle.run(y, n * TURN / 0.95) for n in (1, 2))
+        assert ended.n_contacts == 2
+        assert ended.y == pytest.approx(y, abs=1e-10)
+        assert np.abs(halfway.y - y).max() > 1e-4
+        expected = np.sort(np.linalg.eigvals(ended.tangent))
+        assert np.sort(along["multiplier_real"].values[row]) == pytest.approx(expected, rel=1e-6)
 
 
 @pytest.mark.extended

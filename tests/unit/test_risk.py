@@ -483,7 +483,8 @@ def test_mistakes_of_calls():
             gap,
             {"events": {"both": {"quantity": "amplitude", "above": 0.2, "below": 0.1}}},
         ),
-        "'gapp': must be one of": ({"gapp": gap["gap"]}, {}),
+        "amplitude: cannot be uncertain": ({"amplitude": gap["gap"]}, {}),
+        "'gapp': must be one of (?!.*\\b(omega|amplitude),)": ({"gapp": gap["gap"]}, {}),
         "v_1: must be|'v_1': must be": ({"v_1": gap["gap"]}, {}),
     }
     for words, (uncertain, options) in calls.items():

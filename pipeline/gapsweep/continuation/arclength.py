@@ -352,7 +352,7 @@ def _is_passed(orbits: Sequence[Orbit], orbit: Orbit) -> bool:
 
 
 def _jumps(chord: Array, tangent: Array) -> Any:
-    """Whether chords are no parts of a branch, as where impacts pass the initial phase."""
+    """Whether chords are no parts of a branch, as where the initial state changes at once."""
     return (chord * tangent).sum(axis=-1) < 0.5 * np.sqrt((chord**2).sum(axis=-1))
 
 

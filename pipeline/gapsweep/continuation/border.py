@@ -195,10 +195,10 @@ def rigid_graze(
     if not change:
         return []
     if is_entry:
-        graze = _located(corrector, last, reference)
+        graze = _graze(equations, _located(corrector, last, reference), reference)
         return [] if graze is None else _with_impact(corrector, graze, reference)
     for free in _without_impact(corrector, last, n, far, reference):
-        graze = _located(corrector, free, reference)
+        graze = _graze(equations, _located(corrector, free, reference), reference)
         if graze is not None:
             way = graze.orbit.unknowns - last.unknowns
             is_near = float(np.sqrt(way @ way)) <= 3.0 * far
@@ -245,22 +245,26 @@ def _zero(before: float, last: float, apart: float) -> float:
     return last * apart / (before - last) if before != last else np.inf
 
 
-def _rigid(equations: OrbitEquations, orbit: Orbit) -> Iterator[tuple[int, int, float]]:
-    """Contact, side and place of every rigid wall."""
+def _rigid(
+    equations: OrbitEquations, orbit: Orbit, kind: str = "is_rigid"
+) -> Iterator[tuple[int, int, float]]:
+    """Contact, side and place of every rigid wall, or of every wall of another kind of losses."""
     for contact, law in enumerate(equations.models_at(orbit).laws[0]):
-        if law.losses.is_rigid:
+        if getattr(law.losses, kind):
             for side, wall in walls(equations, orbit, contact).items():
                 if wall is not None:
                     yield contact, side, wall
 
 
-def _clearance(equations: OrbitEquations, orbit: Orbit) -> tuple[int, float]:
-    """Number of impacts, and the largest distance of another turning point beyond a rigid wall.
+def _clearance(
+    equations: OrbitEquations, orbit: Orbit, kind: str = "is_rigid"
+) -> tuple[int, float]:
+    """Number of contacts, and the largest distance of another turning point beyond a wall.
 
     The distance is negative, as a share of the largest displacement.
     """
     n, nearest = 0, -np.inf
-    for contact, side, wall in _rigid(equations, orbit):
+    for contact, side, wall in _rigid(equations, orbit, kind):
         off = beyond(orbit, contact, side, wall)[0] * limit.ON_WALL / on_wall(orbit, contact)
         n += int((off > -limit.IMPACT).sum())
         nearest = max(nearest, float(off[off <= -limit.IMPACT].max(initial=-np.inf)))
@@ -316,20 +320,23 @@ def _with_impact(corrector: Corrector, graze: _Graze, reference: Reference) -> l
     return []
 
 
-def _located(corrector: Corrector, orbit: Orbit, reference: Reference) -> _Graze | None:
-    """The graze of a branch of orbits without the impact.
+def _located(
+    corrector: Corrector, orbit: Orbit, reference: Reference, kind: str = "is_rigid"
+) -> tuple[Orbit, Array, float] | None:
+    """The graze of a branch of orbits without the contact, its tangent there and the slope of the
+    distance from the wall along it.
 
     Differences by the parameter must not pass the wall: the tangent is that of an orbit before it.
     """
     equations = corrector.equations
-    n, value = _clearance(equations, orbit)
+    n, value = _clearance(equations, orbit, kind)
     s = -max(-0.01 * value, limit.BEFORE_RIGID)
     for _ in range(2 * limit.NEWTON_STEPS):
         (found,), _ = corrector.orbits(
             (orbit.unknowns + s * orbit.tangent)[None, :], orbit.tangent[None, :], reference,
             np.array([abs(s) + limit.BEFORE_RIGID]),
         )  # fmt: skip
-        now = (n + 1, 0.0) if found is None else _clearance(equations, found)
+        now = (n + 1, 0.0) if found is None else _clearance(equations, found, kind)
         if found is None or now[0] != n:
             s *= 0.5
             continue
@@ -350,28 +357,23 @@ def _located(corrector: Corrector, orbit: Orbit, reference: Reference) -> _Graze
             (orbit.unknowns + ahead * tangent)[None, :], across[None, :], reference,
             np.array([limit.BEFORE_RIGID]),
         )  # fmt: skip
-        now = (n + 1, 0.0) if found is None else _clearance(equations, found)
+        now = (n + 1, 0.0) if found is None else _clearance(equations, found, kind)
         if found is None or now[0] != n:
             return None
         graze, value = found, now[1]
-    return _graze(equations, graze, tangent, abs(slope), reference)
+    return graze, tangent, abs(slope)
 
 
 def _graze(
-    equations: OrbitEquations, graze: Orbit, tangent: Array, slope: float, reference: Reference
+    equations: OrbitEquations, located: tuple[Orbit, Array, float] | None, reference: Reference
 ) -> _Graze | None:
-    """A graze with its directions; None if no branch has impacts on all walls that it touches.
-
-    The distance from the wall has a slope along the tangent of the branch without impact.
-    """
-    integrate = prepared(equations.models_at(graze), equations.solver)
-    *_, touched = _touched(equations, graze, integrate)
-    touched = sorted(touched, key=lambda touch: touch.t % graze.period)
-    times = [touch.t % graze.period for touch in touched]
-    pieces = integrate(_pieces(graze.state, np.array([0.0, *times, graze.period]))).monodromy
-    assert pieces is not None
+    """A graze with its directions; None if no branch has impacts on all walls that it touches."""
+    if located is None:
+        return None
+    graze, tangent, slope = located
+    touched, pieces = _flow(equations, graze)
     n, states, m = equations.n, equations.n_states, len(touched)
-    size = max(on_wall(graze, contact) for contact in range(len(graze.turning))) / limit.ON_WALL
+    size = _largest(graze)
     # Changes of the state and of the turning points by the initial state and by the speeds.
     change, turned = np.eye(states, states + m), np.zeros((m, states + m))
     for k, touch in enumerate(touched):
@@ -398,3 +400,50 @@ def _graze(
         past * np.sign(speeds[0]) / np.sqrt(past @ past),
         deeper,
     )
+
+
+def _flow(equations: OrbitEquations, graze: Orbit) -> tuple[list[_Touch], Array]:
+    """Grazes of an orbit in order of phase, and the tangents of the motion between them."""
+    integrate = prepared(equations.models_at(graze), equations.solver)
+    *_, touched = _touched(equations, graze, integrate)
+    touched = sorted(touched, key=lambda touch: touch.t % graze.period)
+    times = [touch.t % graze.period for touch in touched]
+    pieces = integrate(_pieces(graze.state, np.array([0.0, *times, graze.period]))).monodromy
+    assert pieces is not None
+    return touched, pieces
+
+
+def _largest(orbit: Orbit) -> float:
+    """Largest displacement of a contact [m]."""
+    return max(on_wall(orbit, contact) for contact in range(len(orbit.turning))) / limit.ON_WALL
+
+
+def doubled(corrector: Corrector, free: Orbit, reference: Reference) -> Array | None:
+    """Direction of the branch of twice the period that begins at a border flip; None without one.
+
+    Near the graze, states z relative to the orbit without the contact move by ``z' = A z``, with
+    the contact by ``z' = A z - k (G z + γ)``, γ the distance of that orbit beyond the wall. Points
+    of the orbit of two periods lie on either side: ``z = (I - B A)⁻¹ (-k γ)``, B = A - k G.
+    """
+    equations = corrector.equations
+    located = _located(corrector, free, reference, "never_pulls")
+    if located is None:
+        return None
+    graze, tangent, slope = located
+    touched, pieces = _flow(equations, graze)
+    if len(touched) != 1:
+        return None
+    states, size = equations.n_states, reference.size[0]
+    scale = size[None, :] / size[:, None]
+    along = touched[0].outward @ pieces[0][: equations.n] * size / _largest(graze)
+    without = pieces[1] @ pieces[0] * scale
+    jump = without - pieces[1] @ touched[0].jump @ pieces[0] * scale
+    push = jump @ along / (along @ along)
+    first = -np.linalg.solve(np.eye(states) - (without - jump) @ without, push)
+    off = np.array([along @ first, along @ without @ first]) + 1.0  # of both points, for γ = 1
+    if off[0] * off[1] >= 0.0:
+        return None
+    side = float(np.sign(off[1]))  # of γ, so that the first point has no contact
+    across = side * tangent / slope
+    across[:states] += side * first
+    return np.asarray(across / np.sqrt(across @ across))

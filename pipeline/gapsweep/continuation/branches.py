@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gapsweep.continuation.arclength import Continuation, Half, reversed_orbit
-from gapsweep.continuation.border import both_sides
+from gapsweep.continuation.border import both_sides, doubled
 from gapsweep.continuation.locate import Step, roots
 from gapsweep.continuation.orbits import Orbit, OrbitEquations, Reference
 from gapsweep.continuation.recognise import Branch, holders, is_known, own_part
@@ -83,6 +83,7 @@ class Branches:
                 # The other side of a pitchfork has the same orbits later, or mirror images.
                 is_pitchfork = abs(start[0].tangent[-1]) < abs(orbit.tangent[-1])
                 is_pitchfork &= orbit.special != Special.BRANCH_POINT
+                is_pitchfork |= orbit.special == Special.BORDER_FLIP  # to one side only
                 (found,) = self._followed([start[0]], start[1], one_sided=is_pitchfork)
                 if len(found.orbits) < SHORTEST:
                     self.n_lost += 1
@@ -202,6 +203,10 @@ class Branches:
                 if sides:
                     graze = nearest_graze(equations, orbit)
                     is_entry = (graze(step.before) < graze(step.after)) == graze.is_outer
+                    if sides[1].special == Special.BORDER_FLIP and graze.is_outer:
+                        free = step.before if is_entry else step.after
+                        across = doubled(self.continuation.corrector, free, step.reference)
+                        sides[1] = replace(sides[1], across=across)
                     found += sides if is_entry else sides[::-1]
                     continue
             point = replace(orbit, special=int(kind))

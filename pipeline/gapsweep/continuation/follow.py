@@ -76,7 +76,8 @@ def branches(
         Initial states of motions that lead to attractors; by default rest, and the first coordinate
         displaced beyond either wall, of unforced systems by several amplitudes too.
     follow : int
-        Generations of branches that bifurcate at period doublings and symmetry breaking, 0 to 10.
+        Generations of branches that bifurcate at period doublings, border flips and symmetry
+        breaking, 0 to 10.
     max_steps : int
         Largest number of orbits on either side of the first orbit, 2 to 100000.
     rtol, atol : float

@@ -98,6 +98,8 @@ def sign_changes(before: Orbit, after: Orbit, equations: OrbitEquations) -> Iter
         return
     if Special.GRAZING in (before.special, after.special) and before.n_contacts != after.n_contacts:
         return  # between a graze of a rigid wall and an orbit past it, where multipliers are large
+    if before.special == Special.BORDER_FLIP and before.across is not None:
+        return  # on the branch of twice the period that begins there
     if not equations.family.is_conservative:
         tests = {Special.FOLD: fold, Special.PERIOD_DOUBLING: doubling, Special.TORUS: torus}
         for kind, test in tests.items():

@@ -32,12 +32,12 @@ def switched(
 ) -> tuple[Orbit, Reference] | None:
     """The first orbit of the branch across another one, and what it is computed with.
 
-    At a period doubling its period is twice that of the orbit, or half of an orbit that is twice
-    one of half the period.
+    At a period doubling or a border flip its period is twice that of the orbit, or half of an orbit
+    that is twice one of half the period.
     """
     assert orbit.across is not None
     reference = equations.reference_at(reference, orbit)
-    is_doubling = orbit.special == Special.PERIOD_DOUBLING
+    is_doubling = orbit.special in (Special.PERIOD_DOUBLING, Special.BORDER_FLIP)
     ratio = 1.0 if not is_doubling else 0.5 if orbit.identity.halves <= UNLIKE else 2.0
     unknowns, tangent, across = (x.copy() for x in (orbit.unknowns, orbit.across, orbit.tangent))
     reference.multiple = (ratio * reference.multiple).astype(np.int64)

@@ -88,14 +88,9 @@ class ChanceSurvey:
     def end(self, several: Sequence[Judged], i: int, step: int) -> tuple[float, str, float]:
         """Return an end of an interval that holds at place i: its value, reason and frequency [Hz].
 
-        Parameters
-        ----------
-        several : sequence of Judged
-            Judged places in ascending order.
-        i : int
-            The last one that holds.
-        step : int
-            -1 for the lower end, 1 for the upper end.
+        `several`: judged places in ascending order.
+        `i`: the last one that holds.
+        `step`: -1 for the lower end, 1 for the upper end.
         """
         outside = several[i + step :: step] if i + step >= 0 else []
         if not outside:

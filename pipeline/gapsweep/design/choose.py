@@ -225,13 +225,10 @@ class _Survey:
     ) -> tuple[Array, Array, Array]:
         """Return the largest margin of each row, its response's end state and initial state.
 
-        Parameters
-        ----------
-        places, omega : ndarray, shape (m,)
-        seeds : ndarray, shape (m, s, n_states)
-            Initial states of each row; a survey without following has none.
-        starts : bool
-            Whether all rows start from the initial conditions of the call, too.
+        `places` and `omega`: shape (m,).
+        `seeds`: shape (m, s, n_states); initial states of each row; a survey without following has
+        none.
+        `starts`: whether all rows start from the initial conditions of the call, too.
         """
         m, _, n = seeds.shape
         states = seeds if self.follows else seeds[:, :0]

@@ -72,13 +72,9 @@ class Machine:
     def respond(self, values: Array, omega: Array, states: Array) -> Responses:
         """Return the steady responses of n rows.
 
-        Parameters
-        ----------
-        values : ndarray, shape (n, number of parameters)
-            Values of the parameters `family.names`.
-        omega : ndarray, shape (n,)
-            Forcing frequencies [Hz]; 0 if the model is not forced.
-        states : ndarray, shape (n, n_states)
+        `values`: shape (n, number of parameters); values of the parameters `family.names`.
+        `omega`: shape (n,); forcing frequencies [Hz]; 0 if the model is not forced.
+        `states`: shape (n, n_states).
         """
         models, laws, which = self.parts(values)
         if "omega" in self.family.names:

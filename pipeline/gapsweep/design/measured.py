@@ -131,10 +131,7 @@ def ranges(free: Any, n_points: int) -> tuple[Window, ...]:
 def _sweep(where: str, direction: str, points: Array) -> Sweep:
     """A sweep in its order, from points in this or the opposite order.
 
-    Parameters
-    ----------
-    points : ndarray, shape (2, n) or (3, n)
-        Frequencies [Hz], values and, if it is measured, their noise.
+    `points`: shape (2, n) or (3, n); frequencies [Hz], values and, if it is measured, their noise.
     """
     omega = points[0]
     if len(omega) < _FEWEST:

@@ -48,15 +48,10 @@ def cluster(
 
     Raises `ClusterError` if the scheduler cannot be reached, or no local cluster starts.
 
-    Parameters
-    ----------
-    workers : int
-        Processes of the local cluster, one thread each.
-    scheduler : str, optional
-        Address of a running scheduler, as ``tcp://127.0.0.1:8786``; for ``tls://`` the keys are
-        those of Dask's configuration.
-    dashboard : bool
-        Whether a local cluster serves Dask's dashboard.
+    `workers`: processes of the local cluster, one thread each.
+    `scheduler`: address of a running scheduler, as ``tcp://127.0.0.1:8786``; for ``tls://`` the
+    keys are those of Dask's configuration.
+    `dashboard`: whether a local cluster serves Dask's dashboard.
     """
     if scheduler is None:
         settings = _LOCAL_SETTINGS | ({} if dashboard else dict.fromkeys(_ROUTES, ()))

@@ -81,19 +81,10 @@ def _differing(
 
     For systems of another structure these are only fields that all points of the slab share.
 
-    Parameters
-    ----------
-    asked : Points
-        The requested point.
-    previous : ndarray of key, shape (1,)
-        Key of the preceding point of its sweep; zero without one.
-    contents : Stored
-        The points of the slab.
-
-    Returns
-    -------
-    dict of str to (str, str)
-        Requested and stored value, by field.
+    `asked`: the requested point.
+    `previous`: shape (1,); key of the preceding point of its sweep; zero without one.
+    `contents`: the points of the slab.
+    Result: requested and stored value, by field.
     """
     differing = _differences(_fields(asked.kind.identity), _fields(slab.identity))
     stored, (numbers,) = contents.numbers, asked.numbers

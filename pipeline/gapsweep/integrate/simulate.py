@@ -184,20 +184,16 @@ def simulate(
 def motion_of(models: Models, solver: Solver, state: Array, n_periods: int) -> Trajectory:
     """Return the motion of one parameter set over whole forcing periods, with dense output.
 
+    Raises `ModelError` if the engine cannot integrate the model.
+
     Parameters
     ----------
     models : Models
         One row.
-    solver : Solver
     state : ndarray, shape (n_states,)
         Displacements [m], velocities [m/s] and first-order states at time zero.
     n_periods : int
         ``> 0``.
-
-    Raises
-    ------
-    ModelError
-        If the engine cannot integrate the model.
     """
     (system,), (laws,) = models.systems, models.laws
     n = system.n
@@ -267,6 +263,8 @@ def cases(
 ) -> tuple[Models, Array, tuple[int, ...]]:
     """Return the parameter sets of a call, and their initial states.
 
+    Raises `ModelError` if an argument is out of range, or does not apply to the model.
+
     Parameters
     ----------
     oscillator, law, omega, x_0, v_0, q_0, z_0
@@ -282,11 +280,6 @@ def cases(
         Displacements [m], velocities [m/s] and first-order states.
     shape : tuple of int
         Common shape of all arguments.
-
-    Raises
-    ------
-    ModelError
-        If an argument is out of range, or does not apply to the model.
     """
     systems, given = _several("oscillator", oscillator), _several("law", law)
     first = _alike(systems)
@@ -471,10 +464,7 @@ def _check_clock(models: Models, t_0: float) -> None:
 def broadcast(**values: ArrayLike | None) -> list[NDArray[np.float64]]:
     """Return the values as finite float arrays of one shape; `omega` must be positive.
 
-    Raises
-    ------
-    ModelError
-        If a value is out of range, or the shapes do not fit.
+    Raises `ModelError` if a value is out of range, or the shapes do not fit.
     """
     arrays = []
     for name, value in values.items():

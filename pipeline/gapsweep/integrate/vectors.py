@@ -240,12 +240,8 @@ def is_nonzero(builder, bits):
 def branch(builder, condition, compute, otherwise):
     """Emit a branch between two computations; return the values of the one that runs, as a list.
 
-    Parameters
-    ----------
-    condition
-        Condition of `compute`, one for all lanes.
-    compute, otherwise : callable
-        Each emits code and returns as many `Vec` and `Mask`.
+    `condition`: condition of `compute`, one for all lanes.
+    `compute` and `otherwise`: each emits code and returns as many `Vec` and `Mask`.
     """
     results, blocks = [], []
     with builder.if_else(condition) as paths:

@@ -196,17 +196,11 @@ def orbits(
 ) -> Iterator[Marks]:
     """Branches as lines, solid where stable, with their special points.
 
-    Parameters
-    ----------
-    branches : Dataset
-        Branches as from `shown`.
-    along : str
-        Variable of the horizontal axis.
-    heights : sequence of str
-        Variables of the vertical axis; the first has the special points.
-    shade : str
-        One colour for all; if empty, a colour for each representation, or for each branch of a
-        single representation, named in the legend.
+    `branches`: branches as from `shown`.
+    `along`: variable of the horizontal axis.
+    `heights`: variables of the vertical axis; the first has the special points.
+    `shade`: one colour for all; if empty, a colour for each representation, or for each branch of a
+    single representation, named in the legend.
     """
     look = _looks(branches) if not shade else [(shade, "")] * branches.sizes[BRANCH]
     style: dict[str, Any] = {"size": 1.3, "zorder": 1.8}

@@ -51,14 +51,9 @@ def maps_of(
 ) -> Iterator[Figured]:
     """One figure of maps; a value that is the same everywhere is stated in its caption.
 
-    Parameters
-    ----------
-    parts : sequence of (Dataset, str)
-        Dataset and name of each variable.
-    axes : list of str
-        The horizontal and the vertical axis.
-    where : str
-        Representation and parameters, for the caption.
+    `parts`: dataset and name of each variable.
+    `axes`: the horizontal and the vertical axis.
+    `where`: representation and parameters, for the caption.
     """
     pictures = [(name, picture(part, name, axes[0], axes[1], {})[0]) for part, name in parts]
     alike = [(name, value) for name, one in pictures if (value := _everywhere(one))]
@@ -95,18 +90,12 @@ def along_axis(
 
     Lines of amplitudes from several initial conditions would cross between attractors.
 
-    Parameters
-    ----------
-    scene : Dataset
-        Responses with dimensions representation, `along`, initial_condition.
-    attractors : Dataset or None
-        Their attractors, with dimensions representation, `along`, attractor.
-    branches : Dataset or None
-        ``branches.nc``, drawn behind the dots.
-    where : str
-        The parameters, in words.
-    of_starts, of_attractors : str
-        The initial conditions of the extrema and of the attractors, in words.
+    `scene`: responses with dimensions representation, `along`, initial_condition.
+    `attractors`: their attractors, with dimensions representation, `along`, attractor.
+    `branches`: ``branches.nc``, drawn behind the dots.
+    `where`: the parameters, in words.
+    `of_starts` and `of_attractors`: the initial conditions of the extrema and of the attractors, in
+    words.
     """
     if attractors is None:
         caption = "Amplitude (half the range) of the steady response, broken at jumps"

@@ -132,14 +132,9 @@ def peaks(
 ) -> Iterator[Marks]:
     """Peaks of one representation: filled if periodic, else hollow; ticks at the frame.
 
-    Parameters
-    ----------
-    one : Dataset
-        ``x_max(along, initial_condition)``, ``response_class`` and `SETS`.
-    size : float
-        Diameter [points].
-    low, high : float
-        Edges of the frame; a tick marks a point beyond them.
+    `one`: ``x_max(along, initial_condition)``, ``response_class`` and `SETS`.
+    `size`: diameter [points].
+    `low` and `high`: edges of the frame; a tick marks a point beyond them.
     """
     label = _label(one)
     for points, look in _by_mark(one, "x_max", along):
@@ -288,14 +283,9 @@ def summary(
 ) -> Iterator[Marks]:
     """A row per representation: number, confidence interval, and reproducibility limit.
 
-    Parameters
-    ----------
-    value : DataArray
-        Over representation.
-    interval : DataArray, optional
-        Over representation and bound.
-    floor : DataArray, optional
-        One number, of the exact law with other settings.
+    `value`: over representation.
+    `interval`: over representation and bound.
+    `floor`: one number, of the exact law with other settings.
     """
     labels = [str(label) for label in value["representation"].values]
     for row, (label, number) in enumerate(zip(labels, drawn(value), strict=True)):

@@ -73,14 +73,9 @@ def attractors(
 ) -> Figure:
     """Peak of every attractor over frequency, its dot as large as its basin, a panel per label.
 
-    Parameters
-    ----------
-    found : Dataset
-        Part of ``attractors.nc``; dimensions representation, `along`, attractor.
-    along : str
-        Numeric dimension of the horizontal axis.
-    continued : Dataset, optional
-        ``branches.nc``, drawn behind.
+    `found`: part of ``attractors.nc``; dimensions representation, `along`, attractor.
+    `along`: numeric dimension of the horizontal axis.
+    `continued`: ``branches.nc``, drawn behind.
     """
 
     def peaks(axes: Axes, one: xr.Dataset) -> None:
@@ -127,18 +122,11 @@ def peaks_of_laws(
 ) -> Choice:
     """Peaks of laws in front of the exact law's, which show in black if missed; a panel per law.
 
-    Parameters
-    ----------
-    name : str
-        The parameter set in words.
-    scene : Dataset
-        Dimensions representation, omega, initial_condition.
-    exact : str
-        Label of the exact law.
-    titles : mapping of str to str
-        Title of the panel of each law.
-    continued : Dataset, optional
-        ``branches.nc``; unstable orbits are drawn behind.
+    `name`: the parameter set in words.
+    `scene`: dimensions representation, omega, initial_condition.
+    `exact`: label of the exact law.
+    `titles`: title of the panel of each law.
+    `continued`: ``branches.nc``; unstable orbits are drawn behind.
     """
     scene = drawing.with_setting(scene, "x_max")
     low, high = drawing.frame(scene, "x_max", exact)

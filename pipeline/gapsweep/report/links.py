@@ -59,20 +59,12 @@ def _begins(text: str, start: str) -> bool:
 def for_page(parts: Iterable[Mapping[str, Any]], most: int, folder: str) -> list[dict[str, Any]]:
     """Rendered parts with ids, links and addresses of pictures.
 
-    Parameters
-    ----------
-    parts : iterable of mapping
-        Each with the name of its `group`, empty for parts that are always on the report's page.
-    most : int
-        Figures of groups on one page; with more, every part of a group has its own page.
-    folder : str
-        Folder of the pages of parts.
-
-    Returns
-    -------
-    list of dict
-        Every part also has the name of its page as ``file`` (empty: the report's page) and a link
-        to it from the report as ``href``; every figure has an ``id`` and a ``href``.
+    `parts`: each with the name of its `group`, empty for parts that are always on the report's
+    page.
+    `most`: figures of groups on one page; with more, every part of a group has its own page.
+    `folder`: folder of the pages of parts.
+    Result: every part also has the name of its page as ``file`` (empty: the report's page) and a
+    link to it from the report as ``href``; every figure has an ``id`` and a ``href``.
     """
     made: list[dict[str, Any]] = []
     used = set[str]()

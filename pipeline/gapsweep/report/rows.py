@@ -26,14 +26,9 @@ def to_csv(
     Lengths are in millimetres, as in figures. Raises `DatasetError` if a variable is not in the
     responses.
 
-    Parameters
-    ----------
-    responses : Dataset
-        As ``responses.nc``, or a part of it.
-    columns : sequence of str, optional
-        Variables in addition to the dimensions, all if empty; None: `OF_CSV`.
-    digits : int, optional
-        Significant digits of variables; None: all.
+    `responses`: as ``responses.nc``, or a part of it.
+    `columns`: variables in addition to the dimensions, all if empty; None: `OF_CSV`.
+    `digits`: significant digits of variables; None: all.
     """
     shown = rows(responses, short(responses, OF_CSV) if columns is None else columns, digits)
     named = {name: f"{name}{unit_of(responses, name, ' [{}]')}" for name in shown.columns}

@@ -28,14 +28,9 @@ def scene(
     back with one value. Raises `DatasetError` if a variable is missing, or another dimension has
     several values.
 
-    Parameters
-    ----------
-    dataset : Dataset
-        Any selection of a dataset.
-    variables : mapping of str to sequence of str
-        Names of variables, and the dimensions of each.
-    wanted : mapping
-        Coordinates to values, lists or slices; see `selected`.
+    `dataset`: any selection of a dataset.
+    `variables`: names of variables, and the dimensions of each.
+    `wanted`: coordinates to values, lists or slices; see `selected`.
     """
     for name in variables:
         if name not in dataset.data_vars:

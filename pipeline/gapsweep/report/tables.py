@@ -38,16 +38,11 @@ def scene_tables(
 ) -> list[Table]:
     """Tables of agreement with the exact law, if that was computed, and of cost.
 
-    Parameters
-    ----------
-    agreement, timing : Dataset
-        One parameter set of the files of a run; several give medians without intervals.
-    labels : list of str
-        Representations computed there.
-    over : str
-        Added to the titles.
-    apart : sequence of (str, position)
-        Parameter sets, in words, whose agreement has separate rows.
+    `agreement` and `timing`: one parameter set of the files of a run; several give medians without
+    intervals.
+    `labels`: representations computed there.
+    `over`: added to the titles.
+    `apart`: parameter sets, in words, whose agreement has separate rows.
     """
     labels = sorted(
         labels, key=lambda label: Representation(label).protocol != ""
@@ -173,14 +168,9 @@ def special_points(found: xr.Dataset | None, here: xr.Dataset, along: str) -> It
     Mirror images of an orbit share a row. If the second table has the points of approximations,
     the first one has only those of the exact law.
 
-    Parameters
-    ----------
-    found : Dataset or None
-        ``branches.nc``, or ``curves.nc``: then over the second parameter in place of the peak.
-    here : Dataset
-        The parameter set.
-    along : str
-        The parameter.
+    `found`: ``branches.nc``, or ``curves.nc``: then over the second parameter in place of the peak.
+    `here`: the parameter set.
+    `along`: the parameter.
     """
     if found is not None and f"attractor_{along}" in found and "attractor_on_branch" in found:
         yield from _lost_attractors(found, here, along)

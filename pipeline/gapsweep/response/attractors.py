@@ -295,14 +295,9 @@ def _mirrors(rows: Numbers, found: Responses, scene: Numbers, number: Numbers) -
     The image has the same class and period multiple. All extrema of an orbit are negated; of a
     chaotic attractor only the largest and smallest displacements are compared. `NONE`: no image.
 
-    Parameters
-    ----------
-    rows : ndarray of int, shape (m,)
-        Attractors of symmetric models.
-    found : Responses
-        The first responses of all attractors.
-    scene, number : ndarray of int
-        As in `Attractors`.
+    `rows`: shape (m,); attractors of symmetric models.
+    `found`: the first responses of all attractors.
+    `scene` and `number`: as in `Attractors`.
     """
     mirror = np.full(len(rows), NONE, np.intp)
     items, lengths = found.lists["extrema"]

@@ -58,16 +58,12 @@ class LyapunovExponents:
     ) -> None:
         """Start measurements at states.
 
-        Parameters
-        ----------
-        points : ndarray of int, shape (m,)
-        y : ndarray, shape (n_states, m)
-        rate : ndarray, shape (m,)
-            Settling rate [1/s], > 0.
-        omega : ndarray, shape (m,)
-            Forcing frequency [Hz].
-        longest : ndarray, shape (m,)
-            Forcing periods of the search for a period: about the most that all blocks last.
+        `points`: shape (m,).
+        `y`: shape (n_states, m).
+        `rate`: shape (m,); settling rate [1/s], > 0.
+        `omega`: shape (m,); forcing frequency [Hz].
+        `longest`: shape (m,); forcing periods of the search for a period: about the most that all
+        blocks last.
         """
         # Every coordinate has a component: growth of one may never reach another one.
         start = np.linspace(1.0, 0.0, len(y))

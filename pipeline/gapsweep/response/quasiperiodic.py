@@ -34,16 +34,11 @@ def torus_test(
 
     A torus must be found in two successive windows: chaos may resemble it once by chance.
 
-    Parameters
-    ----------
-    motions : RecordedWindows
-        Not changed.
-    points : ndarray of int, shape (m,)
-        Numbers of the motions to test.
-    windows : dict of int to float
-        Periods of windows, which begin at the present states, and allowed difference of means.
-    longest : ndarray, shape (m,)
-        Largest number of periods to integrate.
+    `motions`: not changed.
+    `points`: shape (m,); numbers of the motions to test.
+    `windows`: periods of windows, which begin at the present states, and allowed difference of
+    means.
+    `longest`: shape (m,); largest number of periods to integrate.
     """
     is_torus, is_locked, seemed = np.zeros((3, len(points)), bool)
     y, n_periods = motions.y[:, points], np.zeros(len(points), np.int64)
@@ -73,13 +68,9 @@ def persists(
     A torus that returns within the solver's noise drifts on, and is far away by then. There are no
     tori with two states. A motion that may not be integrated for so long does not persist.
 
-    Parameters
-    ----------
-    motions, points, longest
-        As in `torus_test`.
-    repeat : ndarray of bool, shape (m,)
-    largest : int
-        Largest period multiple of the search.
+    `motions`, `points` and `longest`: as in `torus_test`.
+    `repeat`: shape (m,).
+    `largest`: largest period multiple of the search.
     """
     if len(motions.y) == 2:
         return repeat
@@ -120,14 +111,9 @@ def is_quasiperiodic(section: Array, allowed: float, noise: float) -> bool:
     of a drifting or decaying motion differ. Das et al., Nonlinearity 30 (2017) 4111, doi
     10.1088/1361-6544/aa84c2.
 
-    Parameters
-    ----------
-    section : ndarray, shape (n_states, n_periods)
-        Section points [m], some hundreds or more.
-    allowed : float
-        Largest difference of the two means, as a share of the scatter.
-    noise : float
-        Scatter [m] due to the solver's tolerances; components with less are not used.
+    `section`: shape (n_states, n_periods); section points [m], some hundreds or more.
+    `allowed`: largest difference of the two means, as a share of the scatter.
+    `noise`: scatter [m] due to the solver's tolerances; components with less are not used.
     """
     half = section.shape[1] // 2
     t = (np.arange(half) + 0.5) / half

@@ -319,14 +319,10 @@ class Search:
 
         Shooting at tight tolerances, which confirms orbits, is started.
 
-        Parameters
-        ----------
-        points : ndarray of int, shape (m,)
-        is_noisy : bool or ndarray of bool, shape (m,)
-            Whether an orbit keeps its measured Lyapunov exponent, which decides its class if it is
-            not confirmed; the exponents of all others become NaN.
-        y : ndarray, shape (n_states, m), optional
-            States in which shooting starts; None: those of the found orbits.
+        `points`: shape (m,).
+        `is_noisy`: shape (m,); whether an orbit keeps its measured Lyapunov exponent, which decides
+        its class if it is not confirmed; the exponents of all others become NaN.
+        `y`: shape (n_states, m); states in which shooting starts; None: those of the found orbits.
         """
         forgets = points[np.broadcast_to(~np.asarray(is_noisy), len(points))]
         self._found.lyapunov[forgets] = self._found.lyapunov_error[forgets] = np.nan

@@ -118,16 +118,10 @@ def likely_multiple(
 ) -> int:
     """Smallest n after which a noisy section repeats as well as after any; 0 if none is close.
 
-    Parameters
-    ----------
-    section : ndarray, shape (n_states, n_periods)
-        Section points [m].
-    closeness : float
-        Largest distance [m] of a point from the one n periods before.
-    largest : int
-        Largest n tried; at least 2 n points are needed to find n.
-    scatter : float
-        Largest root of these distances' mean square [m].
+    `section`: shape (n_states, n_periods); section points [m].
+    `closeness`: largest distance [m] of a point from the one n periods before.
+    `largest`: largest n tried; at least 2 n points are needed to find n.
+    `scatter`: largest root of these distances' mean square [m].
     """
     n_points = section.shape[1]
     distances = [
@@ -158,16 +152,10 @@ def repeat_nearly(sections: Array, lengths: Counts, error: Array, largest: int) 
 
     Each component relative to its largest modulus: a large one must not hide chaos of another.
 
-    Parameters
-    ----------
-    sections : ndarray, shape (n_states, m, longest)
-        Section points [m].
-    lengths : ndarray of int, shape (m,)
-        Number of section points in each row.
-    error : ndarray, shape (m,)
-        Error of the points of each row, from the solver's tolerances [m].
-    largest : int
-        Largest multiple of a forcing period tried.
+    `sections`: shape (n_states, m, longest); section points [m].
+    `lengths`: shape (m,); number of section points in each row.
+    `error`: shape (m,); error of the points of each row, from the solver's tolerances [m].
+    `largest`: largest multiple of a forcing period tried.
     """
     every = np.arange(len(lengths))
     inside = np.arange(sections.shape[2]) < lengths[:, None]

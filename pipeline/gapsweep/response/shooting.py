@@ -67,18 +67,13 @@ class NewtonShooting:
     ) -> None:
         """Start shooting from states near orbits.
 
-        Parameters
-        ----------
-        points : ndarray of int, shape (m,)
-        y : ndarray, shape (n_states, m)
-        n : ndarray of int, shape (m,)
-        goal : ndarray, shape (m,)
-            Newton step [m] at which the orbit counts as found.
-        noise : ndarray, shape (m,)
-            Distance [m] of an orbit's ends that solver noise may cause, if no step is shorter than
-            `goal`.
-        furthest : ndarray, shape (m,)
-            Distance [m] from `y` beyond which shooting stops.
+        `points`: shape (m,).
+        `y`: shape (n_states, m).
+        `n`: shape (m,).
+        `goal`: shape (m,); Newton step [m] at which the orbit counts as found.
+        `noise`: shape (m,); distance [m] of an orbit's ends that solver noise may cause, if no step
+        is shorter than `goal`.
+        `furthest`: shape (m,); distance [m] from `y` beyond which shooting stops.
         """
         self.y[:, points], self.n[points] = y, n
         self._goal[points], self._noise[points], self._furthest[points] = goal, noise, furthest

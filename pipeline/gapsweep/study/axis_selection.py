@@ -26,21 +26,12 @@ def positions(
     Raises `ValueError` if the axis lacks a wanted value; one line with that value and the values of
     the axis.
 
-    Parameters
-    ----------
-    name : str
-        Name of the axis; ``representation`` and ``gap`` have labels with more than one spelling.
-    held : array_like, shape (n,)
-        Values of the axis: numbers or texts.
-    wanted : object
-        A value, a sequence of values, or for numbers a slice that includes both ends.
-    of : str
-        Owner of the axis, for messages.
-
-    Returns
-    -------
-    ndarray of int
-        All positions with a wanted value, ascending, each once; at least one.
+    `name`: name of the axis; ``representation`` and ``gap`` have labels with more than one
+    spelling.
+    `held`: shape (n,); values of the axis: numbers or texts.
+    `wanted`: a value, a sequence of values, or for numbers a slice that includes both ends.
+    `of`: owner of the axis, for messages.
+    Result: all positions with a wanted value, ascending, each once; at least one.
     """
     axis = np.atleast_1d(np.asarray(held))
     if is_numeric(axis):  # a label may look like a quantity, as "+0.4 mm"

@@ -30,14 +30,9 @@ class FitTable(TomlTable):
     ) -> Iterator[str]:
         """Yield a line per number that cannot be fitted or has several values.
 
-        Parameters
-        ----------
-        axes : dict
-            Axes of the study.
-        known : collection of str
-            Names of the numbers of the model and of all walls.
-        contacts : iterable of ContactTable
-            Tables of [contact].
+        `axes`: axes of the study.
+        `known`: names of the numbers of the model and of all walls.
+        `contacts`: tables of [contact].
         """
         own = {name for one in contacts for name in one.model_dump(exclude_none=True)}
         first = axes["representation"][0]

@@ -216,16 +216,11 @@ def least(
 ) -> Least:
     """Return the simplest adequate models of a model at n points.
 
-    Parameters
-    ----------
-    walls : ndarray, shape (n, n_contacts, 2)
-        Distances of the lower and the upper wall of every contact [m].
-    omega : ndarray, shape (n,)
-        Forcing frequencies [Hz].
-    starts : ndarray, shape (n, n_states), optional
-        Initial states; None if not known.
-    error : float
-        As in `advise`.
+    `walls`: shape (n, n_contacts, 2); distances of the lower and the upper wall of every contact
+    [m].
+    `omega`: shape (n,); forcing frequencies [Hz].
+    `starts`: shape (n, n_states); initial states; None if not known.
+    `error`: as in `advise`.
     """
     n, n_contacts = walls.shape[:2]
     found = unknown(n, n_contacts, error)

@@ -163,12 +163,9 @@ class Study:
             lines = chain(lines, of_branches, self._problems_of_ranges("branches.range", second))
         if fit := self.spec.fit:
             first = self.model.laws(axes["representation"][0].law)
-            own = [
-                n
-                for n in ("K_c", *OF_WALLS)
-                if any((law.law_type or ContactLaw).takes(n) for law in first)
-            ]
-            walls = [*own, "gap", "j_1", "j_2"] if first else []
+            kinds = [law.law_type or ContactLaw for law in first]
+            of_law = [n for n in ("K_c", "gap", *OF_WALLS) if any(k.takes(n) for k in kinds)]
+            walls = [*of_law, "j_1", "j_2"] if first else []
             of_fit = fit.problems(axes, [*walls, *known], self.spec.contact.values())
             lines = chain(lines, of_fit, self._problems_of_ranges("fit.free", fit.free))
         if self.spec.gradients:
@@ -215,7 +212,7 @@ class Study:
         """Values of ranges of numbers that no model can have."""
         for name, value in ((name, value) for name, ends in ranges.items() for value in ends):
             try:
-                for law in chain(*self._examples):
+                for law in (Piecewise(1.0, Gap(1.0, 1.0)), *chain(*self._examples)):
                     with_numbers(law, {name: value})
                 if self.model.is_oscillator and name in self.spec.model:
                     with_numbers(self.oscillator, {name: value})

@@ -316,14 +316,10 @@ class UncertainTable(TomlTable):
     ) -> Iterator[str]:
         """Yield a line per number, quantity or distribution that the study cannot have.
 
-        Parameters
-        ----------
-        known : dict
-            Values of the numbers that may be uncertain, by name; None without a value.
-        axes : dict
-            Axes of the study.
-        structure, parts
-            Structure of its models, and dimensions within a point, with the names along them.
+        `known`: values of the numbers that may be uncertain, by name; None without a value.
+        `axes`: axes of the study.
+        `structure` and `parts`: structure of its models, and dimensions within a point, with the
+        names along them.
         """
         for name, table in self.tables.items():
             of = self.parameter.get(name, table)
@@ -362,16 +358,10 @@ def outside(
 ) -> str:
     """Return the problem of a distribution that leaves the range of its number; empty without.
 
-    Parameters
-    ----------
-    kind : str
-        Kind of the distribution, for the message.
-    nominal : str, optional
-        How it acts on the nominal value, as of `Samples`.
-    value : float
-        Nominal value.
-    in_metres : bool
-        Whether the model is an oscillator.
+    `kind`: kind of the distribution, for the message.
+    `nominal`: how it acts on the nominal value, as of `Samples`.
+    `value`: nominal value.
+    `in_metres`: whether the model is an oscillator.
     """
     bounds = _range(name, in_metres=in_metres)
     if nominal == "plus":

@@ -35,14 +35,11 @@ def never_reached(
 
     It is empty if there are fewer of them than of others.
 
-    Parameters
-    ----------
-    values : callable
-        From the name of a variable of ``responses.nc`` to its values.
-    dims, labels : sequence of str
-        Dimensions of a sweep point, and representations: all count if the exact law is not swept.
-    in_metres : bool
-        Whether the model is an oscillator; the displacements of a system are those at its contacts.
+    `values`: from the name of a variable of ``responses.nc`` to its values.
+    `dims` and `labels`: dimensions of a sweep point, and representations: all count if the exact
+    law is not swept.
+    `in_metres`: whether the model is an oscillator; the displacements of a system are those at its
+    contacts.
     """
     rows = [labels.index(EXACT)] if EXACT in labels else list(range(len(labels)))
     # Impacts on rigid walls take no time; a motion that stays on a wall has no contacts.

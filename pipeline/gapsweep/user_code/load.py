@@ -202,14 +202,9 @@ def user_errors(
 ) -> Iterator[None]:
     """Turn errors of user code in the block into a `StudyError` of one line.
 
-    Parameters
-    ----------
-    path : Path
-        The file whose code runs.
-    what : str
-        Name of the part of the file that runs, for the message.
-    function : callable, optional
-        The function that is called; its line is named if the error has none.
+    `path`: the file whose code runs.
+    `what`: name of the part of the file that runs, for the message.
+    `function`: the function that is called; its line is named if the error has none.
     """
     try:
         yield

@@ -5,6 +5,7 @@
 
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -31,7 +32,7 @@ from gapsweep.study.grid import CONTACT, START
 from gapsweep.study.least_model import Model
 from gapsweep.study.schema import coordinates
 from gapsweep.study.study import Study
-from gapsweep.variables import Variable
+from gapsweep.variables import Variable, empty, with_attributes
 
 MODEL_FLAGS = (("none", -1), *((model.name.lower(), int(model)) for model in Model))
 APPROXIMATION = "approximation"
@@ -85,28 +86,23 @@ def advice(study: Study, error: float | None = None, share: float = 0.95) -> xr.
     grid = study.grid
     error = study.spec.auto.error if error is None else error
     asked = grid.requested.any(axis=0)
-    parts = {CONTACT: grid.parts[CONTACT]} if CONTACT in grid.parts else {}
-    shapes = {
-        name: [*asked.shape, *(len(parts[dim]) for dim in one.dims if dim in parts)]
+    parts = [CONTACT] if CONTACT in grid.parts else []
+    table = {
+        name: replace(
+            one.in_units(grid.units),
+            dims=(*grid.dims[1:], *(dim for dim in one.dims if dim in parts)),
+        )
         for name, one in VARIABLES.items()
     }
-    values = {
-        name: np.full(shapes[name], one.missing, one.dtype) for name, one in VARIABLES.items()
-    }
+    sizes = dict(zip(grid.dims[1:], asked.shape, strict=True))
+    values = empty(table, sizes | {dim: len(grid.parts[dim]) for dim in parts})
     cells = np.flatnonzero(asked)
     for first in range(0, len(cells), _PART):
         part = cells[first : first + _PART]
         found = study.advice(part, error)  # cells of the first representation; it has no effect
         for name, array in values.items():
             array.reshape(asked.size, -1)[part] = getattr(found, name).reshape(len(part), -1)
-    variables = {
-        name: (
-            (*grid.dims[1:], *(dim for dim in VARIABLES[name].dims if dim in parts)),
-            array,
-            VARIABLES[name].in_units(grid.units).attributes,
-        )
-        for name, array in values.items()
-    }
+    variables = with_attributes(table, values)
     labels, screened = _screened(study, share) if study.model.is_oscillator else ([], {})
     for name, values in screened.items():
         variables[name] = ((*grid.scene_dims, APPROXIMATION), values, SCREENED[name].attributes)

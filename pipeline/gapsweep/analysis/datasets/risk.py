@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.special import betaincinv, ndtri, stdtrit
 
 from gapsweep.analysis.dimensions import REPRESENTATION, of_study
-from gapsweep.continuation.family import Family
+from gapsweep.continuation.family import AMPLITUDE, Family
 from gapsweep.design.chance import Chance
 from gapsweep.errors import ModelError
 from gapsweep.integrate.problem import DEFAULT_ENGINE, Model, Models, Solver
@@ -481,6 +481,8 @@ def _checked(uncertain: Any) -> Mapping[str, Distribution]:
     given = uncertain if isinstance(uncertain, Mapping) else {"uncertain": uncertain}
     if "omega" in given:
         raise ModelError("omega: cannot be uncertain; pass several frequencies, as omega=[8.8, 9]")
+    if AMPLITUDE in given:
+        raise ModelError("amplitude: cannot be uncertain, it is a result; name a parameter")
     for name, one in given.items():
         if not (hasattr(one, "ppf") and hasattr(one, "cdf")):
             example = "{'gap': scipy.stats.norm(4e-4, 2e-5)}"

@@ -13,22 +13,12 @@ STEP_UNDERFLOW, MODEL_INVALID, DIVERGED = -1.0, -2.0, -3.0
 
 
 class StepOutcome(NamedTuple):
-    """Masks of lanes after a step; bit i of each integer stands for lane i.
+    """Masks of lanes after a step; bit i of each integer stands for lane i."""
 
-    Attributes
-    ----------
-    unclear : int
-        The step is not committed, as it may have to end at a contact.
-    done, bad : int
-        The point has reached its end; it cannot go on.
-    recording : int
-        The step may contain an event to record.
-    miscounted : int
-        A gap may have passed a wall that is not located and come back within the step.
-    """
-
-    unclear: int
+    unclear: int  # the step is not committed, as it may have to end at a contact
+    # `done`, `bad`: the point has reached its end; it cannot go on.
     done: int
     bad: int
-    recording: int
+    recording: int  # the step may contain an event to record
+    # A gap may have passed a wall that is not located and come back within the step.
     miscounted: int

@@ -27,20 +27,11 @@ _LOOSE = 1e-12
 
 @dataclass(frozen=True, slots=True)
 class Walls:
-    """The contacts of some points, arrays of shape (n_points, n_contacts).
+    """The contacts of some points, arrays of shape (n_points, n_contacts)."""
 
-    Attributes
-    ----------
-    K_c : ndarray
-        Stiffness of the upper walls [N/m].
-    K_ratio : ndarray
-        Stiffness of the lower walls over that of the upper ones [-].
-    j_1, j_2 : ndarray
-        Distances of the walls from the origin [m]; infinity: no wall.
-    """
-
-    K_c: Array
-    K_ratio: Array
+    K_c: Array  # stiffness of the upper walls [N/m]
+    K_ratio: Array  # stiffness of the lower walls over that of the upper ones [-]
+    # `j_1`, `j_2`: distances of the walls from the origin [m]; infinity: no wall.
     j_1: Array
     j_2: Array
 
@@ -78,7 +69,6 @@ def system_scenes(
         All of one layout.
     which : ndarray of int, shape (n,)
         The system of each point.
-    walls : Walls
     omega : ndarray, shape (n,)
         Forcing frequency [Hz]; 0 if unforced: the clock then counts periods of the slowest mode.
     rtol, atol

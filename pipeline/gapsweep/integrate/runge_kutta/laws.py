@@ -51,22 +51,14 @@ _EMPTY = np.zeros(0)
 
 
 class Formula(NamedTuple):
-    """A contact law of this package.
+    """A contact law of this package."""
 
-    Attributes
-    ----------
-    number : int
-        Number of the formula, as `LOCATED`.
-    numerator, denominator : ndarray
-        Fits: Chebyshev series in x / range [N], `in_blocks`; the denominator is positive in the
-        range.
-    points, pieces : ndarray
-        Tables: left ends of the pieces [m], and `gapsweep.ForceTable.pieces`.
-    """
-
-    number: int
+    number: int  # number of the formula, as `LOCATED`
+    # `numerator`, `denominator`: fits: Chebyshev series in x / range [N], `in_blocks`; the
+    # denominator is positive in the range.
     numerator: NDArray[np.float64] = _EMPTY
     denominator: NDArray[np.float64] = _EMPTY
+    # `points`, `pieces`: tables: left ends of the pieces [m], and `gapsweep.ForceTable.pieces`.
     points: NDArray[np.float64] = _EMPTY
     pieces: NDArray[np.float64] = np.zeros((1, 5))
 

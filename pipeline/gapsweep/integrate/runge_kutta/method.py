@@ -14,47 +14,28 @@ from .tableaux import Tableau
 
 
 class RungeKutta(NamedTuple):
-    """A method with its work space.
+    """A method with its work space."""
 
-    Attributes
-    ----------
-    kinds : tuple of named tuples of `laws`
-        The law of every contact.
-    q : array, shape (n_contacts, N_PARAMETERS, WIDTH)
-        Parameters of the laws, a view of the rows of the lanes.
-    tableau : Tableau
-    k, k_tangent : array, shapes (n_all * n_rates, WIDTH) and (n_states times that, WIDTH)
-        Derivatives of all stages, and those of the tangent columns. For contacts that lose energy
-        `k` has the rates of `contact_loss` too, in `LOSS_ROWS` more rows.
-    is_ode45 : bool
-        Whether error norm and step-size control are those of MATLAB's ode45.
-    restarts : bool
-        Whether the step size is chosen at a located contact as at the beginning of a motion.
-    cuts_at_layers : bool
-        Whether steps are cut at the edges of smoothing layers.
-    has_range : bool
-        Whether a law is valid only within a range (fits, tables).
-    tangent : bool
-        Whether the variational equation is integrated too.
-    dense, contacts : bool
-        Whether every step is recorded; whether wall crossings are.
-    is_users : bool
-        Whether a law is a user's function.
-    """
-
-    kinds: Any
+    kinds: Any  # the law of every contact, a named tuple of `laws`
+    # Shape (n_contacts, N_PARAMETERS, WIDTH); parameters of the laws, a view of the rows of the
+    # lanes.
     q: np.ndarray
     tableau: Tableau
+    # `k`, `k_tangent`: shapes (n_all * n_rates, WIDTH) and (n_states times that, WIDTH);
+    # derivatives of all stages, and those of the tangent columns. For contacts that lose energy `k`
+    # has the rates of `contact_loss` too, in `LOSS_ROWS` more rows.
     k: np.ndarray
     k_tangent: np.ndarray
-    is_ode45: bool
+    is_ode45: bool  # whether error norm and step-size control are those of MATLAB's ode45
+    # Whether the step size is chosen at a located contact as at the beginning of a motion.
     restarts: bool
-    cuts_at_layers: bool
-    has_range: bool
-    tangent: bool
+    cuts_at_layers: bool  # whether steps are cut at the edges of smoothing layers
+    has_range: bool  # whether a law is valid only within a range (fits, tables)
+    tangent: bool  # whether the variational equation is integrated too
+    # `dense`, `contacts`: whether every step is recorded; whether wall crossings are.
     dense: bool
     contacts: bool
-    is_users: bool
+    is_users: bool  # whether a law is a user's function
 
     @property
     def n_stages(self) -> int:

@@ -108,10 +108,7 @@ def user(
     """User law F(x, ...) or F(x, v, ...) [N], compiled once per process; `named` has the values of
     its other arguments along the last axis. The tangent equations use central differences.
 
-    Raises
-    ------
-    NumbaError
-        If the function cannot be compiled.
+    Raises `NumbaError` if the function cannot be compiled.
     """
     q, _ = _rows(1.0, j_1, j_2)
     n = np.shape(named)[-1]

@@ -24,38 +24,26 @@ DEGREE = 8  # of the polynomials between steps
 
 
 class Tableau(NamedTuple):
-    """A Runge-Kutta pair for the compiled loop.
+    """A Runge-Kutta pair for the compiled loop."""
 
-    Attributes
-    ----------
-    n_stages : int
-        Stages of a step; the stages after them only serve the polynomials between steps.
-    a, abar : ndarray, shape (n_all, n_all)
-        Weights of the stage velocities and of the stage displacements (`a @ a`) [-].
-    c : ndarray, shape (n_all,)
-        Nodes [-].
-    e, ebar : ndarray, shape (3, n_stages)
-        Weights of the error estimates of v and x, in the rows `E5`, `E3` and `OTHER_E5`; the last
-        two are zero for a pair with one estimate.
-    dense, dense_bar : ndarray, shape (n_all, DEGREE + 1)
-        Coefficients, by powers of the part of the step, of the weights of ``h K_j`` in a rate's
-        integral within the step, and of ``h^2 K_j`` in x.
-    exponent : float
-        Step factors grow as error ** -exponent: one over (order of the estimate + 1).
-    order : int
-        Order of the advancing formula.
-    """
-
+    # Stages of a step; the stages after them only serve the polynomials between steps.
     n_stages: int
+    # `a`, `abar`: shape (n_all, n_all); weights of the stage velocities and of the stage
+    # displacements (`a @ a`) [-].
     a: Array
     abar: Array
-    c: Array
+    c: Array  # shape (n_all,); nodes [-]
+    # `e`, `ebar`: shape (3, n_stages); weights of the error estimates of v and x, in the rows `E5`,
+    # `E3` and `OTHER_E5`; the last two are zero for a pair with one estimate.
     e: Array
     ebar: Array
+    # `dense`, `dense_bar`: shape (n_all, DEGREE + 1); coefficients, by powers of the part of the
+    # step, of the weights of ``h K_j`` in a rate's integral within the step, and of ``h^2 K_j`` in
+    # x.
     dense: Array
     dense_bar: Array
-    exponent: float
-    order: int
+    exponent: float  # step factors grow as error ** -exponent: one over (order of the estimate + 1)
+    order: int  # order of the advancing formula
 
 
 def _rows(*parts: Array) -> Array:

@@ -14,18 +14,10 @@ from .taylor_step import taylor_step
 
 
 class Taylor(NamedTuple):
-    """The Taylor series method; its degree is the `order` of the `RowLayout`.
+    """The Taylor series method; its degree is the `order` of the `RowLayout`."""
 
-    Attributes
-    ----------
-    is_users : bool
-        Always False, see `Method`.
-    tangent : bool
-        Whether the variational equation is integrated too.
-    """
-
-    is_users: bool = False
-    tangent: bool = False
+    is_users: bool = False  # always False, see `Method`
+    tangent: bool = False  # whether the variational equation is integrated too
 
     @property
     def n_stages(self) -> int:
