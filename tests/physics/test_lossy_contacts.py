@@ -490,6 +490,21 @@ def test_a_branch_of_twice_the_period_begins_at_a_border_flip(at):
         assert np.sort(along["multiplier_real"].values[row]) == pytest.approx(expected, rel=1e-6)
 
 
+@pytest.mark.parametrize("low", [0.0, 0.5])
+def test_a_graze_along_the_damping_has_both_sets_of_multipliers(low):
+    """A wall without damping at one end of the range is one that never pulls elsewhere."""
+    omega = 0.95 / TURN
+    upper = gs.Piecewise(20.0, gs.Gap(None, 0.1745), damping=1.0)
+    lowest = gs.respond(oscillator(), upper, omega, rtol=1e-12).x_min
+    both = replace(upper, gap=gs.Gap(-lowest, 0.1745))
+    ds = gs.branches(oscillator(), both, "damping", (low, 3.0), omega=omega).isel(branch=0)
+    at, n_contacts = ds["damping"].values, ds["n_contacts"].values
+    (row,) = np.flatnonzero(np.diff(at) == 0.0)
+    assert at[row] == pytest.approx(1.0, rel=1e-9)
+    assert abs(np.diff(n_contacts)[row]) == 2
+    assert abs(np.diff(ds["multiplier_real"].sum("multiplier").values)[row]) > 1e-3
+
+
 @pytest.mark.extended
 def test_grazes_of_a_chain_have_both_sets_of_multipliers():
     """A graze from beyond the wall, too: seed 230 of the drawn systems has both."""

@@ -66,7 +66,7 @@ def both_sides(equations: OrbitEquations, orbit: Orbit, reference: Reference) ->
 
     The orbits differ in multipliers and numbers of contacts. Empty where nothing jumps.
     """
-    if not any(equations.never_pulls):
+    if not any(law.losses.never_pulls for law in equations.models_at(orbit).laws[0]):
         return []
     integrate, n = prepared(equations.models_at(orbit), equations.solver), equations.n
     begin, state, touched = _touched(equations, orbit, integrate)
