@@ -1175,3 +1175,20 @@ def test_what_a_rigid_wall_holds_all_the_time_is_a_response(second, engine):
         w = 0.2 * TURN
         reach = 1.0 / abs(2.0 - w**2 + 0.2j * w)
         assert (peak[1], trough[1]) == pytest.approx((0.1 + reach, 0.1 - reach), rel=1e-6)
+
+
+@BOTH
+def test_a_hold_of_a_place_that_rounding_separates_from_its_wall_ends_once(engine):
+    """The coordinate is held a rounding error beyond the wall, which its gap keeps."""
+    machine = gs.System(
+        mass=[[1.8, 0.0], [0.0, 0.83]], damping=[[0.16, -0.08], [-0.08, 0.2]],
+        stiffness=[[2.8, -1.73], [-1.73, 4.11]], contacts={"wall": [0.0, 1.0]},
+        forcing=[gs.Harmonic(amplitude=[0.48, 0.0])],
+    )  # fmt: skip
+    for law in (rigid(0.3, 0.05),):
+        run = gs.simulate(
+            machine, {"wall": law}, 0.11, q_0=[0.2, math.nextafter(0.05, 1.0)], v_0=[-0.1, 0.0],
+            t_end=4.0, engine=engine, rtol=1e-9,
+        )  # fmt: skip
+        assert run.n_contacts == 1
+        assert run.t_contacts["wall"] == pytest.approx([1.08269882], rel=1e-6)

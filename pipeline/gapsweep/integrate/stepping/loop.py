@@ -167,8 +167,8 @@ def _commit_contacts(at, lanes, k, step, coefficients, work):
     for contact in range(at.contacts):
         lo, hi = _interval(at, lanes, k, contact)
         side = work.exits[contact, 1]
-        place = lanes[at.q, k]
-        if not at.is_plain:
+        place = lanes[at.q if at.is_plain else at.gap + contact, k]
+        if not at.is_plain and abs(lanes[at.mode + contact, k]) != HOLD:  # which keeps its place
             place = 0.0
             for i in range(at.n):
                 place += lanes[at.direction + contact * at.n + i, k] * lanes[at.q + i, k]
