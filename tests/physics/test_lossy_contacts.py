@@ -1192,3 +1192,18 @@ def test_a_hold_of_a_place_that_rounding_separates_from_its_wall_ends_once(engin
         )  # fmt: skip
         assert run.n_contacts == 1
         assert run.t_contacts["wall"] == pytest.approx([1.08269882], rel=1e-6)
+
+
+@BOTH
+@pytest.mark.parametrize("forcing", [0.0, 0.05])
+def test_a_mass_pressed_on_any_wall_has_a_response(forcing, engine):
+    """Held by a rigid wall, or at rest on a compressed spring."""
+    o = gs.Oscillator(mass=1.0, omega_n=1.0 / TURN, zeta=0.05, forcing=forcing, mean_load=0.3)
+    gap = gs.Gap(None, 0.1)
+    for law in (gs.Piecewise(5.0, gap), gs.Piecewise(5.0, gap, damping=0.3), rigid(0.5, 0.1)):
+        found = gs.respond(o, law, 0.2, engine=engine, rtol=1e-7)
+        assert found.response_class is gs.ResponseClass.PERIODIC, found.message
+        assert found.contact_share == 1.0
+        if not forcing:
+            place = 0.1 if law.losses.is_rigid else (0.3 + 5.0 * 0.1) / 6.0
+            assert (found.x_max, found.x_min) == pytest.approx((place, place), rel=1e-9)

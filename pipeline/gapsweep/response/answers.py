@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from gapsweep.integrate.motions import VANISHED
 from gapsweep.model.oscillator import Oscillator
+from gapsweep.model.waves import ForceByPieces
 from gapsweep.response import thresholds as limit
 from gapsweep.response.classification import Classification, State
 from gapsweep.response.compiled import read_extrema
@@ -222,8 +223,8 @@ def _precision(
 ) -> dict[str, Array | Counts]:
     """Columns of noise and tolerance; responses with an amplitude near the noise are unresolved.
 
-    A system without loads is exempt: it may come to rest, with zero amplitude. So is one that rigid
-    walls hold.
+    A system without loads that vary is exempt: it may come to rest, with zero amplitude. So is one
+    that rigid walls hold.
     """
     ensemble, stopped = windows.ensemble, found.has_stopped[points]
     offset, swing = found.offset[points], np.asarray(read["amplitude"], float)
@@ -234,8 +235,12 @@ def _precision(
     is_noisy &= ~rests
     for k in np.flatnonzero(is_noisy).tolist():
         system = ensemble.system(points[k])
-        loads = [[system.is_loaded]] if isinstance(system, Oscillator) else system.forcing
-        is_noisy[k] = np.any([getattr(load, "amplitude", load) for load in loads])
+        if isinstance(system, Oscillator):
+            is_noisy[k] = system.is_loaded
+        else:
+            loads = [x for x in system.forcing if x.k or isinstance(x, ForceByPieces)]
+            loads = system.forcing if any(system.is_modulated) else loads
+            is_noisy[k] = np.any([load.amplitude for load in loads])
     found.state[points[is_noisy]] = State.NOISY
     read["status"][is_noisy & (read["status"] == int(Status.OK))] = Status.UNRESOLVED
     rtol = np.where(found.has_orbit[points], CONFIRMING_RTOL, TANGENT_RTOL)
