@@ -119,8 +119,8 @@ def _touched(
     system = models.systems[0]
     for contact, law in enumerate(models.laws[0]):
         losses = law.losses
-        if not losses.never_pulls and not losses.is_rigid:
-            continue
+        if losses.preload or not (losses.never_pulls or losses.is_rigid):
+            continue  # at a preload S grows as 1 / u
         near, b = on_wall(orbit, contact), np.reshape(system.directions[contact], -1)
         jump, kick = np.eye(equations.n_states), np.zeros(equations.n_states)
         push = np.linalg.solve(np.atleast_2d(system.mass), b)
