@@ -1445,3 +1445,19 @@ def test_a_hold_of_a_place_that_rounding_separates_from_its_wall_ends_once(engin
         )  # fmt: skip
         assert run.n_contacts == 1
         assert run.t_contacts["wall"] == pytest.approx([1.08269882], rel=1e-6)
+
+
+@pytest.mark.parametrize("kind", ["damping", "chi"])
+def test_a_branch_along_a_loss_that_reaches_zero_ends_at_the_elastic_orbit(kind):
+    def law(value):
+        if kind == "chi":
+            return gs.HuntCrossley(2.0, gs.Gap(1.0, 1.0), chi=value)
+        return gs.Piecewise(2.0, gs.Gap(1.0, 1.0), damping=value)
+
+    model, omega = oscillator(forcing=1.0), 1.2 / TURN
+    branch = gs.branches(model, law(0.2), kind, (0.0, 0.3), omega=omega).isel(branch=0)
+    at_zero = branch["x_max"].values[branch[kind].values == 0.0]
+    elastic = gs.respond(model, gs.Piecewise(2.0, gs.Gap(1.0, 1.0)), omega, rtol=1e-11)
+    assert elastic.contact_share > 0.0
+    assert at_zero.size
+    assert at_zero == pytest.approx(elastic.x_max, rel=1e-7)

@@ -187,7 +187,8 @@ def rigid_graze(
         if before is None or _clearance(equations, before)[0] != n:
             return []
         apart = float(np.sqrt(((last.unknowns - before.unknowns) ** 2).sum()))
-        spectral = [1.0 / np.abs(each.multipliers[0]) for each in (before, last)]
+        with np.errstate(divide="ignore", invalid="ignore"):  # multipliers are 0 after a hold
+            spectral = [1.0 / np.abs(each.multipliers[0]) for each in (before, last)]
         is_entry = 0.0 < _zero(_clearance(equations, before)[1], gap, apart) <= 2.0 * step
         is_exit = n > 0 and spectral[1] < limit.STRONG
         far = _zero(spectral[0], spectral[1], apart)

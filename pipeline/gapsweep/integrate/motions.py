@@ -85,7 +85,7 @@ class Motions:
         contacts of damping times b'M⁻¹b times time in contact; 0 for elastic contacts.
     contact_force : ndarray, shape (n, n_contacts), or None
         Largest contact forces [N] of motions recorded from their beginning, for contacts that lose
-        energy; None, or NaN: to be computed from displacements.
+        energy; None: to be computed from displacements.
     events : callable
         Function that returns the `Events` of all motions; motions not recorded have none.
     sampler : callable
@@ -115,21 +115,17 @@ class Motions:
 
 
 def merged(parts: Sequence[Motions], rows: Sequence[NDArray[np.intp]]) -> Motions:
-    """Join the motions of several calls, each part at its `rows` of the result."""
+    """Join the motions of several calls, each part at its `rows` of the result.
+
+    Times and largest forces of contacts are left out: only motions of some laws have them.
+    """
     if len(parts) == 1:
         return parts[0]
     order = np.argsort(np.concatenate(rows))
     columns: dict[str, Any] = {}
-    of_motions = "state", "reach", "monodromy", "columns", "contact_time", "contact_loss"
-    for name in (*SCALARS, *of_motions, "contact_force"):
+    for name in (*SCALARS, "state", "reach", "monodromy", "columns", "contact_loss"):
         values = [getattr(part, name) for part in parts]
-        known = next((each for each in values if each is not None), None)
-        if known is not None:  # elastic contacts have no `contact_force`
-            pairs = zip(values, rows, strict=True)
-            shape = known.shape[1:]
-            values = [np.full((len(r), *shape), np.nan) if x is None else x for x, r in pairs]
-            known = np.concatenate(values)[order]
-        columns[name] = known
+        columns[name] = None if values[0] is None else np.concatenate(values)[order]
 
     def events() -> Events:
         return _merged_events([part.events() for part in parts], np.concatenate(rows))

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import difflib
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 
 from gapsweep.errors import ModelError
@@ -37,8 +37,8 @@ FUNCTION = re.compile(r"[A-Za-z_][\w.]*:[A-Za-z_]\w*")
 TAKEN_BY = {
     "damping": "piecewise, tanh, arctan and logarctan have, and own functions f(x, v)",
     "preload": "piecewise has",
-    "chi": "huntcrossley has",
-    "restitution": "rigid has",
+    "chi": "huntcrossley without a number has",
+    "restitution": "rigid without a number has",
 }
 
 # Every law that a label names, by its family, in the order of the user guide. Contacts that lose
@@ -172,9 +172,16 @@ def canonical_label(label: str) -> str:
 
 def _likely(label: str) -> str:
     """The question "did you mean …?" with a label of similar spelling; empty without any."""
-    word, parameter = re.findall(r"([A-Za-z]*)-?(.*)", label)[0]
+    word, parameter = re.findall(r"([A-Za-z]*)[-\s]*(.*)", label)[0]
     alike = difflib.get_close_matches(word.lower(), FAMILIES, n=1)
     return f"did you mean {'-'.join(filter(None, [alike[0], parameter]))}? Or " if alike else ""
+
+
+def unknown_number(name: str, known: Iterable[str]) -> str:
+    """Return why a study has no number of this name to vary, for messages."""
+    if name in TAKEN_BY:
+        return f"no representation has it; {TAKEN_BY[name]}"
+    return f"must be one of {', '.join(known)}"
 
 
 @called_as("gs.contact_law('tanh-1e4', K_c=1.4e4, gap=gs.Gap(4e-4, 4e-4)), in N/m and m")
