@@ -122,6 +122,41 @@ def test_derivatives_with_hunt_crossley(mean_load):
         assert error < 1e-8 * np.abs(difference).max() + 1e-9 / abs(place), name
 
 
+@pytest.mark.extended
+@pytest.mark.parametrize("is_wave", [True, False])
+def test_derivatives_of_responses_in_two_periods_at_one_wall(is_wave):
+    """A damped wall that presses under a square wave, and a wall without a gap."""
+    if is_wave:
+        force = gs.Switched([0.0, 0.4], [-0.03, 0.02])
+        model, law = machine(force), gs.Piecewise(5.0, gs.Gap(None, -0.004), damping=0.3)
+        omega, names = 0.9 / HZ, ["j_2", "K_c", "damping", "c"]
+    else:
+        model, law = machine(0.3), gs.Piecewise(20.0, gs.Gap(None, 0.0))
+        omega, names = 3.0 / HZ, ["j_2", "K_c", "c"]
+    quantities, options = ["x_max", "x_min", "amplitude"], {"rtol": 1e-13}
+    options |= {"steady": gs.Steady(settle_tol=1e-11)}
+    at = gs.respond(model, law, omega=omega, **options)
+    assert (at.period_multiple, at.n_contacts > 0) == (2, True)
+    found = gs.gradient(model, law, names, omega=omega)["gradient"].sel(quantity=quantities)
+    for name in names:
+        place = law.gap.j_2 if name == "j_2" else getattr(model if name == "c" else law, name)
+        step, ends = 1e-3 * (place or 0.01), []
+        for k in (-2, -1, 1, 2):
+            value = place + k * step
+            there = replace(model, c=value) if name == "c" else model
+            wall = (
+                law
+                if name == "c"
+                else replace(
+                    law, **{name: value} if name != "j_2" else {"gap": gs.Gap(None, value)}
+                )
+            )
+            end = gs.respond(there, wall, omega=omega, x_0=at.x_end, v_0=at.v_end, **options)
+            ends.append([end.x_max, end.x_min, end.amplitude])
+        difference = np.array([1.0, -8.0, 8.0, -1.0]) @ np.array(ends) / (12.0 * step)
+        assert_allclose(found.sel(parameter=name), difference, rtol=1e-6, atol=1e-8, err_msg=name)
+
+
 def _drawn(n, seed):
     rng = np.random.default_rng(seed)
     m, k, force = 10 ** rng.uniform((-0.5, -0.5, -1.0), (0.5, 0.5, 1.0), (n, 3)).T

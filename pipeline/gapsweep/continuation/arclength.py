@@ -154,7 +154,7 @@ class Continuation:
     def _ahead(self, half: Half, orbit: Orbit | None, reference: Reference) -> Orbit | None:
         """The next orbit where steps are at their smallest; a half without one ends."""
         last = half.orbits[-1]
-        behind = behind_impact(self.corrector, last, reference)
+        behind = behind_impact(self.corrector, half.orbits, reference)
         if behind is not None:
             return behind
         # A branch that comes back to a kink has turned round there.
@@ -342,8 +342,8 @@ def _is_passed(orbits: Sequence[Orbit], orbit: Orbit) -> bool:
     apart = ((orbit.unknowns - places[alike]) ** 2).sum(axis=1)
     if apart.min(initial=np.inf) <= limit.ON_CHORD**2 * way:
         return True
-    chords, tangents = np.diff(places, axis=0), np.array([each.tangent for each in orbits[:-1]])
-    (rows,) = np.nonzero(alike[:-1] & alike[1:] & ~_jumps(chords, tangents))
+    chords, tangents = np.diff(places, axis=0), np.array([each.tangent for each in orbits])
+    (rows,) = np.nonzero(alike[:-1] & alike[1:] & ~_jumps(chords, tangents[:-1]))
     chords, to = chords[rows], orbit.unknowns - places[rows]
     squares = np.maximum((chords**2).sum(axis=1), np.finfo(float).tiny)
     share = (chords * to).sum(axis=1) / squares

@@ -119,8 +119,8 @@ def _touched(
     system = models.systems[0]
     for contact, law in enumerate(models.laws[0]):
         losses = law.losses
-        if not losses.never_pulls and not losses.is_rigid:
-            continue
+        if losses.preload or not (losses.never_pulls or losses.is_rigid):
+            continue  # at a preload S grows as 1 / u
         near, b = on_wall(orbit, contact), np.reshape(system.directions[contact], -1)
         jump, kick = np.eye(equations.n_states), np.zeros(equations.n_states)
         push = np.linalg.solve(np.atleast_2d(system.mass), b)
@@ -177,7 +177,7 @@ def rigid_graze(
     grazing orbit is that of the branch past it. Empty where no graze is passed.
     """
     equations, last = corrector.equations, orbits[-1]
-    if last.special == Special.GRAZING or not any(_rigid(equations, last)):
+    if last.special == Special.GRAZING or not any(equations.is_rigid):
         return []
     (n, gap), before = _clearance(equations, last), orbits[-2] if len(orbits) > 1 else None
     if found is not None:
@@ -208,12 +208,17 @@ def rigid_graze(
     return []
 
 
-def behind_impact(corrector: Corrector, last: Orbit, reference: Reference) -> Orbit | None:
+def behind_impact(
+    corrector: Corrector, orbits: Sequence[Orbit], reference: Reference
+) -> Orbit | None:
     """Return the next orbit of a branch where an impact passes the phase at which orbits start.
 
     There the initial state changes from that before the impact to that after it, or back.
     """
-    equations, guess = corrector.equations, last.unknowns.copy()
+    equations, last, guess = corrector.equations, orbits[-1], orbits[-1].unknowns.copy()
+    # Differences by the parameter pass the phase at closer orbits: their tangents are wrong.
+    away = [x for x in orbits if np.abs(x.unknowns - guess).max() > limit.BEFORE_RIGID]
+    tangent = away[-1].tangent if away else last.tangent
     model, n, size = equations.models_at(last), equations.n, reference.size[0]
     for contact, side, wall in _rigid(equations, last):
         outward = side * np.reshape(model.systems[0].directions[contact], -1)
@@ -222,14 +227,16 @@ def behind_impact(corrector: Corrector, last: Orbit, reference: Reference) -> Or
         if abs(outward @ last.state[:n] - side * wall) > near or not (speed > 0.0 or e):
             continue
         push = np.linalg.solve(np.atleast_2d(model.systems[0].mass), outward)
-        change = speed * (1.0 + (e if speed > 0.0 else 1.0 / e)) / (outward @ push)
-        guess[n : 2 * n] -= change * push / size[n : 2 * n]
-        along = np.copysign(1.0, last.tangent[-1]) * np.eye(len(guess))[-1]
-        inwards = np.zeros_like(guess)
-        inwards[:n] = -outward / np.abs(outward).max()
+        ratio = e if speed > 0.0 else 1.0 / e
+        guess[n : 2 * n] -= speed * (1.0 + ratio) / (outward @ push) * push / size[n : 2 * n]
+        along = np.copysign(1.0, tangent[-1]) * np.eye(len(guess))[-1]
+        ahead = abs(tangent[-1]) * along
+        ahead[:n] = tangent[:n]  # the body is where it comes from or goes to at the other speed
+        off = float(outward @ (tangent[:n] * size[:n])) * (1.0 + ratio) / (outward @ push)
+        ahead[:n] -= off * push / size[:n]
         distances = np.array(limit.BEHIND)
         found, _ = corrector.orbits(
-            guess + np.outer(distances, inwards + abs(last.tangent[-1]) * along),
+            guess + np.outer(distances, ahead),
             np.tile(along, (len(distances), 1)),
             reference.take(np.zeros(len(distances), int)),
             np.full(len(distances), limit.LARGEST),
@@ -250,8 +257,8 @@ def _rigid(
     equations: OrbitEquations, orbit: Orbit, kind: str = "is_rigid"
 ) -> Iterator[tuple[int, int, float]]:
     """Contact, side and place of every rigid wall, or of every wall of another kind of losses."""
-    for contact, law in enumerate(equations.models_at(orbit).laws[0]):
-        if getattr(law.losses, kind):
+    for contact, is_one in enumerate(getattr(equations, kind)):
+        if is_one:
             for side, wall in walls(equations, orbit, contact).items():
                 if wall is not None:
                     yield contact, side, wall
@@ -333,6 +340,8 @@ def _located(
     n, value = _clearance(equations, orbit, kind)
     s = -max(-0.01 * value, limit.BEFORE_RIGID)
     for _ in range(2 * limit.NEWTON_STEPS):
+        if not abs(s) < 1.0:  # no turning point is left that could touch the wall
+            return None
         (found,), _ = corrector.orbits(
             (orbit.unknowns + s * orbit.tangent)[None, :], orbit.tangent[None, :], reference,
             np.array([abs(s) + limit.BEFORE_RIGID]),

@@ -168,7 +168,7 @@ class Family:
 
     def _check_free(self) -> None:
         model = self.example
-        lost = any(law.losses for law in self._laws)
+        lost = any(law.losses.lose_energy for law in self._laws)
         if model.is_forced or model.decay_rate or lost:
             raise ModelError(
                 "along = 'amplitude': continues undamped free motions; "

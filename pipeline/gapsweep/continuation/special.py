@@ -110,8 +110,8 @@ def sign_changes(before: Orbit, after: Orbit, equations: OrbitEquations) -> Iter
             is_rounding = kind == Special.FOLD and max(map(abs, values)) < VERTICAL
             if values[0] * values[1] < 0.0 and not is_rounding:
                 yield SignChange(kind, test)
-    for contact, law in enumerate(equations.models_at(before).laws[0]):
-        for side in (1, -1) if not law.losses.is_rigid else ():  # continuation locates these grazes
+    for contact, is_rigid in enumerate(equations.is_rigid):
+        for side in (1, -1) if not is_rigid else ():  # continuation locates these grazes
             yield from _grazes(before, after, equations, contact, side)
 
 

@@ -162,8 +162,9 @@ def load(engine: str) -> None:
 
 @cache
 def _freeze(*_: str) -> None:
-    """Exclude the objects loaded by some engines from garbage collection in a worker."""
+    """Collect garbage of a worker less often, and none of the objects that engines have loaded."""
     gc.freeze()
+    gc.set_threshold(100_000)  # models of distinct points are many, and live as long as a task
 
 
 def process() -> tuple[str, int]:

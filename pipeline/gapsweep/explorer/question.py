@@ -192,7 +192,7 @@ class Question:
             of_walls = {"K_c": 0.0} | of_walls
             others = {name for name in OF_LABELS if not one.takes(name)}
             # Other laws with losses have no damper in addition.
-            others |= {"damping"} if law != EXACT and one.is_located else set()
+            others |= {"damping", "preload"} if law != EXACT and one.is_located else set()
             of_walls = {name: of_walls[name] for name in of_walls.keys() - others}
             found.append(contact_law(law, fit_range=self.fit_range, **of_walls))
         return tuple(found)
@@ -305,6 +305,7 @@ DIALS: dict[str, tuple[Scale, float, float, float]] = {
     "j_2": (Scale("Upper wall j₂", "mm", 1e-3), 0.0, 3.0, 2e-3),
     "K_ratio": (Scale("Stiffness of lower over upper wall"), 0.0, 2.0, 2.0),
     "damping": (Scale("Contact damping c_c", "N s/m"), 0.0, 5.0, 100.0),
+    "preload": (Scale("Preload of both walls N₀", "N"), 0.0, 5.0, 1.0),
     "chi": (Scale("χ of Hunt–Crossley contact", "s/m"), 0.0, 5.0, 1.0),
     "restitution": (Scale("Coefficient of restitution e"), 0.0, 0.0, 1.0),
     "omega": (Scale("Frequency of the motion ω", "Hz"), 0.0, 0.0, 0.0),

@@ -36,6 +36,7 @@ FUNCTION = re.compile(r"[A-Za-z_][\w.]*:[A-Za-z_]\w*")
 # Laws that take a parameter of contacts, for messages.
 TAKEN_BY = {
     "damping": "piecewise, tanh, arctan and logarctan have, and own functions f(x, v)",
+    "preload": "piecewise has",
     "chi": "huntcrossley without a number has",
     "restitution": "rigid without a number has",
 }
@@ -115,7 +116,7 @@ class Representation(str):
 
     def takes(self, name: str) -> bool:
         """Whether the law has a parameter of contacts that its label does not set, as `damping`."""
-        if self.law == NOT_LOCATED and name == "damping":
+        if self.law == NOT_LOCATED and name in ("damping", "preload"):
             return False
         return (self.law_type or ContactLaw).takes(name) and name not in self.numbers
 
@@ -192,6 +193,7 @@ def contact_law(
     *,
     K_ratio: float = 1.0,
     damping: float = 0.0,
+    preload: float = 0.0,
     pulls: bool = False,
     chi: float | None = None,
     restitution: float | None = None,
@@ -213,6 +215,8 @@ def contact_law(
     damping : float
         Damping of both walls [N s/m], ``>= 0``, for ``piecewise``, ``tanh``, ``arctan`` and
         ``logarctan``.
+    preload : float
+        Force of the compressed springs of both walls at the wall [N], ``>= 0``, for ``piecewise``.
     pulls : bool
         Whether walls with damping pull, for ``piecewise``; those of the other three always do.
     chi : float, optional
@@ -229,7 +233,8 @@ def contact_law(
     law = Representation(canonical_label(label))
     if law.is_auto:
         raise ModelError("'auto' is for studies only; write a representation, as 'piecewise'")
-    numbers = {"damping": damping or None, "chi": chi, "restitution": restitution}
+    elastic = {"damping": damping or None, "preload": preload or None}
+    numbers = elastic | {"chi": chi, "restitution": restitution}
     given = {name: value for name, value in numbers.items() if value is not None}
     for name, value in given.items():
         if not law.takes(name):

@@ -165,7 +165,7 @@ def _lossy(run: Trajectory, along: Array) -> int | None:
 
 def _draws(law: ContactLaw) -> bool:
     """Whether a contact loses energy by a finite force."""
-    return bool(law.losses) and not law.losses.is_rigid
+    return law.losses.lose_energy and not law.losses.is_rigid
 
 
 def _draw_force(
