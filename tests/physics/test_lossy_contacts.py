@@ -619,7 +619,7 @@ REFUSED = [
     (lambda: rigid(0.8, located=False), "Rigid.*located"),
     (lambda: gs.Rigid(gs.Gap(0.0, 0.0), restitution=0.8), "gap = 0/0"),
     (lambda: gs.contact_law("rigid-1.5", 1.0, gs.Gap(0.1, 0.1)), "rigid-1.5.*0 to 1"),
-    (lambda: gs.static_error(rigid(0.8)), "rigid-0.8: an impact has no finite force"),
+    (lambda: gs.static_error(rigid(0.8)), "rigid: an impact has no finite force"),
     (
         lambda: gs.simulate(oscillator(), rigid(0.8), 0.2, t_end=1.0, restart=True),
         r"restitution = 0\.8.*restart",
