@@ -509,7 +509,7 @@ def test_a_study_of_systems_gives_ranges_and_keeps_its_own_contacts():
     study = gs.Study.from_dict(TWO_MASSES)
     question, ranges = of_study(study)
     found = {dial.name: dial for dial in dials(question, ranges)}
-    assert {*found} == {"K_c", "j_1", "j_2", "K_ratio", "damping", "omega"}
+    assert {*found} == {"K_c", "j_1", "j_2", "K_ratio", "damping", "preload", "omega"}
     assert (found["K_c"].low, found["K_c"].high) == (10.0, 100.0)
     assert (found["omega"].low, found["omega"].high) == (0.3, 0.5)
     stop, between = asked(question, numbers(question) | {"K_c": 20.0}).laws(EXACT)
