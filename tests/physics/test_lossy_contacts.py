@@ -314,6 +314,24 @@ def test_branches_find_the_fold_of_a_damped_contact(pulls, fold):
     assert np.max(found["omega"].values[is_fold.values]) * TURN == pytest.approx(fold, rel=1e-9)
 
 
+@pytest.mark.parametrize(
+    ("law", "along"),
+    [
+        (gs.Piecewise(2.0, gs.Gap(0.1745, 0.1745), damping=0.1), "damping"),
+        (gs.HuntCrossley(2.0, gs.Gap(0.1745, 0.1745), chi=0.3), "chi"),
+    ],
+)
+def test_branches_begin_at_the_elastic_contact(law, along):
+    """The elastic law has no damped modes: it is integrated by another kernel."""
+    omega = 0.9 / TURN
+    found = gs.branches(oscillator(), law, along, (0.0, 0.5), omega=omega)
+    elastic = gs.Piecewise(2.0, gs.Gap(0.1745, 0.1745))
+    expected = gs.respond(oscillator(), elastic, omega, **TIGHT).x_max
+    at_zero = found["x_max"].values[found[along].values == 0.0]
+    assert at_zero.size
+    assert at_zero == pytest.approx(expected, rel=1e-9)
+
+
 GRAZE = 0.01892540793813967  # N: amplitude of the forcing at which the free motion grazes the wall
 
 
