@@ -20,6 +20,7 @@ import gapsweep as gs
 from gapsweep.errors import ClusterError
 from gapsweep.execution.cluster import cluster
 from gapsweep.execution.execute import responses_from
+from gapsweep.execution.workers import worker_process
 from gapsweep.store.cache import Cache
 from gapsweep.store.maintenance import verify
 
@@ -192,3 +193,13 @@ def test_a_run_interrupted_while_it_computes_disturbances_prints_one_line(tmp_pa
     assert process.returncode == 130, errors
     assert errors.splitlines()[-1] == "interrupted; run again to resume"
     assert "Traceback" not in errors
+
+
+@pytest.mark.skipif(os.name != "posix", reason="needs process groups")
+def test_the_folder_of_a_run_killed_while_it_starts_is_removed(tmp_path):
+    folder = tmp_path / "temporary"
+    folder.mkdir()
+    with worker_process(str(folder)) as process:
+        process.stdin.close()  # as the end of the process that started it
+        process.wait(60)
+    assert not folder.exists()
