@@ -18,7 +18,8 @@ UNITS = {
     **dict.fromkeys(("v_0", "v", "speed"), "m s-1"),
     **dict.fromkeys(("t", "t_0", "t_end", "t_max", "time_limit", "timeout"), "s"),
     "forcing: period": "s",
-    **dict.fromkeys(("forcing", "mean_load", "forcing: amplitude", "F", "f", "f(t)", "noise"), "N"),
+    **dict.fromkeys(("forcing", "mean_load", "preload", "forcing: amplitude", "F", "f"), "N"),
+    **dict.fromkeys(("f(t)", "noise"), "N"),
     **dict.fromkeys(
         ("zeta", "K_ratio", "restitution", "depth", "rtol", "settle_tol", "error", "ratio"), "1"
     ),

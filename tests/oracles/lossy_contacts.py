@@ -3,7 +3,7 @@
 The equation is M q'' + C q' + K q + sum b N = F cos(omega t), with the depths d = b.q - wall of
 one-sided walls and their rates u. No code of the engines is used: forces, events and jumps are
 written out here. At a rigid wall u becomes -e u, and a wall with a slow body that a load presses on
-it holds the body until the force for that is zero.
+it holds the body until the force for that is zero, or more than a preload.
 """
 
 import math
@@ -88,7 +88,11 @@ class Lossy:
         t, time, shrunk, largest = 0.0, np.zeros(len(self.walls)), 0.0, 0.0
         times: list[float] = []
         # a shorter contact would be missed
-        longest = min(2.0 * math.pi / self.omega / 300.0, 0.02)
+        is_short = any(wall.preload for wall in self.walls)
+        longest = min(2.0 * math.pi / self.omega / 300.0, 0.004 if is_short else 0.02)
+        modes = self._rest_on_preloads(t, y, modes, inverse)
+        if HOLD in modes:
+            shrunk = self._stop(y, modes, inverse)
         while t < t_end:
             events, about = self._events(modes, inverse)
             found = solve_ivp(
@@ -120,6 +124,15 @@ class Lossy:
             wall, old = self.walls[k], modes[k]
             b = np.asarray(wall.b)
             u = float(b @ y[n : 2 * n])
+            if wall.preload and HOLD not in (old, new):
+                modes = self._rest_on_preloads(t, y, modes, inverse)
+                new = modes[k] if modes[k] == HOLD else new
+            if HOLD in (old, new) and wall.preload:
+                times += [t] * ((old == OFF) != (new == OFF))
+                modes[k] = new
+                if new == HOLD:
+                    shrunk = self._stop(y, modes, inverse)
+                continue
             if wall.e is not None:
                 y, modes, met = self._meet(k, t, y, modes, inverse)
                 times += met
@@ -141,6 +154,27 @@ class Lossy:
         return Motion(
             y[: 2 * n], images, len(times), time, shrunk, y[-2], y[-1], largest, np.array(times)
         )
+
+    def _stop(self, y: Any, modes: list[int], inverse: Any) -> float:
+        """Remove speeds and images along held walls from y; return the integral of -div f."""
+        n, project = len(self.M), self._projection(modes, inverse)
+        y[n : 2 * n] = project @ y[n : 2 * n]
+        images = y[2 * n : -2].reshape(2 * n, 2 * n)
+        y[2 * n : -2] = (np.kron(np.eye(2), project) @ images).ravel()
+        return math.inf
+
+    def _rest_on_preloads(self, t: float, y: Any, modes: list[int], inverse: Any) -> list[int]:
+        """Modes with holds of slow bodies that a load below the preload presses on a wall."""
+        n, found = len(self.M), list(modes)
+        for k, wall in enumerate(self.walls):
+            b = np.asarray(wall.b)
+            d, u = float(b @ y[:n]) - wall.place, float(b @ y[n : 2 * n])
+            free = [OFF if i == k else mode for i, mode in enumerate(modes)]
+            a = float(b @ self._rhs(free, inverse)(t, y)[n : 2 * n])
+            most = wall.preload * float(b @ inverse @ b)
+            if wall.preload and abs(d) < 1e-12 and abs(u) < SLOW and 0.0 <= a <= most:
+                found[k] = HOLD
+        return found
 
     def _meet(
         self, k: int, t: float, y: Any, modes: list[int], inverse: Any
@@ -228,17 +262,21 @@ class Lossy:
             if isinstance(wall, SmoothWall):
                 continue
             if mode == HOLD:
+                for new, most in ((OFF, 0.0), (ON, wall.preload))[: 2 if wall.preload else 1]:
 
-                def event(t: float, y: Any, k: int = k) -> float:
-                    return self._hold_forces(modes, inverse, t, y)[1][k]
+                    def event(t: float, y: Any, k: int = k, most: float = most) -> float:
+                        return self._hold_forces(modes, inverse, t, y)[1][k] - most
 
-                event.terminal, event.direction = True, -1.0  # type: ignore[attr-defined]  # of scipy
-                events.append(event)
-                about.append((k, OFF))
+                    event.terminal = True  # type: ignore[attr-defined]  # of scipy
+                    event.direction = 1.0 if most else -1.0  # type: ignore[attr-defined]  # of scipy
+                    events.append(event)
+                    about.append((k, new))
             elif mode == OFF:
                 add(k, ON, 1.0, is_force=False)
             elif mode == ON and not wall.pulls:
                 add(k, SLACK, -1.0, is_force=True)
+                if wall.preload:
+                    add(k, OFF, -1.0, is_force=False)
             elif mode == ON:
                 add(k, OFF, -1.0, is_force=False)
             else:

@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from tests.oracles.lossy_contacts import Lossy, SmoothWall, Wall
+from tests.oracles.lossy_contacts import HOLD, Lossy, SmoothWall, Wall
 
 import gapsweep as gs
 from gapsweep.errors import StudyError
@@ -180,11 +180,12 @@ def drawn(seed, kind):
             ratio, j_1, j_2 = 1.5, -j_1, (-0.5 if j != 1 else 1.5) * j_2
         elif kind == "one wall":
             ratio, j_1, j_2 = 1.5, *rng.permutation([math.inf, rng.choice([-0.2, 1.0]) * j_2])
-        if kind.startswith("rigid") and (j == 0 or kind == "rigid"):
+        is_rigid = kind.startswith("rigid") and (j == 0 or kind == "rigid")
+        if is_rigid or (kind.startswith("preload and") and j == 1):
             x, K_c, named = float(np.dot(b, q)), 0.0, {"e": rng.uniform(0.3, 1.0)}
             j_1, j_2 = max(j_1, 0.02 - x), max(j_2, 0.02 + x)
             law = gs.Rigid(gs.Gap(j_1, j_2), K_ratio=ratio, restitution=named["e"])
-        elif kind == "hunt-crossley" and j != 1:  # the second contact differs
+        elif (kind == "hunt-crossley" and j != 1) or (kind == "preload and others" and j == 2):
             named = {"c": 0.0, "chi": c}
             law = gs.HuntCrossley(K_c, gs.Gap(j_1, j_2), K_ratio=ratio, chi=c)
         elif kind == "function":
@@ -201,7 +202,10 @@ def drawn(seed, kind):
             c = 0.0 if kind in ("one wall", "prestressed") else c
             named = {"c": c, "pulls": not kind.endswith("never pulls") or j == 1}
             pulls = named["pulls"]
-            law = gs.Piecewise(K_c, gs.Gap(j_1, j_2), K_ratio=ratio, damping=c, pulls=pulls)
+            if kind.startswith("preload"):
+                named |= {"c": c * (kind != "preload"), "preload": 10 ** rng.uniform(-2.0, 0.3)}
+            of_wall_ = {"damping": named["c"], "preload": named.get("preload", 0.0)}
+            law = gs.Piecewise(K_c, gs.Gap(j_1, j_2), K_ratio=ratio, pulls=pulls, **of_wall_)
         if j_2 < math.inf:
             walls.append(of_wall(b, j_2, K_c, **named))
         if ratio and j_1 < math.inf:
@@ -222,6 +226,7 @@ def drawn(seed, kind):
         *("pulls", "never pulls", "hunt-crossley", "function", "tanh"),
         *("one wall", "prestressed", "prestressed, pulls", "prestressed, never pulls"),
         *("rigid", "rigid and never pulls"),
+        *("preload", "preload, pulls", "preload, never pulls", "preload and others"),
     ],
 )
 def test_drawn_systems_move_as_scipy_says(kind):
@@ -312,24 +317,6 @@ def test_branches_find_the_fold_of_a_damped_contact(pulls, fold):
     names = found["special"].attrs["flag_meanings"].split()
     is_fold = found["special"] == names.index("fold")
     assert np.max(found["omega"].values[is_fold.values]) * TURN == pytest.approx(fold, rel=1e-9)
-
-
-@pytest.mark.parametrize(
-    ("law", "along"),
-    [
-        (gs.Piecewise(2.0, gs.Gap(0.1745, 0.1745), damping=0.1), "damping"),
-        (gs.HuntCrossley(2.0, gs.Gap(0.1745, 0.1745), chi=0.3), "chi"),
-    ],
-)
-def test_branches_begin_at_the_elastic_contact(law, along):
-    """The elastic law has no damped modes: it is integrated by another kernel."""
-    omega = 0.9 / TURN
-    found = gs.branches(oscillator(), law, along, (0.0, 0.5), omega=omega)
-    elastic = gs.Piecewise(2.0, gs.Gap(0.1745, 0.1745))
-    expected = gs.respond(oscillator(), elastic, omega, **TIGHT).x_max
-    at_zero = found["x_max"].values[found[along].values == 0.0]
-    assert at_zero.size
-    assert at_zero == pytest.approx(expected, rel=1e-9)
 
 
 GRAZE = 0.01892540793813967  # N: amplitude of the forcing at which the free motion grazes the wall
@@ -508,6 +495,21 @@ def test_a_branch_of_twice_the_period_begins_at_a_border_flip(at):
         assert np.sort(along["multiplier_real"].values[row]) == pytest.approx(expected, rel=1e-6)
 
 
+@pytest.mark.parametrize("low", [0.0, 0.5])
+def test_a_graze_along_the_damping_has_both_sets_of_multipliers(low):
+    """A wall without damping at one end of the range is one that never pulls elsewhere."""
+    omega = 0.95 / TURN
+    upper = gs.Piecewise(20.0, gs.Gap(None, 0.1745), damping=1.0)
+    lowest = gs.respond(oscillator(), upper, omega, rtol=1e-12).x_min
+    both = replace(upper, gap=gs.Gap(-lowest, 0.1745))
+    ds = gs.branches(oscillator(), both, "damping", (low, 3.0), omega=omega).isel(branch=0)
+    at, n_contacts = ds["damping"].values, ds["n_contacts"].values
+    (row,) = np.flatnonzero(np.diff(at) == 0.0)
+    assert at[row] == pytest.approx(1.0, rel=1e-9)
+    assert abs(np.diff(n_contacts)[row]) == 2
+    assert abs(np.diff(ds["multiplier_real"].sum("multiplier").values)[row]) > 1e-3
+
+
 @pytest.mark.extended
 def test_grazes_of_a_chain_have_both_sets_of_multipliers():
     """A graze from beyond the wall, too: seed 230 of the drawn systems has both."""
@@ -565,7 +567,10 @@ FREE = gs.law(lambda x, v: x + v, 1.0, gs.Gap(0.1, 0.1))
 
 REFUSED = [
     (of_two(FREE, stop()), r"f\(x, v\) not with damping = 1.2"),
-    (of_two(FREE, gs.Tanh(1.0, gs.Gap(0.1, 0.1), 1e3)), r"located for all contacts or none"),
+    (
+        of_two(FREE, gs.Tanh(1.0, gs.Gap(0.1, 0.1), 1e3)),
+        r"smooth laws .* are not: .*located=False",
+    ),
     (
         lambda: gs.simulate(oscillator(), FREE, 0.2, t_end=1.0, restart=True),
         r"a force f\(x, v\): not with restart",
@@ -590,6 +595,13 @@ REFUSED = [
     (lambda: gs.HuntCrossley(1.0, gs.Gap(0.1, 0.1), chi=1.0, damping=2.0), "damping"),
     (lambda: gs.contact_law("huntcrossley-x", 1.0, gs.Gap(0.1, 0.1)), "huntcrossley-x.*>= 0"),
     (lambda: gs.Tanh(1.0, gs.Gap(0.1, 0.1), 1e3, damping=-1.0), r"damping = -1: must be >= 0"),
+    (lambda: stop(preload=-1.0), r"preload = -1.*>= 0"),
+    (lambda: stop(preload=math.nan), "preload = nan.*finite"),
+    (lambda: stop(preload="3 mm"), "preload = '3 mm'.*in N"),
+    (lambda: stop(damping=0.0, preload=2.0, located=False), r"preload = 2: .*located=False"),
+    (lambda: gs.Tanh(1.0, gs.Gap(0.1, 0.1), 1e3, preload=1.0), "Tanh.*preload"),
+    (lambda: gs.HuntCrossley(1.0, gs.Gap(0.1, 0.1), chi=1.0, preload=2.0), "preload"),
+    (lambda: rigid(0.8, preload=2.0), "preload"),
     (lambda: gs.Polynomial(1.0, gs.Gap(0.1, 0.1), 5, damping=1.0), "damping.*Piecewise"),
     (lambda: gs.contact_law("poly-5", 1.0, gs.Gap(0.1, 0.1), damping=1.0), "poly-5 has none.*tanh"),
     (lambda: rigid("120 %"), r"restitution = 1\.2: must be in 0\.\.1"),
@@ -610,7 +622,7 @@ REFUSED = [
     (lambda: rigid(0.8, located=False), "Rigid.*located"),
     (lambda: gs.Rigid(gs.Gap(0.0, 0.0), restitution=0.8), "gap = 0/0"),
     (lambda: gs.contact_law("rigid-1.5", 1.0, gs.Gap(0.1, 0.1)), "rigid-1.5.*0 to 1"),
-    (lambda: gs.static_error(rigid(0.8)), "rigid-0.8: an impact has no finite force"),
+    (lambda: gs.static_error(rigid(0.8)), "rigid: an impact has no finite force"),
     (
         lambda: gs.simulate(oscillator(), rigid(0.8), 0.2, t_end=1.0, restart=True),
         r"restitution = 0\.8.*restart",
@@ -664,6 +676,19 @@ def test_damping_is_an_axis_of_studies():
     assert [law.damping for (law,) in models.laws] == [0.0, 1.2]
     (label,) = {law.losses.never_pulls for (law,) in models.laws if law.damping}
     assert label
+
+
+def test_a_preload_is_an_axis_of_studies():
+    found = study(preload=[0.0, 0.4], damping=1.2)
+    ((_, table),) = found.points(np.arange(2))
+    assert table.column("preload").tolist() == [0.0, 0.4]
+    laws = laws_of(table)
+    assert [law.preload for law in laws] == [0.0, 0.4]
+    assert {law.damping for law in laws} == {1.2}
+    with pytest.raises(StudyError, match="preload: tanh-1e3 has none"):
+        study({"pulls": True}, preload=[0.0, 0.4], representation=["piecewise", "tanh-1e3"])
+    with pytest.raises(StudyError, match=r"preload.*-1.*>= 0"):
+        study(preload=-1.0)
 
 
 def test_studies_damp_all_laws_that_can_be_and_refuse_others():
@@ -1193,3 +1218,249 @@ def test_what_a_rigid_wall_holds_all_the_time_is_a_response(second, engine):
         w = 0.2 * TURN
         reach = 1.0 / abs(2.0 - w**2 + 0.2j * w)
         assert (peak[1], trough[1]) == pytest.approx((0.1 + reach, 0.1 - reach), rel=1e-6)
+
+
+def clutch(preload, K_c=20.0, place=0.1745, **named):
+    """A wall on one side with a preload."""
+    return gs.Piecewise(K_c, gs.Gap(None, place), preload=preload, **named)
+
+
+def pressed(load, *, forcing=0.0):
+    """A mass that a load presses on a wall at the origin."""
+    return gs.System(
+        mass=[[1.0]], stiffness=[[1.0]], damping=[[0.05]], contacts={"wall": [1.0]},
+        forcing=[gs.Harmonic(k=0, amplitude=[load]), gs.Harmonic(amplitude=[forcing])],
+    )  # fmt: skip
+
+
+@BOTH
+def test_an_orbit_at_a_preload_has_the_multipliers_of_exact_flows(engine):
+    """Tangent at entry I - (N_0 / u) P, at exit I + (N_0 / u) P: the wall changes no volumes."""
+    run = gs.simulate(
+        oscillator(), clutch(0.01), 0.95 / TURN, 0.16, 0.07, n_periods=1, tangent=True,
+        engine=engine, **TIGHT,
+    )  # fmt: skip
+    assert (run.x_end, run.v_end) == pytest.approx(
+        (0.16580780744531769, 0.0929658873149239), rel=1e-9
+    )
+    expected = [[1.033140875812348, 0.46740990492899], [-3.67288736446099, -0.966295069230326]]
+    assert run.monodromy == pytest.approx(np.array(expected), rel=1e-8)
+    found = gs.respond(oscillator(), clutch(0.01), 0.95 / TURN, 0.1, 0.1, rtol=1e-11, engine=engine)
+    assert found.x_max == pytest.approx(0.18047407716891018, rel=1e-9)
+    largest = max(found.multipliers, key=lambda one: one.imag)
+    assert largest == pytest.approx(-0.17724310414961629 + 0.8288605924272671j, rel=1e-8)
+    assert np.prod(found.multipliers).real == pytest.approx(math.exp(-0.05 * TURN / 0.95), rel=1e-9)
+    assert found.force_max == pytest.approx(0.01 + 20.0 * (found.x_max - 0.1745), rel=1e-9)
+
+
+def bounces(times, load=0.1, preload=0.5, speed=0.3):
+    """Numbers of crossings of the wall up to times, by exact flows of both sides."""
+    w, decay, t, n, found = math.sqrt(1.0 - 0.025**2), 0.025, 0.0, 0, []
+    for until in times:
+        while True:
+            rest = load - preload if speed > 0.0 else load  # position of equilibrium
+            of_sine = (speed - decay * rest) / w
+
+            def x(s, rest=rest, of_sine=of_sine):
+                return rest + math.exp(-decay * s) * (
+                    of_sine * math.sin(w * s) - rest * math.cos(w * s)
+                )
+
+            step = 0.5 * abs(speed / rest)
+            low, high = step, 2.0 * step
+            while x(high) * speed > 0.0:
+                low, high = high, high + step
+            for _ in range(70):
+                middle = 0.5 * (low + high)
+                low, high = (middle, high) if x(middle) * speed > 0.0 else (low, middle)
+            if t + high > until:
+                break
+            sine, cosine = math.sin(w * high), math.cos(w * high)
+            rate = w * (of_sine * cosine + rest * sine) - decay * (of_sine * sine - rest * cosine)
+            speed, t, n = math.exp(-decay * high) * rate, t + high, n + 1
+        found.append(n)
+    return found
+
+
+def test_a_pressed_mass_bounces_on_a_preload_until_the_wall_holds_it():
+    """Bounces become exponentially more frequent; the hold ends them, within the tolerance."""
+    law = clutch(0.5, 1e-6, 0.0)  # a constant force
+    counts = [
+        gs.simulate(pressed(0.1), {"wall": law}, 0.2, v_0=[0.3], t_end=t_end, rtol=rtol)
+        for rtol, t_end in ((1e-9, 64.0), (1e-9, 256.0), (1e-6, 460.0), (1e-6, 1e4))
+    ]
+    expected = bounces((64.0, 256.0))
+    assert [run.n_contacts for run in counts[:2]] == expected
+    assert counts[2].n_contacts == counts[3].n_contacts < 4e4
+    assert counts[3].v_end == 0.0
+    assert counts[3].q_end == pytest.approx(0.0, abs=1e-15)
+    last = counts[2].t_contacts["wall"][-1]
+    before = gs.simulate(
+        pressed(0.1), {"wall": law}, 0.2, v_0=[0.3], t_end=last - 1e-6, rtol=1e-6
+    )  # fmt: skip
+    assert 1e-8 < before.v_end[0] ** 2 / (2.0 * 0.1) < 1e-6  # height of the first flight left out
+
+
+@BOTH
+def test_a_mass_at_rest_on_a_preload_stays_until_the_load_is_more_or_none(engine):
+    """The load 0.3 - 0.2 cos(wt) exceeds the preload 0.4 at its third part of a turn."""
+    one, w = np.eye(1), 0.5
+    loads = [0.3, -0.2]
+    run = gs.simulate(
+        pressed(loads[0], forcing=loads[1]), {"wall": clutch(0.4, 5.0, 0.0)}, w / TURN,
+        n_periods=1, tangent=True, engine=engine, rtol=1e-10, dense_output=True,
+    )  # fmt: skip
+    begins = math.acos(-0.5) / w
+    still = run.sample(np.linspace(0.0, begins, 20))
+    assert np.abs(still[:2]).max() < 1e-12
+    assert run.sample(begins + 0.5)[0] > 1e-4
+
+    class Pressed(Lossy):
+        def _rhs(self, modes, inverse):
+            rates = super()._rhs(modes, inverse)
+
+            def loaded(t, y):
+                found = rates(t, y)
+                found[1] += 0.0 if HOLD in modes else loads[0]
+                return found
+
+            return loaded
+
+    wall = Wall([1.0], 0.0, 5.0, preload=0.4)
+    expected = Pressed(one, 0.05 * one, one, [loads[1]], w, [wall]).run([0.0, 0.0], TURN / w)
+    assert (run.q_end[0], run.v_end[0]) == pytest.approx(expected.y, abs=1e-7)
+    assert run.n_contacts == expected.n_contacts
+    assert run.t_contacts["wall"] == pytest.approx(expected.times, abs=1e-7)
+    assert not run.monodromy.any()
+    assert not expected.tangent.any()
+
+
+@BOTH
+def test_walls_in_one_place_with_a_preload_hold_a_mass_on_either_side(engine):
+    """Between -N_0 and N_0 the load does not move it; beyond, it moves to either side."""
+    law = gs.Piecewise(2.0, gs.Gap(0.0, 0.0), preload=0.5)
+    still = gs.simulate(
+        oscillator(0.4), law, 0.5 / TURN, n_periods=2, engine=engine, rtol=1e-9, tangent=True
+    )
+    assert (still.x_end, still.v_end, still.n_contacts) == (0.0, 0.0, 0)
+    assert not still.monodromy.any()
+    for sign in (1.0, -1.0):
+        run = gs.simulate(
+            pressed(0.0, forcing=0.7 * sign), {"wall": law}, 0.5 / TURN, t_end=1.0, engine=engine,
+            rtol=1e-9,
+        )  # fmt: skip
+        # x'' + 0.05 x' + 3 x = 0.7 cos(0.5 t) - 0.5, from rest
+        a, b = np.linalg.solve([[3.0 - 0.25, 0.025], [-0.025, 3.0 - 0.25]], [0.7, 0.0])
+        w = math.sqrt(3.0 - 0.025**2)
+        cosine = 0.5 / 3.0 - a
+        sine = (0.025 * cosine - 0.5 * b) / w
+        free = math.exp(-0.025) * (cosine * math.cos(w) + sine * math.sin(w))
+        expected = a * math.cos(0.5) + b * math.sin(0.5) - 0.5 / 3.0 + free
+        assert run.q_end[0] == pytest.approx(sign * expected, rel=1e-7)
+        assert run.n_contacts == 0
+
+
+@BOTH
+@pytest.mark.parametrize("forcing", [0.0, 0.05])
+def test_a_mass_pressed_on_any_wall_has_a_response(forcing, engine):
+    """Held by a preload or a rigid wall, or at rest on a compressed spring."""
+    o = gs.Oscillator(mass=1.0, omega_n=1.0 / TURN, zeta=0.05, forcing=forcing, mean_load=0.3)
+    held = [clutch(0.5, 5.0, 0.1), gs.Rigid(gs.Gap(None, 0.1), restitution=0.5)]
+    springs = [clutch(0.0, 5.0, 0.1), clutch(0.1, 5.0, 0.1), clutch(0.0, 5.0, 0.1, damping=0.3)]
+    laws = springs + (held if engine == "compiled" else held[1:])  # bounces take minutes
+    for law in laws:
+        found = gs.respond(o, law, 0.2, engine=engine, rtol=1e-7)
+        assert found.response_class is gs.ResponseClass.PERIODIC, found.message
+        assert found.contact_share == 1.0
+        if law in held:
+            assert (found.x_max, found.x_min) == pytest.approx((0.1, 0.1), rel=1e-12)
+            assert not found.multipliers.any()
+        elif not forcing:
+            place = (0.3 + 5.0 * 0.1 - law.preload) / 6.0
+            assert (found.x_max, found.x_min) == pytest.approx((place, place), rel=1e-9)
+        if law is held[0]:  # x = 0.1 all the time
+            assert found.force_max == pytest.approx(0.2 + forcing, rel=1e-9)
+
+
+@pytest.mark.parametrize("named", [{}, {"damping": 1.2}, {"damping": 1.2, "pulls": True}])
+def test_a_response_at_a_preload_loses_what_the_forcing_supplies(named):
+    o, w = oscillator(), 0.95
+    found = gs.respond(o, clutch(0.01, **named), w / TURN, 0.1, 0.1, rtol=1e-12)
+    run = gs.simulate(
+        o, clutch(0.01, **named), w / TURN, found.x_end, found.v_end, n_periods=1, rtol=1e-12,
+        dense_output=True,
+    )  # fmt: skip
+    nodes, weights = np.polynomial.legendre.leggauss(60)
+    ends, balance = [0.0, *run.t_contacts, TURN / w], 0.0
+    for a, b in itertools.pairwise(ends):
+        t = a + 0.5 * (b - a) * (1.0 + nodes)
+        v = run.sample(t)[1]
+        balance += 0.5 * (b - a) * float(weights @ (0.03 * np.cos(w * t) * v - 0.05 * v * v))
+    supplied = 0.03 * abs(found.x_max)
+    assert energy_lost(run, 0) == pytest.approx(balance, abs=1e-9 * supplied)
+    assert (energy_lost(run, 0) > 1e-3 * supplied) == bool(named)
+
+
+def test_gradients_of_an_orbit_at_a_preload_are_those_of_differences():
+    names = ["preload", "K_c", "forcing", "j_2"]
+    nominal = dict(zip(names, (0.01, 20.0, 0.03, 0.1745), strict=True))
+    w, start = 0.95, {"x_0": 0.1, "v_0": 0.1}
+    found = gs.gradient(oscillator(), clutch(0.01), names, omega=w / TURN, **start)
+
+    def extrema(**changed):
+        of = nominal | changed
+        law = clutch(of["preload"], of["K_c"], of["j_2"])
+        one = gs.respond(oscillator(of["forcing"]), law, w / TURN, **start, rtol=1e-12)
+        return np.array([one.x_max, one.x_min])
+
+    for name, value in nominal.items():
+        step = 1e-5 * value
+        slope = (extrema(**{name: value + step}) - extrema(**{name: value - step})) / (2.0 * step)
+        here = found["gradient"].sel(parameter=name, quantity=["x_max", "x_min"]).values
+        assert here == pytest.approx(slope, rel=1e-6), name
+
+
+def test_a_gradient_of_what_a_preload_holds_follows_the_wall():
+    """The second coordinate is at (1 + place) / 2, plus the swing by the load."""
+    k = np.array([[2.0, -1.0], [-1.0, 2.0]])
+    machine = gs.System(
+        mass=np.eye(2), stiffness=k, damping=0.1 * k, contacts={"stop": [1.0, 0.0]},
+        forcing=[gs.Harmonic(k=0, amplitude=[1.0, 1.0]), gs.Harmonic(amplitude=[0.0, 0.3])],
+    )  # fmt: skip
+    law = clutch(2.0, 5.0, 0.2)
+    found = gs.gradient(machine, {"stop": law}, ["j_2", "preload"], omega=0.2)["gradient"]
+    second = [str(each) for each in found["quantity"].values if str(each).startswith("x_max")][1]
+    assert found.sel(quantity=second).values == pytest.approx([0.5, 0.0], rel=1e-9, abs=1e-12)
+
+
+@BOTH
+def test_a_hold_of_a_place_that_rounding_separates_from_its_wall_ends_once(engine):
+    """The coordinate is held a rounding error beyond the wall, which its gap keeps."""
+    machine = gs.System(
+        mass=[[1.8, 0.0], [0.0, 0.83]], damping=[[0.16, -0.08], [-0.08, 0.2]],
+        stiffness=[[2.8, -1.73], [-1.73, 4.11]], contacts={"wall": [0.0, 1.0]},
+        forcing=[gs.Harmonic(amplitude=[0.48, 0.0])],
+    )  # fmt: skip
+    for law in (rigid(0.3, 0.05), clutch(5.0, 20.0, 0.05)):
+        run = gs.simulate(
+            machine, {"wall": law}, 0.11, q_0=[0.2, math.nextafter(0.05, 1.0)], v_0=[-0.1, 0.0],
+            t_end=4.0, engine=engine, rtol=1e-9,
+        )  # fmt: skip
+        assert run.n_contacts == 1
+        assert run.t_contacts["wall"] == pytest.approx([1.08269882], rel=1e-6)
+
+
+@pytest.mark.parametrize("kind", ["damping", "chi"])
+def test_a_branch_along_a_loss_that_reaches_zero_ends_at_the_elastic_orbit(kind):
+    def law(value):
+        if kind == "chi":
+            return gs.HuntCrossley(2.0, gs.Gap(1.0, 1.0), chi=value)
+        return gs.Piecewise(2.0, gs.Gap(1.0, 1.0), damping=value)
+
+    model, omega = oscillator(forcing=1.0), 1.2 / TURN
+    branch = gs.branches(model, law(0.2), kind, (0.0, 0.3), omega=omega).isel(branch=0)
+    at_zero = branch["x_max"].values[branch[kind].values == 0.0]
+    elastic = gs.respond(model, gs.Piecewise(2.0, gs.Gap(1.0, 1.0)), omega, rtol=1e-11)
+    assert elastic.contact_share > 0.0
+    assert at_zero.size
+    assert at_zero == pytest.approx(elastic.x_max, rel=1e-7)

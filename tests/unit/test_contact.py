@@ -450,7 +450,7 @@ def test_numbers_are_read_and_set_by_name():
     oscillator = gs.Oscillator(mass=3.0, omega_n=5.0, zeta=0.03, forcing=4.0)
     law = gs.Piecewise(1e4, gs.Gap(4e-4, np.inf))
     assert numbers_of(oscillator).items() >= {"mass": 3.0, "zeta": 0.03, "alpha": 0.0}.items()
-    known = {"K_c": 1e4, "K_ratio": 1.0, "damping": 0.0, "j_1": 4e-4}
+    known = {"K_c": 1e4, "K_ratio": 1.0, "damping": 0.0, "preload": 0.0, "j_1": 4e-4}
     assert numbers_of(law) == known, "no distance of a wall that is missing"
     found = with_numbers(law, {"gap": 1e-4, "K_c": 2e4, "zeta": 0.1})
     assert found == gs.Piecewise(2e4, gs.Gap(1e-4, np.inf))

@@ -509,7 +509,7 @@ def test_a_study_of_systems_gives_ranges_and_keeps_its_own_contacts():
     study = gs.Study.from_dict(TWO_MASSES)
     question, ranges = of_study(study)
     found = {dial.name: dial for dial in dials(question, ranges)}
-    assert {*found} == {"K_c", "j_1", "j_2", "K_ratio", "damping", "omega"}
+    assert {*found} == {"K_c", "j_1", "j_2", "K_ratio", "damping", "preload", "omega"}
     assert (found["K_c"].low, found["K_c"].high) == (10.0, 100.0)
     assert (found["omega"].low, found["omega"].high) == (0.3, 0.5)
     stop, between = asked(question, numbers(question) | {"K_c": 20.0}).laws(EXACT)
@@ -874,3 +874,16 @@ def test_without_bokeh_the_remedy_is_named():
     ended = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     assert "ModelError: explore: needs Bokeh" in ended.stderr
     assert "pip install 'gapsweep[explore]'" in ended.stderr
+
+
+def test_rigid_walls_are_named_and_have_no_smooth_approximation():
+    gap = gs.Gap(4e-4, 4e-4)
+    question = of_model(gs.systems.paper_oscillator(), gs.Rigid(gap, restitution=0.7))
+    assert question.approximations == ()
+    assert "rigid (exact)" in legend(question, ())
+    both = replace(question, approximations=labels("tanh-1e4, rigid-0.5"))
+    with pytest.raises(ModelError, match="rigid walls have no stiffness"):
+        both.laws("tanh-1e4")
+    assert both.laws("rigid-0.5") == (gs.Rigid(gap, restitution=0.5),)
+    rubber = of_model(gs.systems.paper_oscillator(), gs.HuntCrossley(1e4, gap, chi=1.0))
+    assert "huntcrossley (exact)" in legend(rubber, ())

@@ -7,6 +7,7 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
+from scipy.stats import norm
 
 import gapsweep as gs
 from gapsweep.model.systems import paper_oscillator
@@ -32,6 +33,12 @@ def simulated(**changes):
 def answered(**changes):
     given = {"oscillator": OSCILLATOR, "law": LAW, "omega": 9.0}
     return gs.respond(**(given | changes))
+
+
+MEASURED = {"frequency [Hz]": [7.0, 8.0, 9.0], "amplitude [mm]": [0.5, 0.6, 0.7]}
+WITH_NOISE = MEASURED | {"noise [mm]": [0.01, 0.01, 0.01]}
+FIT = {"data": MEASURED, "free": {"gap": [1e-4, 1e-3]}}
+UNCERTAIN = {"samples": 2, "chi": {"normal": 1.0, "sd": 0.1}, "quantities": ["x_max"]}
 
 
 def differentiated(parameters, **changes):
@@ -70,6 +77,50 @@ REFUSED = {
     "fit to nothing": (
         lambda: gs.fit({"f [Hz]": [], "amplitude [m]": []}, OSCILLATOR, LAW, free={"mass": (1, 2)}),
         "has 0 points; must have >= 3",
+    ),
+    "list for a parameter": (
+        lambda: gs.branches(OSCILLATOR, LAW, ["gap"], (1e-4, 1e-3), omega=9.0),
+        r"parameter = \['gap'\]: must be one name",
+    ),
+    "choice without a law": (
+        lambda: gs.choose("gap", (1e-4, 1e-3), OSCILLATOR, so_that=gs.no_contact(), omega=9.0),
+        r"law: missing .*law=gs\.Piecewise\(",
+    ),
+    "basins at two frequencies": (
+        lambda: gs.basins(OSCILLATOR, LAW, [8.0, 9.0], x=[0.0, 1e-3], v=0.0),
+        r"omega = \[8\.0, 9\.0\]: must be one frequency",
+    ),
+    "demand without a limit": (lambda: gs.at_most("amplitude"), r"limit.* write gs\.at_most\("),
+    "demand with an argument": (lambda: gs.no_contact(1), "too many .* parameters are none"),
+    "misspelt argument of a probability": (
+        lambda: gs.probability({"response_class": "chaotic"}, 0.1, {"gap": norm()}, sample=64),
+        r"'sample'.* its parameters are event, at_most, .* write gs\.probability\(",
+    ),
+    "distribution of no width": (
+        lambda: gs.risk(OSCILLATOR, LAW, {"gap": norm(4e-4, 0.0)}, 9.0, quantities=["x_max"]),
+        "gap: the distribution has no median",
+    ),
+    "noise of a fit in two places": (
+        lambda: gs.Study.from_dict(TABLES | {"fit": FIT | {"data": WITH_NOISE, "noise": 1e-5}}),
+        r"noise = 1e-05: leave it out",
+    ),
+    "noise of a fit in words": (
+        lambda: gs.Study.from_dict(TABLES | {"fit": FIT | {"noise": "x"}}),
+        "noise = 'x': must be a number$",
+    ),
+    "uncertain chi of elastic walls": (
+        lambda: gs.Study.from_dict(TABLES | {"uncertain": UNCERTAIN}),
+        "chi: .* huntcrossley without a number has",
+    ),
+    "event without a name": (
+        lambda: gs.risk(
+            OSCILLATOR,
+            LAW,
+            {"gap": norm(4e-4, 1e-5)},
+            9.0,
+            events={"": {"quantity": "x_max", "above": 1}},
+        ),
+        r"event\[0\]\.name = '': must not be empty",
     ),
     "number for labels": (lambda: gs.explore(approximations=3), "approximations = 3: must be"),
     "number for a label": (lambda: gs.explore(approximations=[3]), r"approximations = \[3\]: must"),

@@ -97,6 +97,7 @@ IN_A_STUDY = {
     "number for a name": ('"mine"', "3", "study.name = 3: must be text, in quotes"),
 }
 LABELS = {
+    "rigid 0.8": "did you mean rigid-0.8? Or",
     "tahn-1e4": "did you mean tanh-1e4? Or use one of piecewise, ",
     "tanh1e4": "did you mean tanh-1e4? Or",
     "poly13": "did you mean poly-13? Or",

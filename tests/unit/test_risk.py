@@ -427,7 +427,7 @@ MISTAKES = {
     "quantity": ({"event": [EVENT | {"quantity": "amplitud"}]}, r"'amplitud': must be one"),
     "threshold": ({"event": [{"name": "a", "quantity": "x_max"}]}, r"no threshold; write above"),
     "two events of a name": ({"event": [EVENT, EVENT]}, r"'large': occurs twice"),
-    "name": ({"gapp": {"normal": 4e-4, "sd": 1e-5}}, r"gapp: cannot be uncertain; choose .*K_c"),
+    "name": ({"gapp": {"normal": 4e-4, "sd": 1e-5}}, r"gapp: cannot be uncertain; .*K_c"),
     "nothing wanted": ({"quantities": []}, r"give quantities = \['amplitude'\], or an event"),
     "no number": ({"gap": None}, r"no uncertain number; write gap ="),
     "kind": ({"gap": {"gamma": 4e-4}}, r"gap\.gamma = 0\.0004: unknown key"),

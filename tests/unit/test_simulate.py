@@ -206,6 +206,21 @@ def test_several_models_and_laws_give_what_each_gives_alone():
         assert runs.laws[i, j] == alone.laws
 
 
+@pytest.mark.parametrize("order", [(0, 1, 2), (2, 1, 0)])
+def test_walls_with_and_without_losses_stand_in_one_call(order):
+    every = [
+        gs.HuntCrossley(SOFT, SYMMETRIC, chi=2.0),
+        gs.Piecewise(SOFT, SYMMETRIC),
+        gs.Rigid(SYMMETRIC, restitution=0.7),
+    ]
+    laws = [every[i] for i in order]
+    runs = gs.simulate(paper_oscillator(), laws, 9.0, t_end=0.5)
+    for j, law in enumerate(laws):
+        alone = gs.simulate(paper_oscillator(), law, 9.0, t_end=0.5)
+        assert_same(runs.x_end[j], alone.x_end)
+        assert_same(runs.t_contacts[j], alone.t_contacts)
+
+
 def test_several_models_can_be_sampled():
     runs = gs.simulate(MODELS, LAWS, 9.0, t_end=1.0, dense_output=True)
     x, _ = runs.sample([0.25, 0.5])

@@ -66,7 +66,7 @@ def both_sides(equations: OrbitEquations, orbit: Orbit, reference: Reference) ->
 
     The orbits differ in multipliers and numbers of contacts. Empty where nothing jumps.
     """
-    if not any(equations.never_pulls):
+    if not any(law.losses.never_pulls for law in equations.models_at(orbit).laws[0]):
         return []
     integrate, n = prepared(equations.models_at(orbit), equations.solver), equations.n
     begin, state, touched = _touched(equations, orbit, integrate)
@@ -119,8 +119,8 @@ def _touched(
     system = models.systems[0]
     for contact, law in enumerate(models.laws[0]):
         losses = law.losses
-        if not losses.never_pulls and not losses.is_rigid:
-            continue
+        if losses.preload or not (losses.never_pulls or losses.is_rigid):
+            continue  # at a preload S grows as 1 / u
         near, b = on_wall(orbit, contact), np.reshape(system.directions[contact], -1)
         jump, kick = np.eye(equations.n_states), np.zeros(equations.n_states)
         push = np.linalg.solve(np.atleast_2d(system.mass), b)
@@ -187,7 +187,8 @@ def rigid_graze(
         if before is None or _clearance(equations, before)[0] != n:
             return []
         apart = float(np.sqrt(((last.unknowns - before.unknowns) ** 2).sum()))
-        spectral = [1.0 / np.abs(each.multipliers[0]) for each in (before, last)]
+        with np.errstate(divide="ignore", invalid="ignore"):  # multipliers are 0 after a hold
+            spectral = [1.0 / np.abs(each.multipliers[0]) for each in (before, last)]
         is_entry = 0.0 < _zero(_clearance(equations, before)[1], gap, apart) <= 2.0 * step
         is_exit = n > 0 and spectral[1] < limit.STRONG
         far = _zero(spectral[0], spectral[1], apart)

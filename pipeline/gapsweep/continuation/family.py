@@ -52,6 +52,8 @@ class Window:
         ModelError
             If `between` is not two numbers in ascending order, or out of the parameter's range.
         """
+        if not isinstance(name, str):
+            raise ModelError(f"parameter = {name!r:.80}: must be one name, as 'gap'")
         ends = without_units(f"range of {name}", between)
         try:
             low, high = map(float, ends)
@@ -118,14 +120,14 @@ class Family:
             if is_needed and one.default is one.empty and name not in self.values:
                 remedy = f"write functools.partial(function, {name}=1.0)"
                 raise ModelError(f"oscillator: argument {name!r} has no default; {remedy}")
-        for name in self.names:
-            self._check(name)
         if isinstance(self.law, Mapping) and set(self.law) != set(self.example.contacts):
             said = f"of {list(self.law)}: must name" if self.law else "missing for"
             raise ModelError(
                 f"law: {said} {list(self.example.contacts)}, "
                 "as law=gs.Piecewise(1.4e4, gs.Gap(4e-4, 4e-4))"
             )
+        for name in self.names:
+            self._check(name)
         check_periodic(self.example)
         is_forced = self.example.is_forced
         if "omega" in self.names and not is_forced:
@@ -166,7 +168,7 @@ class Family:
 
     def _check_free(self) -> None:
         model = self.example
-        lost = any(law.losses for law in self._laws)
+        lost = any(law.losses.lose_energy for law in self._laws)
         if model.is_forced or model.decay_rate or lost:
             raise ModelError(
                 "along = 'amplitude': continues undamped free motions; "

@@ -109,9 +109,7 @@ class OrbitEquations:
         self.n, self.n_states = model.n, model.n_states
         self.first_gap = 0 if isinstance(model, Oscillator) else model.n
         self.n_contacts = len(model.contacts)
-        laws = family.laws_at(family.values)  # what kind of wall a contact has does not change
-        self.is_rigid = [law.losses.is_rigid for law in laws]
-        self.never_pulls = [law.losses.never_pulls for law in laws]
+        self.is_rigid = [law.losses.is_rigid for law in family.laws_at(family.values)]
         self.has_period = not family.is_forced
         # The amplitude of free motions is a result, no parameter of their equations.
         self.n_parameters = 0 if family.is_conservative else len(windows)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from gapsweep.errors import ModelError
 from gapsweep.integrate.problem import Laws, Model
-from gapsweep.model.oscillator import checked, whole
+from gapsweep.model.oscillator import called_as, checked, whole
 from gapsweep.quantities import without_units
 from gapsweep.response.result import RESPONSE, ResponseClass, Responses
 from gapsweep.status import Status
@@ -132,6 +132,7 @@ def margins(
     return every.max(axis=0), every.argmax(axis=0)
 
 
+@called_as("gs.at_most('amplitude', 5e-4)")
 def at_most(quantity: str, limit: Any) -> Demand:
     """Return the demand that a quantity of the steady response is not larger than a limit.
 
@@ -158,6 +159,7 @@ def at_most(quantity: str, limit: Any) -> Demand:
     return _limited(quantity, limit, 1, "at most")
 
 
+@called_as("gs.at_least('amplitude', 2e-4)")
 def at_least(quantity: str, limit: Any) -> Demand:
     """Return the demand that a quantity of the steady response is not smaller than a limit.
 
@@ -180,6 +182,7 @@ def _limited(name: str, limit: Any, sign: int, words: str) -> Demand:
     return Demand(f"{name} {words} {number:g}", name, number, sign)
 
 
+@called_as("gs.no_contact()")
 def no_contact() -> Demand:
     """Return the demand that the steady response touches no wall.
 
@@ -192,6 +195,7 @@ def no_contact() -> Demand:
     return Demand("no contact")
 
 
+@called_as("gs.no_chaos()")
 def no_chaos() -> Demand:
     """Return the demand that the steady response is not chaotic.
 
@@ -204,6 +208,7 @@ def no_chaos() -> Demand:
     return Demand("no chaos")
 
 
+@called_as("gs.periodic(1)")
 def periodic(most_periods: int | None = None) -> Demand:
     """Return the demand that the steady response is periodic, or an equilibrium.
 

@@ -20,13 +20,13 @@ from scipy.stats import chi2, qmc
 from gapsweep.continuation.family import Window
 from gapsweep.design.demands import quantity
 from gapsweep.design.machine import Machine
-from gapsweep.design.measured import Sweep, ranges, sweeps
+from gapsweep.design.measured import Sweep, noise_of, ranges, sweeps
 from gapsweep.errors import ModelError
 from gapsweep.integrate.problem import Model
 from gapsweep.integrate.simulate import AnyLaw
-from gapsweep.model.oscillator import Oscillator, called_as, checked
-from gapsweep.quantities import UNITS, without_units, written
-from gapsweep.response.result import RESPONSE, Responses
+from gapsweep.model.oscillator import Oscillator, called_as
+from gapsweep.quantities import UNITS, written
+from gapsweep.response.result import Responses
 from gapsweep.status import Status
 
 Array = NDArray[np.float64]
@@ -296,17 +296,11 @@ def fit(
     scale = max(float(np.abs(each.values).max()) for each in found)
     if not scale > 0.0:
         raise ModelError("measured: all values are 0")
-    columns = [each.noise for each in found if each.noise is not None]
-    if noise is not None and columns:
-        raise ModelError(f"noise = {noise!r}: leave it out, the table has a column noise")
-    given = np.concatenate(columns) if columns else None
+    given = noise_of(noise, name, found)
     ends = {window.name: (window.low, window.high) for window in windows}
     omega = np.concatenate([each.omega for each in found])
     machine = Machine.of(oscillator, law, ends, omega, rtol)
     points = _Points(machine, windows, name, found)
-    if noise is not None:
-        value = without_units("noise", noise, RESPONSE[name].units)
-        given = np.full(len(omega), checked("noise", value, low=0.0, strict=True))
     sigma = np.full(len(omega), 0.01 * scale) if given is None else given
     places = [_minimum(points, start, sigma, scale) for start in _starts(points, scale)]
     return _result(points, places, given, sigma, scale)

@@ -11,7 +11,7 @@ and ``amplitude down [mm]`` in two columns are two sweeps.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from os import PathLike, fspath
 from pathlib import Path
@@ -24,7 +24,8 @@ from gapsweep.continuation.family import AMPLITUDE, Window
 from gapsweep.design.demands import QUANTITIES
 from gapsweep.errors import ModelError
 from gapsweep.model.arrays import factor_of, read_columns, split_title
-from gapsweep.quantities import written
+from gapsweep.model.oscillator import checked
+from gapsweep.quantities import without_units, written
 from gapsweep.response.result import RESPONSE
 
 Array = NDArray[np.float64]
@@ -108,6 +109,23 @@ def sweeps(measured: Any) -> tuple[str, list[Sweep]]:
             parts = _by_order(omega)
         several += [_sweep(where, name, np.stack(points)[:, rows]) for name, rows in parts]
     return names[0], several
+
+
+def noise_of(noise: Any, quantity: str, several: Sequence[Sweep]) -> Array | None:
+    """Return the standard deviation of every measured value, in the unit of the quantity, or None.
+
+    `noise`: that of all values, a number > 0 or text with a unit; None: that of the sweeps.
+
+    Raises `ModelError` if `noise` is out of range, or the sweeps have noise as well.
+    """
+    columns = [each.noise for each in several if each.noise is not None]
+    if noise is None:
+        return np.concatenate(columns) if columns else None
+    if columns:
+        raise ModelError(f"noise = {noise!r}: leave it out, the table has a column noise")
+    value = without_units("noise", noise, RESPONSE[quantity].units)
+    n_points = sum(len(each.omega) for each in several)
+    return np.full(n_points, checked("noise", value, low=0.0, strict=True))
 
 
 def ranges(free: Any, n_points: int) -> tuple[Window, ...]:

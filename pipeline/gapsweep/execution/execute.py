@@ -124,7 +124,7 @@ def execute(
 def responses_from(tables: Sequence[Points], client: Client) -> list[Responses]:
     """Responses of tables of points from their fixed initial states; they are not stored.
 
-    The tables of a worker that dies are computed again. Raises `ClusterError` if workers die of a
+    Tables of a worker that dies are recomputed. Raises `ClusterError` if workers die of a
     table again and again, or the cluster is lost.
     """
     found: dict[int, Responses] = {}

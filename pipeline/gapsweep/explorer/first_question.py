@@ -96,6 +96,8 @@ def of_model(
     is_one = len(set(map(id, several.values()))) == 1
     of_laws = {contact: _numbers_of(several[contact]) for contact in example.contacts}
     walls: dict[str, dict[str, str | float]] = {contact: {} for contact in of_laws}
+    if approximations is DEFAULT_APPROXIMATIONS and not all("K_c" in of for of in of_laws.values()):
+        typed = []  # rigid walls have no stiffness for it
     values: dict[str, float] = {"omega": _LOOKED_AT * example.slowest}
     for contact, of_law in of_laws.items():
         for name, value in of_law.items():
@@ -208,14 +210,15 @@ def _machine_of(study: Study, gaps: Sequence[Gap]) -> SliderModel:
         if "gap" in own:
             own["j_1"], own["j_2"] = own.pop("gap")
             widths.append(Gap(own["j_1"], own["j_2"]).size)
-        # A contact with a separate law has the damping that the study gives it, if any.
+        # A contact with a separate law has the damping and preload that the study gives it, if any.
         of_contact = [laws[contact]] if contact in laws else _plain(study.grid.representations)
         names = [
             name
             for name in WALLS
             if name not in OF_LABELS or any(law.takes(name) for law in of_contact)
         ]
-        names = [name for name in names if name in own or contact not in laws or name != "damping"]
+        others = () if contact not in laws else ("damping", "preload")
+        names = [name for name in names if name in own or name not in others]
         walls[contact] = {name: own.get(name, places.get(name, name)) for name in names}
     model = study.model.along(tuple(study.spec.model), {}) or study.model.default
     pulling = Piecewise(0.0, Gap(0.0, 0.0), pulls=True)  # with the numbers of the sliders

@@ -196,9 +196,10 @@ def legend(question: Question, motions: Iterable[Motion]) -> str:
     """HTML legend of colours and marks, with the period of each law's motion."""
     given = decay_times(question.model)
     kinds = {motion.label: _kind(motion, given) for motion in motions}
+    exact = " and ".join(dict.fromkeys(law.family for law in question.laws(EXACT)))
     laws = "".join(
         f'<span style="margin-right:1.4em"><b style="color:{colour(label)}">●</b> '
-        f"{escape(label)}{' (exact)' if label == EXACT else ''}"
+        f"{f'{exact} (exact)' if label == EXACT else escape(label)}"
         f"{': ' + kinds[label] if label in kinds else ''}</span>"
         for label in (EXACT, *question.approximations)
     )

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from gapsweep.errors import ModelError
 from gapsweep.integrate.problem import Laws, Model
-from gapsweep.model.contact import FIT_RANGE, OF_LABELS, OF_WALLS, ContactLaw, Piecewise
+from gapsweep.model.contact import FIT_RANGE, OF_LABELS, OF_WALLS, ContactLaw, Piecewise, Rigid
 from gapsweep.model.labels import EXACT, Representation, canonical_label, contact_law
 from gapsweep.model.oscillator import Gap, Oscillator, checked
 from gapsweep.variables import CONTACT, COORDINATE
@@ -187,9 +187,12 @@ class Question:
                 found.append(replace(exact, **of_walls))
                 continue
             one = Representation(law)
+            if "K_c" not in of_walls and one.family != Rigid.family:
+                raise ModelError("rigid walls have no stiffness for it; remove it")
+            of_walls = {"K_c": 0.0} | of_walls
             others = {name for name in OF_LABELS if not one.takes(name)}
             # Other laws with losses have no damper in addition.
-            others |= {"damping"} if law != EXACT and one.is_located else set()
+            others |= {"damping", "preload"} if law != EXACT and one.is_located else set()
             of_walls = {name: of_walls[name] for name in of_walls.keys() - others}
             found.append(contact_law(law, fit_range=self.fit_range, **of_walls))
         return tuple(found)
@@ -302,6 +305,7 @@ DIALS: dict[str, tuple[Scale, float, float, float]] = {
     "j_2": (Scale("Upper wall j₂", "mm", 1e-3), 0.0, 3.0, 2e-3),
     "K_ratio": (Scale("Stiffness of lower over upper wall"), 0.0, 2.0, 2.0),
     "damping": (Scale("Contact damping c_c", "N s/m"), 0.0, 5.0, 100.0),
+    "preload": (Scale("Preload of both walls N₀", "N"), 0.0, 5.0, 1.0),
     "chi": (Scale("χ of Hunt–Crossley contact", "s/m"), 0.0, 5.0, 1.0),
     "restitution": (Scale("Coefficient of restitution e"), 0.0, 0.0, 1.0),
     "omega": (Scale("Frequency of the motion ω", "Hz"), 0.0, 0.0, 0.0),

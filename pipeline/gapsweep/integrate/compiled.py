@@ -201,12 +201,12 @@ def _scenes(models: Models, solver: Solver, is_taylor: bool) -> SceneTable:
     if not models.is_lossy:
         return found
     losses = np.moveaxis(models.of_laws(attrgetter("losses")), -1, 0)
-    damping, never_pulls, chi, by_function, is_rigid, restitution = losses
+    damping, never_pulls, chi, by_function, is_rigid, restitution, preload = losses
     mass = models.of_systems(attrgetter("mass"))[:, None] if _is_oscillator(models) else 1.0
     impacts = restitution, models.of_laws(lambda law: law.losses.of_impact)
-    is_damped = bool(np.any([damping, chi, by_function]))
-    rows = damping / mass, never_pulls > 0.0, chi, is_rigid > 0.0, impacts
-    return with_losses(found, *rows, is_damped=is_damped)
+    is_damped = bool(np.any([damping, chi, by_function, preload]))
+    rows = damping / mass, never_pulls > 0.0, chi, is_rigid > 0.0, impacts, preload / mass
+    return with_losses(found, *rows, is_damped=is_damped, rtol=solver.rtol)
 
 
 def _events(n: int, run: batch.Batch) -> Events:

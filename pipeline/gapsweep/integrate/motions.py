@@ -117,21 +117,15 @@ class Motions:
 def merged(parts: Sequence[Motions], rows: Sequence[NDArray[np.intp]]) -> Motions:
     """Join the motions of several calls, each part at its `rows` of the result.
 
-    Where only some parts have a quantity, as forces of damped contacts, others have NaN.
+    Times and largest forces of contacts are left out: only motions of some laws have them.
     """
     if len(parts) == 1:
         return parts[0]
     order = np.argsort(np.concatenate(rows))
     columns: dict[str, Any] = {}
-    of_motions = "state", "reach", "monodromy", "columns", "contact_time", "contact_loss"
-    for name in (*SCALARS, *of_motions, "contact_force"):
+    for name in (*SCALARS, "state", "reach", "monodromy", "columns", "contact_loss"):
         values = [getattr(part, name) for part in parts]
-        known = [value for value in values if value is not None]
-        if known:
-            nothing = [np.full((len(part.t), *known[0].shape[1:]), np.nan) for part in parts]
-            pairs = zip(values, nothing, strict=True)
-            found = [absent if value is None else value for value, absent in pairs]
-            columns[name] = np.concatenate(found)[order]
+        columns[name] = None if values[0] is None else np.concatenate(values)[order]
 
     def events() -> Events:
         return _merged_events([part.events() for part in parts], np.concatenate(rows))

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from gapsweep.errors import ModelError
 from gapsweep.integrate.motions import Motions
-from gapsweep.model.contact import ContactLaw, Piecewise, checked_law
+from gapsweep.model.contact import ContactLaw, checked_law
 from gapsweep.model.laws.tanh import Tanh
 from gapsweep.model.oscillator import Oscillator, checked
 from gapsweep.model.structure import general_form, with_walls_apart
@@ -38,6 +38,7 @@ CONTACT_FORCES = ("by_mode", "as_written")
 SMALLEST_RTOL = 1e-13
 LARGEST_RTOL = 0.1
 _STIFF = 1e6  # stiffness of a rigid wall, times that of the springs, in a static displacement
+_LOWEST_BOUNCE = 1e-9  # at any tolerance: the number of bounces grows as the root of its inverse
 _NO_LENGTH = 1e-3  # [m] of a problem without loads, initial state and gap
 
 
@@ -219,7 +220,7 @@ class Models:
         for system, law in {*zip(self.system.tolist(), self.law.tolist(), strict=True)}:
             modulated, laws = self.systems[system].is_modulated, self.laws[law]
             for each in [law.losses for law, m in zip(laws, modulated, strict=True) if m]:
-                if each.never_pulls or each.chi or each.by_function or each.is_rigid:
+                if each.never_pulls or each.chi or each.by_function or each.may_hold:
                     raise ModelError(
                         f"{each}: a contact with periodic stiffness must be a damper that pulls; "
                         "write gs.Piecewise(K_c, gap, damping=60.0, pulls=True)"
@@ -284,6 +285,14 @@ def law_kind(law: ContactLaw) -> Hashable:
         kind = law.is_located, law.losses.kind, law.gap.width < 0.0
         return type(law), is_thin, *kind
     return law
+
+
+def low_bounce(rtol: float) -> float:
+    """Return the height, over the largest displacement, below which a preload holds a gap.
+
+    A gap that a load presses on a wall with a preload bounces from side to side without a loss.
+    """
+    return max(rtol, _LOWEST_BOUNCE)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -517,8 +526,8 @@ class Solver:
             )
         if 0 < n_located < n_contacts:
             raise ModelError(
-                f"{Piecewise.family}: contacts are located for all contacts or none, as those of "
-                "own functions f(x, v) are; use located=False (piecewise-noevents)"
+                "contacts are located for all contacts or none; those of smooth laws and own "
+                "functions f(x) are not: next to them use located=False (piecewise-noevents)"
             )
 
     def with_rtol(self, rtol: float) -> "Solver":

@@ -32,11 +32,14 @@ from gapsweep.integrate.reference_impacts import (
     Meeting,
     has_dependent_holds,
     held_tangent,
+    hold_ends,
     hold_force,
+    is_caught,
     is_inside,
     meet,
     moving,
     on_rigid_walls,
+    stopped,
 )
 from gapsweep.integrate.reference_motion import (
     extrema_of,
@@ -134,6 +137,7 @@ class _Record:
     status: Status = Status.OK
     rebounds: list[tuple[float, State, State]] = field(default_factory=list)
     holds: list[tuple[int, float, float]] = field(default_factory=list)  # contact, beginning, end
+    reach: Array | float = 0.0  # largest displacements at the ends of segments
 
     def count(self, scene: ReferenceScene, nfev: int, n_steps: int) -> None:
         method = scene.method
@@ -377,6 +381,12 @@ def _located(
             y, modes = met.y, met.modes
         elif side * scene.gap(contact, y[scene.n :]) > 0.0:
             y, modes = _met(scene, run, t, y, met)
+    run.reach = np.maximum(run.reach, np.abs(y[: scene.n]))
+    for contact, law in enumerate(scene.laws):
+        for side in (1, -1) if law.losses.preload else ():
+            is_there = scene.gap(contact, y) == scene.wall(contact, side)
+            if is_there and not scene.gap(contact, y[scene.n :]):
+                y, modes = _caught(scene, run, t, y, modes, contact, side)
     while t < t_end:
         found = _solve(scene, run, modes, t, y, t_end, passed)
         segment = _cut_at_missed_contact(scene, modes, found)
@@ -399,7 +409,12 @@ def _located(
             if run.status is not Status.OK:
                 break
             continue
-        previous, modes = modes, scene.passed(t, y, modes, segment.hit)
+        previous, side = modes, 1 if (modes[contact] or passed.side) > 0 else -1
+        run.reach = np.maximum(run.reach, np.abs(y[: scene.n]))
+        if passed.force is None and not passed.hold:
+            y, modes = _caught(scene, run, t, y, modes, contact, side)
+        if modes is previous:
+            modes = scene.passed(t, y, modes, segment.hit)
         if passed.force is None:
             y = held_tangent(scene, scene.jumped(y, previous, modes), modes)
         run.contacts += [(t, contact)] * _n_changes(previous[contact], modes[contact])
@@ -421,10 +436,26 @@ def _met(
     return met.y, met.modes
 
 
+def _caught(
+    scene: ReferenceScene,
+    run: _Record,
+    t: float,
+    y: State,
+    modes: tuple[int, ...],
+    contact: int,
+    side: int,
+) -> tuple[State, tuple[int, ...]]:
+    """Return state and modes at a wall, in mode hold if it is a preload that holds."""
+    if not is_caught(scene, t, y, modes, contact, side, np.asarray(run.reach)):
+        return y, modes
+    modes, run.loss = (*modes[:contact], side * HOLD, *modes[contact + 1 :]), math.inf
+    return stopped(scene, y, modes), modes
+
+
 def _n_changes(before: int, after: int) -> int:
     """Number of contacts that begin and end: with both walls in one place, two at once."""
     acts = [MODES[abs(mode)].acts for mode in (before, after)]
-    return 2 if all(acts) and before != after else int(acts[0] != acts[1])
+    return 2 * (before == -after) if all(acts) else int(acts[0] != acts[1])
 
 
 def _add_losses(scene: ReferenceScene, run: _Record, modes: Modes, segment: _Segment) -> None:
@@ -437,8 +468,12 @@ def _add_losses(scene: ReferenceScene, run: _Record, modes: Modes, segment: _Seg
         damping = scene.damping(contact, modes)
         rates = _sampled(gap, 0.5 + 0.5 * _NODES, damping) @ _WEIGHTS
         run.loss += float(scene.compliance[contact] * (0.5 * steps @ rates))
-        if isinstance(force, Pressure):
-            along = _force_motion(gap, force)
+        is_held = modes is not None and abs(modes[contact]) == HOLD and law.losses.preload
+        if is_held or isinstance(force, Pressure):
+            if isinstance(force, Pressure):
+                along = _force_motion(gap, force)
+            else:
+                along = sampled(segment.motion, hold_force(scene, modes or (), contact))
             seen = np.append(along(gap.x[[0, -1]])[:, 0], extrema_of(along)[1])
         else:
             seen = _with_vertices(_sampled(gap, _SAMPLES, force))
@@ -536,8 +571,7 @@ def _exits(scene: ReferenceScene, modes: Modes) -> list[Watched]:
     found = []
     for contact, mode in enumerate(modes or ()):
         if abs(mode) == HOLD:
-            force = hold_force(scene, modes or (), contact)
-            found.append(Watched(contact, 1 if mode > 0 else -1, True, 0.0, hold=force))
+            found += hold_ends(scene, modes or (), contact)
         else:
             found += scene.watched(contact, mode)
     return found
@@ -618,7 +652,7 @@ def _watched_motion(scene: ReferenceScene, motion: PPoly, watched: Watched) -> P
 def _force_motion(gap: PPoly, force: Pressure) -> PPoly:
     """Return the force of a contact and its rate along a motion, from its gap and the gap's."""
     depth, speed = gap.c[:, :, 0].copy(), gap.c[:, :, 1]
-    depth[-1] -= force.wall
+    depth[-1] -= force.rest
     values = force.stiffness * depth + force.damping * speed
     if force.chi:
         product = np.zeros((2 * len(depth) - 1, depth.shape[1]))

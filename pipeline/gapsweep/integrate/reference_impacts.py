@@ -1,4 +1,4 @@
-"""Impacts on rigid walls and holds there, for the reference engine; as `stepping.impacts`."""
+"""Impacts on rigid walls, and holds, for the reference engine; as `stepping.impacts`."""
 
 import math
 from collections.abc import Callable
@@ -7,7 +7,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from gapsweep.integrate.reference_scenes import ReferenceScene, State
+from gapsweep.integrate.problem import low_bounce
+from gapsweep.integrate.reference_scenes import ReferenceScene, State, Watched
 from gapsweep.model.contact_modes import HOLD, ON, SLACK
 
 Array = NDArray[np.float64]
@@ -69,6 +70,47 @@ def hold_force(scene: ReferenceScene, modes: tuple[int, ...], contact: int) -> C
         return float(row @ np.asarray(free(t, y))[n : 2 * n])
 
     return force
+
+
+def hold_ends(scene: ReferenceScene, modes: tuple[int, ...], contact: int) -> list[Watched]:
+    """Return what ends a hold: a force of zero, and one above the preload."""
+    side, force = (1 if modes[contact] > 0 else -1), hold_force(scene, modes, contact)
+    law = scene.laws[contact]
+    most = side * law.losses.preload
+    low = -most if law.walls[0] == law.walls[1] else 0.0
+    found = [Watched(contact, side, True, low, hold=force)]
+    return [*found, Watched(contact, side, False, most, hold=force)] if most else found
+
+
+def is_caught(
+    scene: ReferenceScene,
+    t: float,
+    y: State,
+    modes: tuple[int, ...],
+    contact: int,
+    side: int,
+    reach: Array,
+) -> bool:
+    """Whether a preload holds a gap on its wall: the flights of both sides are below `low_bounce`.
+
+    `reach` has the largest displacements so far.
+    """
+    law, n, b = scene.laws[contact], scene.n, scene.directions[contact]
+    change = law.losses.preload * scene.compliance[contact]
+    free = (*modes[:contact], 0, *modes[contact + 1 :])
+    pressing = side * float(b @ np.asarray(moving(scene, free)(t, np.array(y)))[n : 2 * n])
+    least = -change if law.walls[0] == law.walls[1] else 0.0
+    slowest = min(pressing - least, change - pressing)
+    height = low_bounce(scene.rtol) * float(np.abs(b) @ reach)
+    speed = scene.gap(contact, y[n:])
+    return bool(change > 0.0 and slowest >= 0.0 and 0.5 * speed**2 <= slowest * height)
+
+
+def stopped(scene: ReferenceScene, y: State, modes: tuple[int, ...]) -> State:
+    """Return a state without the speeds along held contacts, and its tangent."""
+    n, found = scene.n, np.array(y)
+    found[n : 2 * n] = _projection(scene, _held(scene, modes)) @ found[n : 2 * n]
+    return held_tangent(scene, tuple(found.tolist()), modes)
 
 
 def _held(scene: ReferenceScene, modes: tuple[int, ...]) -> list[int]:
@@ -201,8 +243,14 @@ def _others(
         if abs(mode) == HOLD:
             size = float(np.abs(scene.directions[j]) @ np.abs(after[n : 2 * n]))
             pressing = side * hold_force(scene, modes, j)(t, np.array(y)) * scene.compliance[j]
-            if abs(speed) > _STILL * size and 0.5 * speed**2 > pressing * _height(scene, j, side):
-                found[j] = 0
+            is_low, beyond = 0.5 * speed**2 <= pressing * _height(scene, j, side), 0
+            if scene.laws[j].losses.preload:
+                moved, low, high = (*after, *y[scene.n_states :]), *scene.laws[j].walls
+                is_low = is_caught(scene, t, moved, modes, j, side, np.abs(y[:n]))
+                outward = 1 if speed > 0.0 else -1
+                beyond = outward if outward == side or low == high else 0
+            if abs(speed) > _STILL * size and not is_low:
+                found[j] = beyond
         elif scene.laws[j].losses.never_pulls:
             force = scene.pressure(j, mode)(scene.gap(j, after), speed)
             found[j] = side * (ON if side * force >= 0.0 else SLACK)

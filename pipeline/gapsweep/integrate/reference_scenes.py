@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gapsweep.model.contact import ContactLaw
-from gapsweep.model.contact_modes import MODES, ON, SLACK
+from gapsweep.model.contact_modes import HOLD, MODES, ON, SLACK
 from gapsweep.model.oscillator import Oscillator
 from gapsweep.model.system import first_order
 from gapsweep.model.user_law import UserLaw
@@ -105,9 +105,10 @@ class ReferenceScene:
     def pressure(self, contact: int, mode: int) -> "Pressure":
         """Force of the exact law at the wall of a mode, as if the contact pulled."""
         law = self.laws[contact]
-        stiffness = law.stiffnesses[mode > 0]
+        stiffness, preload = law.stiffnesses[mode > 0], math.copysign(law.losses.preload, mode)
         chi = math.copysign(law.losses.chi, mode)
-        return Pressure(stiffness, self.wall(contact, mode), law.losses.damping, chi)
+        rest = self.wall(contact, mode) - (preload / stiffness if stiffness else 0.0)
+        return Pressure(stiffness, rest, law.losses.damping, chi)
 
     def damping(self, contact: int, modes: Modes) -> Force:
         """Return the derivative by the speed of the contact force that `force` returns [N s/m]."""
@@ -125,9 +126,9 @@ class ReferenceScene:
 
     def watched(self, contact: int, mode: int) -> "list[Watched]":
         """Return what may end a mode: the gap at a wall, or the force at zero."""
-        never_pulls = self.laws[contact].losses.never_pulls
-        found = []
-        if not (never_pulls and MODES[abs(mode)].acts):
+        losses = self.laws[contact].losses
+        never_pulls, found = losses.never_pulls, []
+        if not (never_pulls and MODES[abs(mode)].acts) or losses.preload:
             sides = (-1, 1) if not mode else (1 if mode > 0 else -1,)
             found = [Watched(contact, side, bool(mode), self.wall(contact, side)) for side in sides]
         if never_pulls and mode:
@@ -151,6 +152,8 @@ class ReferenceScene:
         n, found = self.n, np.array(y)
         images = found[self.n_states :].reshape(self.n_states, self.n_states)  # a view
         for k, b in enumerate(self.directions):
+            if HOLD in (abs(modes[k]), abs(before[k])):
+                continue
             gap, speed = self.gap(k, y), self.gap(k, y[n:])
             jump = self.force(k, modes)(gap, speed) - self.force(k, before)(gap, speed)
             if modes[k] != before[k] and speed:
@@ -213,6 +216,8 @@ class ReferenceScene:
 
         if hit.force is not None:
             return changed(MODES[abs(modes[contact])].after_zero * hit.side)
+        if hit.hold:
+            return changed((-hit.side if hit.falls else hit.side) if hit.at else 0)
         free = changed(0)
         rates = np.asarray(self.rhs(free)(t, np.array(y)))
         v, a = (self.gap(contact, rates[i * self.n :]) for i in (0, 1))
@@ -229,18 +234,18 @@ class Pressure:
     """Force of a contact at one wall, while it acts, as a function of displacement and speed."""
 
     stiffness: float
-    wall: float
+    rest: float  # place of the gap without force; without a preload that of the wall
     damping: float
     chi: float  # for speeds upwards
 
     def __call__(self, x: float, v: float) -> float:
-        spring = self.stiffness * (x - self.wall)
+        spring = self.stiffness * (x - self.rest)
         spring = spring * (1.0 + self.chi * v) if self.chi else spring
         return spring + self.damping * v if self.damping else spring
 
     def of_speed(self, x: float) -> float:
         """Derivative of the force by the speed [N s/m]."""
-        return self.damping + self.stiffness * self.chi * (x - self.wall)
+        return self.damping + self.stiffness * self.chi * (x - self.rest)
 
 
 @dataclass(frozen=True, slots=True)
@@ -255,11 +260,11 @@ class Watched:
     falls : bool
         Whether `side` times the quantity falls through the value, in contact, or rises.
     at : float
-        That value: of the wall [m], or zero force.
+        That value: of the wall [m], or of a force [N]: zero, or the preload.
     force : Pressure, optional
         The force [N] that is watched; None: the gap.
     hold : callable, optional
-        The force [N] that holds the contact on a rigid wall, of time and state; it is watched.
+        The force [N] that holds the contact on a wall, of time and state; it is watched.
     """
 
     contact: int

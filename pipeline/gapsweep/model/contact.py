@@ -28,7 +28,10 @@ Array = NDArray[np.float64]
 FIT_RANGE = 4e-3
 # Parameters of a contact in addition to its stiffness and gap, with the values of elastic contacts
 # with equal walls. Each applies to both walls.
-OF_WALLS: Mapping[str, float] = {"K_ratio": 1.0, "damping": 0.0, "chi": 0.0, "restitution": 1.0}
+OF_WALLS: Mapping[str, float] = {
+    **{"K_ratio": 1.0, "damping": 0.0, "preload": 0.0},
+    **{"chi": 0.0, "restitution": 1.0},
+}
 # Parameters of one law each: the label of the law may have the value.
 OF_LABELS = ("chi", "restitution")
 _NOEVENTS = "noevents"
@@ -262,6 +265,11 @@ class Piecewise(ContactLaw):
     pulls : bool
         Whether a wall with damping pulls the mass back while it leaves. By default it never pulls:
         the force ends where it falls to zero, before the mass has left the wall.
+    preload : float
+        Force N₀ [N], ``>= 0``, with which the spring of each wall is compressed already when the
+        mass touches it, whatever `K_ratio`: beyond a wall the force is N₀ plus K_c times the
+        penetration; 0 by default. A mass that a load below N₀ presses on such a wall comes to rest
+        there. It needs located contacts.
 
     Examples
     --------
@@ -272,6 +280,9 @@ class Piecewise(ContactLaw):
     >>> stop = gs.Piecewise(1.4e4, gs.Gap(0.4e-3, 0.4e-3), damping=60.0)
     >>> stop.force(0.5e-3, [0.01, 0.0, -0.1]).round(3).tolist()  # inwards, at rest, outwards
     [2.0, 1.4, 0.0]
+    >>> clutch = gs.Piecewise(1.4e4, gs.Gap(0.4e-3, 0.4e-3), preload=5.0)
+    >>> clutch.force([0.4e-3, 0.5e-3, -0.5e-3]).round(3).tolist()
+    [0.0, 6.4, -6.4]
     """
 
     family: ClassVar[str] = "piecewise"
@@ -287,21 +298,24 @@ class Piecewise(ContactLaw):
     located: bool = True
     damping: float = field(default=0.0, kw_only=True)
     pulls: bool = field(default=False, kw_only=True)
+    preload: float = field(default=0.0, kw_only=True)
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        object.__setattr__(self, "damping", checked("damping", self.damping, low=0.0))
+        for name in ("damping", "preload"):
+            object.__setattr__(self, name, checked(name, getattr(self, name), low=0.0))
         for name in ("located", "pulls"):
             if getattr(self, name) not in (True, False):
                 raise ModelError(f"{name} = {getattr(self, name)!r}: must be True or False")
-        if self.damping and not self.located:
-            raise ModelError(
-                f"damping = {self.damping:g}: needs located contacts; leave located=False out"
-            )
+        if not self.located and self.losses:
+            raise ModelError(f"{self.losses}: needs located contacts; leave located=False out")
 
     @property
     def losses(self) -> Losses:
-        return Losses(self.damping, not self.pulls) if self.damping else NO_LOSSES
+        if not (self.damping or self.preload):
+            return NO_LOSSES
+        never_pulls = self.damping > 0.0 and not self.pulls
+        return Losses(self.damping, never_pulls, preload=self.preload)
 
     @property
     def has_modes(self) -> bool:
@@ -326,13 +340,15 @@ class Piecewise(ContactLaw):
         return ()
 
     def force(self, x: ArrayLike, v: ArrayLike = 0.0) -> Array:
-        x, v = numbers("x", x), numbers("v", v)
-        above = self._pressure(x - self.gap.j_2, v, 1.0)
-        return np.asarray(above - self._pressure(-self.gap.j_1 - x, -v, self.K_ratio))
+        x, v, (low, high) = numbers("x", x), numbers("v", v), self.walls
+        above = self._pressure(x - high, v, 1.0)
+        return np.asarray(above - self._pressure(low - x, -v, self.K_ratio))
 
     def _pressure(self, depth: Array, speed: Array, ratio: float) -> Array:
         """Force of a wall [N], ``ratio`` times as stiff as the upper one, at a depth [m]."""
         spring = self.K_c * (ratio * np.maximum(depth, 0.0))
+        if self.preload:
+            spring = spring + np.where(depth > 0.0, self.preload, 0.0)
         if not self.damping:
             return spring
         damper = np.where(depth > 0.0, self.damping * speed, 0.0)
@@ -346,9 +362,9 @@ class Piecewise(ContactLaw):
 
     def _both(self, x: ArrayLike, v: ArrayLike, which: int) -> Array:
         """One of the `_slopes`, summed over both walls."""
-        x, v = numbers("x", x), numbers("v", v)
-        above = self._slopes(x - self.gap.j_2, v, 1.0)[which]
-        return np.asarray(above + self._slopes(-self.gap.j_1 - x, -v, self.K_ratio)[which])
+        x, v, (low, high) = numbers("x", x), numbers("v", v), self.walls
+        above = self._slopes(x - high, v, 1.0)[which]
+        return np.asarray(above + self._slopes(low - x, -v, self.K_ratio)[which])
 
     def _slopes(self, depth: Array, speed: Array, ratio: float) -> tuple[Array, Array]:
         """Derivatives of `_pressure` by depth [N/m] and by speed [N s/m]."""
@@ -390,6 +406,7 @@ class HuntCrossley(Piecewise):
     located: bool = field(default=True, init=False)
     damping: float = field(default=0.0, init=False)
     pulls: bool = field(default=False, init=False)
+    preload: float = field(default=0.0, init=False)
     chi: float = field(kw_only=True)
 
     def __post_init__(self) -> None:
@@ -462,6 +479,7 @@ class Rigid(Piecewise):
     located: bool = field(default=True, init=False)
     damping: float = field(default=0.0, init=False)
     pulls: bool = field(default=False, init=False)
+    preload: float = field(default=0.0, init=False)
     restitution: float = field(kw_only=True)
 
     def __post_init__(self) -> None:

@@ -3,8 +3,9 @@
 A mode is one of the numbers below times the side of the wall, +1 for the upper and -1 for the lower
 wall. In mode `SLACK` the gap is beyond the wall, but the force would pull: the contact's spring
 relaxes more slowly than the body leaves. Only contacts that never pull have it. In mode `HOLD` the
-gap stays on the wall, and the force is the one that this takes. Only rigid walls have it: an impact
-lasts no time, and leaves the mode `OFF`.
+gap stays on the wall, and the force is the one that this takes. Rigid walls have it, where an
+impact lasts no time and leaves the mode `OFF`, and walls with a preload, where it ends in mode `ON`
+if the force exceeds the preload.
 """
 
 import math
@@ -58,6 +59,8 @@ class Losses(NamedTuple):
         Whether the walls are rigid: a contact is an impact.
     restitution : float
         Speed after an impact over the speed before it [-].
+    preload : float
+        Force of the spring at the wall [N]. It loses no energy.
     """
 
     damping: float = 0.0
@@ -66,29 +69,42 @@ class Losses(NamedTuple):
     by_function: bool = False
     is_rigid: bool = False
     restitution: float = 1.0
+    preload: float = 0.0
 
     @property
-    def kind(self) -> tuple[bool, bool, bool, bool]:
-        """Whether energy may be lost, whether there is a mode `SLACK`, whether there is a chi, and
-        whether walls are rigid."""
-        return bool(self), self.never_pulls, self.chi > 0.0, self.is_rigid
+    def kind(self) -> tuple[bool, ...]:
+        """Whether there are losses or a preload, a mode `SLACK`, a chi, rigid walls, a preload."""
+        return bool(self), self.never_pulls, self.chi > 0.0, self.is_rigid, self.preload > 0.0
+
+    @property
+    def may_hold(self) -> bool:
+        """Whether there is a mode `HOLD`."""
+        return self.is_rigid or self.preload > 0.0
 
     @property
     def of_impact(self) -> float:
         """Logarithm of the factor by which an impact shrinks volumes in state space, times -1."""
         return -2.0 * math.log(self.restitution) if self.restitution else math.inf
 
-    def __bool__(self) -> bool:
+    @property
+    def lose_energy(self) -> bool:
         """Whether energy may be lost."""
         return self.damping > 0.0 or self.chi > 0.0 or self.by_function or self.is_rigid
 
+    def __bool__(self) -> bool:
+        """Whether energy may be lost, or the force jumps at the wall: no elastic spring."""
+        return self.lose_energy or self.preload > 0.0
+
     def __str__(self) -> str:
-        """The number that loses energy, as ``damping = 60``."""
+        """The number that loses energy, as ``damping = 60``, or the preload."""
         if self.by_function:
             return "a force f(x, v)"
         if self.is_rigid:
             return f"restitution = {self.restitution:g}"
-        return f"chi = {self.chi:g}" if self.chi else f"damping = {self.damping:g}"
+        for name in ("chi", "damping"):
+            if value := getattr(self, name):
+                return f"{name} = {value:g}"
+        return f"preload = {self.preload:g}"
 
 
 NO_LOSSES = Losses()  # of all elastic contacts

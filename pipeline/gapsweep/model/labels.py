@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import difflib
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 
 from gapsweep.errors import ModelError
@@ -36,8 +36,9 @@ FUNCTION = re.compile(r"[A-Za-z_][\w.]*:[A-Za-z_]\w*")
 # Laws that take a parameter of contacts, for messages.
 TAKEN_BY = {
     "damping": "piecewise, tanh, arctan and logarctan have, and own functions f(x, v)",
-    "chi": "huntcrossley has",
-    "restitution": "rigid has",
+    "preload": "piecewise has",
+    "chi": "huntcrossley without a number has",
+    "restitution": "rigid without a number has",
 }
 
 # Every law that a label names, by its family, in the order of the user guide. Contacts that lose
@@ -115,7 +116,7 @@ class Representation(str):
 
     def takes(self, name: str) -> bool:
         """Whether the law has a parameter of contacts that its label does not set, as `damping`."""
-        if self.law == NOT_LOCATED and name == "damping":
+        if self.law == NOT_LOCATED and name in ("damping", "preload"):
             return False
         return (self.law_type or ContactLaw).takes(name) and name not in self.numbers
 
@@ -171,9 +172,16 @@ def canonical_label(label: str) -> str:
 
 def _likely(label: str) -> str:
     """The question "did you mean …?" with a label of similar spelling; empty without any."""
-    word, parameter = re.findall(r"([A-Za-z]*)-?(.*)", label)[0]
+    word, parameter = re.findall(r"([A-Za-z]*)[-\s]*(.*)", label)[0]
     alike = difflib.get_close_matches(word.lower(), FAMILIES, n=1)
     return f"did you mean {'-'.join(filter(None, [alike[0], parameter]))}? Or " if alike else ""
+
+
+def unknown_number(name: str, known: Iterable[str]) -> str:
+    """Return why a study has no number of this name to vary, for messages."""
+    if name in TAKEN_BY:
+        return f"no representation has it; {TAKEN_BY[name]}"
+    return f"must be one of {', '.join(known)}"
 
 
 @called_as("gs.contact_law('tanh-1e4', K_c=1.4e4, gap=gs.Gap(4e-4, 4e-4)), in N/m and m")
@@ -185,6 +193,7 @@ def contact_law(
     *,
     K_ratio: float = 1.0,
     damping: float = 0.0,
+    preload: float = 0.0,
     pulls: bool = False,
     chi: float | None = None,
     restitution: float | None = None,
@@ -206,6 +215,8 @@ def contact_law(
     damping : float
         Damping of both walls [N s/m], ``>= 0``, for ``piecewise``, ``tanh``, ``arctan`` and
         ``logarctan``.
+    preload : float
+        Force of the compressed springs of both walls at the wall [N], ``>= 0``, for ``piecewise``.
     pulls : bool
         Whether walls with damping pull, for ``piecewise``; those of the other three always do.
     chi : float, optional
@@ -222,7 +233,8 @@ def contact_law(
     law = Representation(canonical_label(label))
     if law.is_auto:
         raise ModelError("'auto' is for studies only; write a representation, as 'piecewise'")
-    numbers = {"damping": damping or None, "chi": chi, "restitution": restitution}
+    elastic = {"damping": damping or None, "preload": preload or None}
+    numbers = elastic | {"chi": chi, "restitution": restitution}
     given = {name: value for name, value in numbers.items() if value is not None}
     for name, value in given.items():
         if not law.takes(name):

@@ -60,7 +60,7 @@ def called_as(example: str) -> Callable[[C], C]:
                 except TypeError as error:
                     arguments = list(signature(function).parameters.values())[is_class:]
                     # The text of an argument has the stars of `**parameters`; its type goes.
-                    known = [str(each).partition(":")[0] for each in arguments]
+                    known = [str(each).partition(":")[0] for each in arguments] or ["none"]
                     why = f": {NO_LOSS}" if _LOSSES.intersection(named).difference(known) else ""
                     raise ModelError(
                         f"{kind.__name__}: {error}{why}; its parameters are {', '.join(known)}: "

@@ -180,7 +180,7 @@ def line(run: Trajectory, contact: int, name: str, look: Look, x_max: xr.DataArr
     """Return a contact's force over its displacement, in the drawn unit of `x_max`."""
     _, x, force = loop(run, contact)
     entry = name
-    if run.laws[contact].losses:
+    if run.laws[contact].losses.lose_energy:
         lost = energy_lost(run, contact) / run.inputs["n_periods"]
         entry = f"{name}, {lost:.3g} J per forcing period"
     style = {"colour": look.colour, "dashes": look.dashes}

@@ -165,7 +165,7 @@ def _lossy(run: Trajectory, along: Array) -> int | None:
 
 def _draws(law: ContactLaw) -> bool:
     """Whether a contact loses energy by a finite force."""
-    return bool(law.losses) and not law.losses.is_rigid
+    return law.losses.lose_energy and not law.losses.is_rigid
 
 
 def _draw_force(
@@ -217,7 +217,7 @@ def _periods(run: Trajectory, start: float) -> tuple[float, int]:
 def _quantity(run: Trajectory, coordinate: str | None) -> tuple[Array, str, float, str]:
     """Weights of the coordinates in the drawn quantity, its name, scale and unit."""
     if not isinstance(run, Trajectory) or run.shape:
-        raise ModelError(f"run = {run!r:.80}: must be one motion, as gapsweep.simulate returns it")
+        raise ModelError(f"run = {run!r:.80}: must be one motion of gapsweep.simulate or respond")
     if not isinstance(run, SystemTrajectory):
         if coordinate is not None:
             raise ModelError(f"coordinate = {coordinate!r}: an oscillator has one; leave it out")

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from gapsweep.integrate.motions import VANISHED
 from gapsweep.model.oscillator import Oscillator
+from gapsweep.model.waves import ForceByPieces
 from gapsweep.response import thresholds as limit
 from gapsweep.response.classification import Classification, State
 from gapsweep.response.compiled import read_extrema
@@ -40,7 +41,7 @@ Numbers = NDArray[np.intp]
 # Smallest motion of a contact relative to the whole motion. At 1e-6, chaos of a part of a system
 # was classified as periodic; down to 1e-5 all classes were right.
 _FAINT = 1e-5
-_ROUNDING = 1e-12  # of the largest displacement: amplitude of what rigid walls hold
+_ROUNDING = 1e-12  # of the largest displacement: amplitude of what walls hold
 _KINDS = int(ExtremumKind.MAXIMUM), int(ExtremumKind.MINIMUM), int(ExtremumKind.INFLECTION)
 _LINEAR = 1e-3  # of a spring's stiffness: a cubic spring that adds less is negligible
 
@@ -150,7 +151,7 @@ def answers(
     return Responses(columns, of_all, messages)
 
 
-_NO_HOLD = ": beyond a rigid wall, or held there by more walls than can move independently"
+_NO_HOLD = ": beyond a rigid wall, or held by more walls than can move independently"
 
 
 def _failures(failures: Numbers, windows: RecordedWindows) -> tuple[list[Status], dict[int, str]]:
@@ -168,8 +169,8 @@ def _failures(failures: Numbers, windows: RecordedWindows) -> tuple[list[Status]
         places = ", ".join(f"{name} = {q:.3g} m" for name, q in zip(names, y[:, k], strict=False))
         why = ""
         if reached is Status.MODEL_INVALID:
-            is_rigid = any(law.losses.is_rigid for law in ensemble.laws(point))
-            why = _NO_HOLD if is_rigid else ": the contact force there is no number"
+            may_hold = any(law.losses.may_hold for law in ensemble.laws(point))
+            why = _NO_HOLD if may_hold else ": the contact force there is no number"
         messages[point] = f"{reached.label} before t = {windows.t[point]:.6g} s at {places}{why}"
     return statuses, messages
 
@@ -222,8 +223,8 @@ def _precision(
 ) -> dict[str, Array | Counts]:
     """Columns of noise and tolerance; responses with an amplitude near the noise are unresolved.
 
-    A system without loads is exempt: it may come to rest, with zero amplitude. So is one that rigid
-    walls hold.
+    A system without loads that vary is exempt: it may come to rest, with zero amplitude. So is one
+    that walls hold.
     """
     ensemble, stopped = windows.ensemble, found.has_stopped[points]
     offset, swing = found.offset[points], np.asarray(read["amplitude"], float)
@@ -234,8 +235,12 @@ def _precision(
     is_noisy &= ~rests
     for k in np.flatnonzero(is_noisy).tolist():
         system = ensemble.system(points[k])
-        loads = [[system.is_loaded]] if isinstance(system, Oscillator) else system.forcing
-        is_noisy[k] = np.any([getattr(load, "amplitude", load) for load in loads])
+        if isinstance(system, Oscillator):
+            is_noisy[k] = system.is_loaded
+        else:
+            loads = [x for x in system.forcing if x.k or isinstance(x, ForceByPieces)]
+            loads = system.forcing if any(system.is_modulated) else loads
+            is_noisy[k] = np.any([load.amplitude for load in loads])
     found.state[points[is_noisy]] = State.NOISY
     read["status"][is_noisy & (read["status"] == int(Status.OK))] = Status.UNRESOLVED
     rtol = np.where(found.has_orbit[points], CONFIRMING_RTOL, TANGENT_RTOL)
@@ -407,9 +412,13 @@ def _hidden_contacts(
 
 
 def _is_held(points: Numbers, windows: RecordedWindows) -> Mask:
-    """Contacts that a rigid wall holds all the time: they do not move, shape (n_contacts, m)."""
+    """Contacts that a wall holds all the time: they do not move, shape (n_contacts, m)."""
+    ensemble = windows.ensemble
     always = windows.contact_share[:, points] > 1.0 - _FAINT
-    return np.asarray(always & windows.ensemble.is_rigid[:, points])
+    gaps = ensemble.gaps(ensemble.turning(points, windows.y[:, points]))
+    near = _ROUNDING * ensemble.gap_units(points) * windows.reach[points]
+    is_there = (np.abs(gaps - ensemble.walls[:, :, points]) <= near).any(axis=0)
+    return np.asarray(always & is_there & ensemble.may_hold[:, points])
 
 
 def _hidden_springs(points: Numbers, windows: RecordedWindows, half: Array) -> Mask:

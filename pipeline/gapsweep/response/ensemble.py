@@ -69,7 +69,8 @@ class Ensemble:
         Positions of the lower and the upper walls in the contacts' gaps [m].
     felt_walls : ndarray, shape (2, n_contacts, n)
         `walls`, but NaN for equal walls with zero gap, where the stiffness does not change.
-    is_rigid : ndarray of bool, shape (n_contacts, n)
+    may_hold : ndarray of bool, shape (n_contacts, n)
+        Whether a wall may hold a contact.
     is_modulated : ndarray of bool, shape (n_contacts, n)
         Whether the force of a contact changes with time.
     has_own_tangent, is_noisy : bool
@@ -103,7 +104,7 @@ class Ensemble:
         self.valid_range, self.walls, self.felt_walls = (
             models.of_laws(_places).reshape(n, n_contacts, 3, 2).transpose(2, 3, 1, 0)
         )
-        self.is_rigid = models.of_laws(attrgetter("losses.is_rigid")).astype(bool).T
+        self.may_hold = models.of_laws(attrgetter("losses.may_hold")).astype(bool).T
         self._directions: Array = self._alike.of_systems(attrgetter("directions"))
         self.is_modulated = self._alike.of_systems(attrgetter("is_modulated")).T
         forces = Forces(models.laws[0], solver)

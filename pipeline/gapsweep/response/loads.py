@@ -123,7 +123,7 @@ def contact_shares(
         shares = np.minimum(call.contact_time.T / call.t_end, 1.0)
         # A motion that stays on a wall does not press on it, unless the wall holds it.
         stays = [(end == walls[0]) | (end == walls[1]) for end in ends]
-        touches = stays[0] & stays[1] & (call.n_contacts == 0) & ~ensemble.is_rigid[:, scenes]
+        touches = stays[0] & stays[1] & (call.n_contacts == 0) & ~ensemble.may_hold[:, scenes]
         shares = np.where(touches, 0.0, shares)
         return np.where(walls[0] > walls[1], 1.0, shares)
     events = call.events

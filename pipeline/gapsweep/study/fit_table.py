@@ -6,10 +6,11 @@ from typing import Annotated, Any
 
 from pydantic import Field
 
-from gapsweep.design.measured import ranges, sweeps
+from gapsweep.design.measured import noise_of, ranges, sweeps
 from gapsweep.errors import ModelError, StudyError
 from gapsweep.model.contact import OF_WALLS
-from gapsweep.quantities import without_units, written
+from gapsweep.model.labels import unknown_number
+from gapsweep.quantities import written
 from gapsweep.response.result import RESPONSE
 from gapsweep.study.axes import MAX_VALUES, Number, Positive, Range, TomlTable
 from gapsweep.study.grid import START, Axes
@@ -43,7 +44,7 @@ class FitTable(TomlTable):
         is_fixed = kind is None or not kind.is_numbers  # each of its walls is another law
         for name in self.free:
             if name not in known:
-                yield f"fit.free.{name}: must be one of {', '.join(known)}"
+                yield f"fit.free.{name}: {unknown_number(name, known)}"
             elif name in own or (name in walls and own & walls):
                 yield f"fit.free.{name}: must be set in [[sweep]], not in [contact]"
             elif is_fixed and name in (*walls, "K_c", *OF_WALLS):
@@ -76,11 +77,12 @@ def with_sweep(tables: Any, source: str) -> Any:
             ],
             "sweep": [one.direction for one in several for _ in one.omega],
         }
-        if noise := [x for one in several if one.noise is not None for x in one.noise.tolist()]:
-            columns[f"noise [{written(units) or 1}]"] = noise
-        found |= {"data": columns}
-        if "noise" in table:
-            found |= {"noise": without_units("noise", table["noise"], units)}
+        noise = noise_of(table.get("noise"), quantity, several)
+        if noise is not None and table.get("noise") is not None:
+            found["noise"] = float(noise[0])
+        elif noise is not None:
+            columns[f"noise [{written(units) or 1}]"] = noise.tolist()
+        found["data"] = columns
         if "free" in table:
             ranges(table["free"], len(columns["sweep"]))
     except ModelError as error:

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from gapsweep.errors import ModelError, StudyError
 from gapsweep.model.contact import OF_LABELS, OF_WALLS
-from gapsweep.model.labels import EXACT, TAKEN_BY, Representation
+from gapsweep.model.labels import EXACT, TAKEN_BY, Representation, unknown_number
 from gapsweep.model.oscillator import Oscillator
 from gapsweep.model.structure import AnyStructure, structure_of
 from gapsweep.model.system import System
@@ -250,7 +250,7 @@ class ParametricModel:
         }
         tables = [*spec.sweep, *spec.contact.values()]
         wrong += [
-            f"{name}: no representation has it; {TAKEN_BY[name]}"
+            f"{name}: {unknown_number(name, ())}"
             for name in OF_LABELS
             if any(getattr(table, name) is not None for table in tables)
             if not any(law.takes(name) for law in laws)

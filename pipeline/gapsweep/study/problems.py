@@ -26,6 +26,7 @@ _WORDS = {
     "int_type": "must be a whole number",
     "int_from_float": "must be a whole number",
     "union_tag_invalid": "must be a state [1e-3, 0], { sobol = ... }, 'sweep_up' or 'sweep_down'",
+    "string_too_short": "must not be empty",
     "string_pattern_mismatch": "must be letters, digits, '.', '_' and '-', without spaces; 64 at "
     "most, a letter or digit first",
 }

@@ -43,6 +43,7 @@ _NUMBERS = {
     "base_damping": "share of the damping connected to the base",
     "K_ratio": "stiffness ratio, lower wall over upper wall",
     "damping": "damping of both walls",
+    "preload": "preload of both walls",
     "chi": "factor of the speed of penetration",
     "restitution": "coefficient of restitution",
 }
@@ -72,7 +73,7 @@ COORDINATES: dict[str, tuple[str, Variable]] = {
 
 # Numbers of an oscillator whose names parameters of a system may have, too.
 SHARED = ("mean_load", "c", "unbalance", "base_amplitude", "base_damping")
-_OF_CONTACTS = ("K_c", "gap", "j_1", "j_2", "damping", "chi", "restitution")
+_OF_CONTACTS = ("K_c", "gap", "j_1", "j_2", "damping", "preload", "chi", "restitution")
 PARAMETER = "parameter"  # beginning of the long name of a system parameter's coordinate
 
 

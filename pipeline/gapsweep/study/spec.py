@@ -81,6 +81,7 @@ class SweepTable(TomlTable):
     omega: PositiveAxis | None = None
     K_ratio: NonNegativeAxis | None = None
     damping: NonNegativeAxis | None = None
+    preload: NonNegativeAxis | None = None
     chi: NonNegativeAxis | None = None
     restitution: ShareAxis | None = None
     parameter: dict[str, AnyAxis] = Field({}, alias="[parameters]")
@@ -167,6 +168,7 @@ class HistoryTable(TomlTable):
     gap: Pair
     K_ratio: NonNegative | None = None
     damping: NonNegative | None = None
+    preload: NonNegative | None = None
     chi: NonNegative | None = None
     restitution: Share | None = None
     parameter: dict[str, Number] = Field({}, alias="[parameters]")

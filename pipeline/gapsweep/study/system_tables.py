@@ -153,6 +153,7 @@ class ContactTable(TomlTable):
     gap: Pair | None = None
     K_ratio: NonNegative | None = None
     damping: NonNegative | None = None
+    preload: NonNegative | None = None
     chi: NonNegative | None = None
     restitution: Share | None = None
 

@@ -11,6 +11,7 @@ from pydantic import AfterValidator, Field, ValidationError, model_validator
 from gapsweep.errors import ModelError, StudyError
 from gapsweep.model.arrays import factor_of, read_columns
 from gapsweep.model.contact import OF_WALLS
+from gapsweep.model.labels import unknown_number
 from gapsweep.model.structure import AnyStructure
 from gapsweep.quantities import UNITS, without_units
 from gapsweep.response.result import RESPONSE, ResponseClass, columns_of
@@ -324,7 +325,7 @@ class UncertainTable(TomlTable):
         for name, table in self.tables.items():
             of = self.parameter.get(name, table)
             if name not in known:
-                yield f"{name}: cannot be uncertain; choose from {', '.join(known)}"
+                yield f"{name}: cannot be uncertain; {unknown_number(name, known)}"
                 continue
             swept = axes.get("gap" if name in ("j_1", "j_2") and "gap" in axes else name, ())
             if len(swept) > 1 and not of.nominal:

@@ -125,7 +125,11 @@ def basins(
     for number, values in zip(axes, np.meshgrid(*axes.values(), indexing="ij"), strict=True):
         states[..., number] = values
     law = {} if law is None else law
-    models, start, _ = cases(oscillator, law, omega, **arguments(oscillator, states))
+    models, start, found_shape = cases(oscillator, law, omega, **arguments(oscillator, states))
+    if found_shape != shape or len(models.laws) > 1 or np.ptp(models.omega) > 0.0:
+        raise ModelError(
+            f"omega = {omega!r:.80}: must be one frequency with one law; call gs.basins for each"
+        )
     (laws,) = models.laws
     if client is not None:
         check_workers(client)

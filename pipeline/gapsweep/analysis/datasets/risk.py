@@ -396,7 +396,10 @@ def probability(
     samples: int = 128,
     repeats: int = 8,
     seed: int = 1,
-    **initial: ArrayLike,
+    x_0: ArrayLike = 0.0,
+    v_0: ArrayLike = 0.0,
+    q_0: ArrayLike = 0.0,
+    z_0: ArrayLike = 0.0,
 ) -> Chance:
     """Return the demand that an event has at most some probability, for `gapsweep.choose`.
 
@@ -413,8 +416,8 @@ def probability(
         if ``"gap"`` is chosen.
     samples, repeats, seed : int
         As in `gapsweep.risk`. All values of the parameter have the same samples.
-    **initial : float or array_like
-        Initial state where it is certain: x_0, v_0, q_0, z_0, as in `gapsweep.respond`.
+    x_0, v_0, q_0, z_0 : float or array_like
+        Initial state where it is certain, as in `gapsweep.respond`.
 
     Raises
     ------
@@ -432,6 +435,7 @@ def probability(
     if not limit < 1.0:
         raise ModelError(f"at_most = {limit:g}: must be < 1")
     settings = {"samples": samples, "repeats": repeats, "seed": seed}
+    initial = {"x_0": x_0, "v_0": v_0, "q_0": q_0, "z_0": z_0}
     table = UncertainTable.of_call(_checked(uncertain), {"event": event}, settings)
     (one,) = table.event
     ends = {"above": one.above, "below": one.below}
@@ -487,6 +491,10 @@ def _checked(uncertain: Any) -> Mapping[str, Distribution]:
         if not (hasattr(one, "ppf") and hasattr(one, "cdf")):
             example = "{'gap': scipy.stats.norm(4e-4, 2e-5)}"
             raise ModelError(f"{name} = {one!r:.80}: must be a distribution, as {example}")
+        with np.errstate(all="ignore"):
+            middle = one.ppf(0.5)
+        if not np.isfinite(middle):
+            raise ModelError(f"{name}: the distribution has no median; its scale must be > 0")
     return given
 
 

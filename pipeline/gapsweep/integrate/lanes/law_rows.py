@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from gapsweep.integrate.problem import low_bounce
 from gapsweep.model.contact import ContactLaw
 
 from . import parameters
@@ -30,6 +31,8 @@ _ROWS = {
     "saturation": parameters.SATURATION,
     "fit_range": parameters.RANGE,
 }
+
+_LOW_FLIGHT = 1e-13  # of the largest displacement: height of flights from rigid walls, see `low`
 
 # Arguments that are series of a fit: fields of the compiled law.
 SERIES = ("numerator", "denominator")
@@ -108,8 +111,10 @@ def with_losses(
     chi: Array,
     is_rigid: NDArray[np.bool_],
     impacts: tuple[Array, Array],
+    preload: Array,
     *,
     is_damped: bool,
+    rtol: float,
 ) -> SceneTable:
     """Return a table of the same systems with contacts that lose energy.
 
@@ -127,17 +132,23 @@ def with_losses(
         Contacts with rigid walls.
     impacts : tuple of ndarray, shape (n, n_contacts)
         Restitution, and `Losses.of_impact`.
+    preload : ndarray, shape (n, n_contacts)
+        Preload, of an oscillator per unit mass.
     is_damped : bool
-        Whether contacts lose energy in another way than by impacts.
+        Whether forces of contacts are not those of elastic springs.
+    rtol : float
+        Relative tolerance.
     """
     has_slack, has_chi = bool(never_pulls.any()), bool(chi.any())
-    has_impacts = bool(is_rigid.any())
+    has_preload = bool(preload.any())
+    has_impacts = has_preload or bool(is_rigid.any())
     at = replace(
         elastic.at,
         is_damped=is_damped,
         has_slack=has_slack,
         has_chi=has_chi,
         has_impacts=has_impacts,
+        has_preload=has_preload,
     )
     found = _moved(elastic, at)
     at, table = found.at, found.table[:-1]
@@ -145,10 +156,23 @@ def with_losses(
         table[:, at.contact_damping : at.contact_damping + at.contacts] = damping
     if has_impacts:
         table[:, at.rate] = np.maximum(table[:, at.rate], table[:, at.omega_rad])
+        low = np.where(preload > 0.0, low_bounce(rtol), _LOW_FLIGHT * is_rigid)
         for first, values in zip(
-            (at.rigid, at.restitution, at.of_impact), (is_rigid, *impacts), strict=True
+            (at.rigid, at.restitution, at.of_impact, at.low),
+            (is_rigid, *impacts, low),
+            strict=True,
         ):
             table[:, first : first + at.contacts] = values
+    if has_preload:
+        table[:, at.preload : at.preload + at.contacts] = preload
+        for side, wall, rest, stiffness in (
+            (-1.0, at.lower, at.lower_rest, at.lower_stiffness),
+            (1.0, at.upper, at.upper_rest, at.upper_stiffness),
+        ):
+            k = table[:, stiffness : stiffness + at.contacts]
+            shift = np.divide(preload, k, out=np.zeros_like(k), where=k > 0.0)
+            place = table[:, wall : wall + at.contacts] - side * shift
+            table[:, rest : rest + at.contacts] = place
     if has_chi:
         table[:, at.chi : at.chi + at.contacts] = chi
     if has_slack:

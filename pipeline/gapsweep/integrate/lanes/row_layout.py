@@ -47,6 +47,7 @@ _COUNTS = ("harmonics", "cubics", "modulations")
 SOURCES = (
     *("stiffness", "damping", "lag_force", "of_speed", "of_place", "of_lag", "pull"),
     *("lower", "upper", "lower_stiffness", "upper_stiffness", "contact_damping", "chi"),
+    *("lower_rest", "upper_rest"),
     *("cubic", "push"),
 )
 # Names of the blocks of rows and, by the counts of a `RowLayout`, how many rows each has.
@@ -100,7 +101,10 @@ class RowLayout:
     has_chi : bool
         Whether the spring's force of some of them depends on the speed, see `Losses.chi`.
     has_impacts : bool
-        Whether some contacts have rigid walls: they have the mode `contact_modes.HOLD`.
+        Whether some contacts have rigid walls, or a preload: they have the mode
+        `contact_modes.HOLD`.
+    has_preload : bool
+        Whether some contacts have a preload.
     laws : tuple of (int, int, int)
         Of a Taylor series the law of every contact: its place in `LAWS`, numbers of coefficients of
         numerator and denominator. Empty if contacts are located.
@@ -129,6 +133,7 @@ class RowLayout:
     has_slack: bool = False
     has_chi: bool = False
     has_impacts: bool = False
+    has_preload: bool = False
     is_taylor: bool = True
     laws: tuple[tuple[int, int, int], ...] = ()
     order: int = 12
@@ -330,6 +335,10 @@ class RowLayout:
             # rigid walls: whether a contact has them, restitution, contact loss of an impact,
             # inverse of B'M^-1 B of the held contacts, speeds before impacts at the end of a step
             **dict.fromkeys(("rigid", "restitution", "of_impact"), k * self.has_impacts),
+            # height of flights that are left out, over the largest displacement; preload, and the
+            # places of the gap at which the springs of the walls have no force
+            "low": k * self.has_impacts,
+            **dict.fromkeys(("preload", "lower_rest", "upper_rest"), k * self.has_preload),
             **{"held": k * k * self.has_impacts, "v_in": n * self.has_impacts},
             # of impacts at the end of a step, for single lanes, see `stepping.impacts`
             **dict.fromkeys(("impact_share", "hold_force"), k * self.has_impacts),

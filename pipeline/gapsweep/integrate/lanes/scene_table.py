@@ -155,7 +155,8 @@ def set_modes_on_walls(at: RowLayout, points: Array) -> None:
 
     The first nonzero time derivative of the gap decides. It does not depend on this contact's mode
     as long as the lower ones are zero. If as many are zero as there are states, the contact stays
-    on the wall, with the mode of the gap if there is one.
+    on the wall, with the mode of the gap if there is one. A wall that may hold it does so from the
+    first step on.
 
     Parameters
     ----------
@@ -168,14 +169,23 @@ def set_modes_on_walls(at: RowLayout, points: Array) -> None:
         is_high = gap == points[:, at.upper + contact]
         is_low = gap == points[:, at.lower + contact]
         here = np.flatnonzero(is_high | is_low)
-        heading = np.zeros(len(here))
-        for slope in _slopes(at, points[here], contact):
-            heading = np.where(heading == 0.0, np.sign(slope), heading)
+        if not here.size:
+            continue
+        slopes, has_gap = _slopes(at, points[here], contact), ~(is_high & is_low)[here]
+        speed, bend = next(slopes), next(slopes)
+        heading = np.sign(np.where(speed, speed, bend))
+        for slope in slopes:
             if heading.all():
                 break
-        heading[(heading == 0.0) & is_high[here] & is_low[here]] = 1.0
+            heading = np.where(heading == 0.0, np.sign(slope), heading)
+        heading[(heading == 0.0) & ~has_gap] = 1.0
         if at.has_impacts:  # a rigid wall holds from the first step on if it does
             heading[points[here, at.rigid + contact] > 0.0] = 0.0
+        if at.has_preload:
+            change = points[here, at.preload + contact]
+            change = change if at.is_plain else change * points[here, at.compliance + contact]
+            may_hold = (change > 0.0) & (speed == 0.0) & (2.0 * np.abs(bend) <= change)
+            heading[may_hold & has_gap] = 0.0
         mode[here] = (is_high[here] & (heading > 0.0)) * 1.0 - (is_low[here] & (heading < 0.0))
 
 
@@ -206,7 +216,8 @@ def _slopes(at: RowLayout, points: Array, contact: int) -> Iterator[Array]:
     mode[:, contact] = 0.0
     # finite: a wall at infinity is never touched
     is_on = [mode == ON, mode == -ON]
-    wall = np.select(is_on, [matrix("upper", c), matrix("lower", c)], 0.0)
+    places = ("upper_rest", "lower_rest") if at.has_preload else ("upper", "lower")
+    rest = np.select(is_on, [matrix(name, c) for name in places], 0.0)
     stiffnesses = [matrix("upper_stiffness", c), matrix("lower_stiffness", c)]
     spring = np.select(is_on, stiffnesses, 0.0)
     damper = np.abs(mode) == ON
@@ -216,7 +227,7 @@ def _slopes(at: RowLayout, points: Array, contact: int) -> Iterator[Array]:
     depths, bends, rates = [], [], []
     with np.errstate(over="ignore", invalid="ignore"):  # such a motion diverges in the kernel
         for k in range(2 * at.n_states - 1):
-            depths.append(_along(direction, q[k]) - (wall if k == 0 else 0.0))
+            depths.append(_along(direction, q[k]) - (rest if k == 0 else 0.0))
             bends.append(_along(along, q[k]))
             rates.append(np.full_like(spring, float(k == 0)))
             if at.modulations:

@@ -140,8 +140,9 @@ def follow(at, point, ended, rtol):
     # on a wall it keeps the other point's contact modes
     is_on_wall = _set_state(at, point, ended[at.q : at.q + at.n_states], rtol)
     for contact in range(at.contacts):
-        # a rigid wall holds from the first step on if it does
-        if is_on_wall and not (at.has_impacts and point[at.rigid + contact] > 0.0):
+        # a wall holds from the first step on if it does
+        is_held = abs(ended[at.mode + contact]) == HOLD
+        if is_on_wall and not is_held and not (at.has_impacts and point[at.rigid + contact] > 0.0):
             point[at.mode + contact] = ended[at.mode + contact]
         _set_contact_time(at, point, contact)
 
@@ -263,13 +264,14 @@ def _force(at, point, contact, gap, side):
     if side == 0.0 or damping == 0.0:
         return 0.0
     stiffness = point[(at.upper_stiffness if side > 0.0 else at.lower_stiffness) + contact]
-    wall = point[(at.upper if side > 0.0 else at.lower) + contact]
+    rests = (at.lower_rest, at.upper_rest) if at.has_preload else (at.lower, at.upper)
+    rest = point[rests[int(side > 0.0)] + contact]
     speed = point[at.v]
     if not at.is_plain:
         speed = 0.0
         for i in range(at.n):
             speed += point[at.direction + contact * at.n + i] * point[at.v + i]
-    return stiffness * (gap - wall) + damping * speed
+    return stiffness * (gap - rest) + damping * speed
 
 
 @internal

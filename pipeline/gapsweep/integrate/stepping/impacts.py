@@ -1,9 +1,14 @@
-"""Impacts on rigid walls and holds there, for single lanes at the end of a step.
+"""Impacts on rigid walls, and holds there and on preloads, for single lanes at the end of a step.
 
 An impact changes the speed of the gap from u to -e u. A body that a load presses on the wall with
 the acceleration a bounces in ever shorter flights to the height ``(e u)^2 / (2 a)``. From a height
-below `_LOW` times the largest displacement on, all further flights are summed: after
+below the row `low` times the largest displacement on, all further flights are summed: after
 ``2 e u / (a (1 - e))`` the wall holds the body. The hold ends where its force falls to zero.
+
+A wall with a preload N_0 turns the acceleration a of a body that is pressed on it to
+``a - N_0 b'M^-1 b``. If both point to the wall, the body bounces from side to side without a loss.
+The wall holds it if the flights of both sides are lower than the row `low` says. That hold
+ends where its force falls to zero, or exceeds the preload.
 
 Impacts that meet at one time are taken one after the other, by the numbers of their contacts. One
 that moves a held body ends its hold.
@@ -20,7 +25,6 @@ from gapsweep.model.contact_modes import HOLD, ON, SLACK
 from .record import load_series
 from .roots import polynomial
 
-_LOW = 1e-13  # of the largest displacement: height of flights that are summed
 # Flights are summed only if they end within this time, in rad of the fastest frequency.
 _LONGEST_REST = 1e-3
 _STILL = 64.0 * np.finfo(float).eps  # of the speeds that a gap's speed is the sum of
@@ -57,9 +61,9 @@ def _second(series, t):
 
 @internal
 def settle_on_wall(at, lanes, k, contact, series):
-    """Drop rounding errors from the gap's series of a body at rest on a rigid wall."""
+    """Drop rounding errors from the gap's series of a body at rest on a wall that may hold it."""
     is_on = series[0] in (lanes[at.lower + contact, k], lanes[at.upper + contact, k])
-    if not is_on or lanes[at.rigid + contact, k] == 0.0:
+    if not is_on or lanes[at.low + contact, k] == 0.0:
         return
     was_held = lanes[at.switched + contact, k] > 0.0
     _, size = _along(at, lanes, k, contact, at.v)
@@ -129,8 +133,11 @@ def set_held(at, lanes, k):
 
 
 @internal
-def _project(at, lanes, k, first):
-    """Remove components along held contacts from the vector in rows from `first` on."""
+def _project(at, lanes, k, first, is_column):
+    """Remove components along held contacts from the vector in rows from `first` on.
+
+    Those of the places of a parameter column become the derivatives of the walls' places.
+    """
     n = at.contacts
     for i in range(at.n):
         lanes[at.unprojected + i, k] = lanes[first + i, k]
@@ -140,6 +147,9 @@ def _project(at, lanes, k, first):
             for c in range(at.n):
                 part = 1.0 if at.is_plain else lanes[at.direction + i * at.n + c, k]
                 along += lanes[at.held + j * n + i, k] * part * lanes[at.unprojected + c, k]
+            if is_column:
+                wall = at.upper_source if lanes[at.mode + i, k] > 0.0 else at.lower_source
+                along -= lanes[at.held + j * n + i, k] * lanes[first + wall + i, k]
         for c in range(at.n):
             lanes[first + c, k] -= _pull(at, lanes, k, c, j) * along
     for c in range(at.n):
@@ -148,11 +158,24 @@ def _project(at, lanes, k, first):
 
 
 @internal
-def release(at, lanes, k, contact):
-    """End the hold of a contact."""
+def hold_limits(at, lanes, k, contact):
+    """Smallest and largest force, upwards, with which a wall holds a contact."""
+    most = np.inf
+    if at.has_preload and lanes[at.rigid + contact, k] == 0.0:
+        most = lanes[at.preload + contact, k]
+        if lanes[at.lower + contact, k] == lanes[at.upper + contact, k]:
+            return -most, most
+    return (0.0, most) if lanes[at.mode + contact, k] > 0.0 else (-most, 0.0)
+
+
+@internal
+def release(at, lanes, k, contact, side):
+    """End the hold of a contact that leaves its place upwards or downwards."""
+    limits = hold_limits(at, lanes, k, contact)
+    new = side if 0.0 < abs(limits[int(side > 0.0)]) < np.inf else 0.0  # beyond a preload
     lanes[at.side + contact, k] = math.copysign(1.0, lanes[at.mode + contact, k])
-    lanes[at.mode + contact, k] = 0.0
-    lanes[at.n_contacts, k] += 1.0
+    lanes[at.mode + contact, k] = new
+    lanes[at.n_contacts, k] += 1.0 if new == 0.0 else 0.0
     set_held(at, lanes, k)
 
 
@@ -168,14 +191,71 @@ def begin_impacts(at, lanes, k, step, coefficients, work):
 
 
 @internal
+def speed_along(at, lanes, k, contact):
+    """Speed of a gap at the end of a step, before impacts there."""
+    return _along(at, lanes, k, contact, at.v_in)[0]
+
+
+@internal
+def _compliance(at, lanes, k, contact):
+    return 1.0 if at.is_plain else lanes[at.compliance + contact, k]
+
+
+@internal
 def _is_low(at, lanes, k, contact, speed, pressing):
-    """Whether a body that leaves a wall at a speed comes back, from a height below `_LOW`."""
+    """Whether a body that leaves a wall at a speed comes back, from a height below `low`.
+
+    `pressing` is its acceleration towards the wall. From a preload it comes back on both sides.
+    """
     reach = lanes[at.reach, k]
     if not at.is_plain:
         reach = 0.0
         for i in range(at.n):
             reach += abs(lanes[at.direction + contact * at.n + i, k]) * lanes[at.reach + i, k]
-    return pressing >= 0.0 and speed * speed <= 2.0 * pressing * _LOW * reach
+    low = lanes[at.low + contact, k]
+    if at.has_preload and lanes[at.preload + contact, k] > 0.0:
+        change = lanes[at.preload + contact, k] * _compliance(at, lanes, k, contact)
+        has_gap = lanes[at.lower + contact, k] < lanes[at.upper + contact, k]
+        pressing = min(pressing + (0.0 if has_gap else change), change - pressing)
+    return pressing >= 0.0 and speed * speed <= 2.0 * pressing * low * reach
+
+
+@internal
+def is_caught(at, lanes, k, contact, side, step, coefficients, work):
+    """Begin the hold of a gap that passes a wall with a preload, if it does not get far from it."""
+    if not at.has_preload or lanes[at.preload + contact, k] == 0.0:
+        return False
+    mode = lanes[at.mode + contact, k]
+    side = math.copysign(1.0, mode) if mode != 0.0 else side
+    speed, _ = _along(at, lanes, k, contact, at.v)
+    load_series(coefficients, (at.first_gap + contact) * at.n_terms, k, work.series)
+    settle_on_wall(at, lanes, k, contact, work.series)
+    pressing = side * _second(work.series, step)
+    if step == 0.0 and work.series[1] == 0.0:
+        speed = 0.0
+    if abs(mode) == ON:
+        force = _force(at, lanes, k, contact, mode)
+        pressing += side * force * _compliance(at, lanes, k, contact)
+    if not _is_low(at, lanes, k, contact, speed, pressing):
+        return False
+    lanes[at.switched + contact, k] = 0.0
+    _hold(at, lanes, k, contact, side, 0.0, step, 0.0 if abs(mode) == ON else 1.0)
+    return True
+
+
+@internal
+def _hold(at, lanes, k, contact, side, rest, step, n_begun):
+    """Begin a hold, after the time `rest`, with a number of contacts that begin."""
+    lanes[at.mode + contact, k] = side * HOLD
+    lanes[at.lag, k] = rest
+    lanes[at.contact_loss, k] = math.inf
+    if lanes[at.n_steps, k] == 0.0 and step == 0.0:  # the motion begins in the hold
+        lanes[at.contact_time + contact, k] = -lanes[at.t_start, k]
+    else:
+        lanes[at.side + contact, k] = side
+        lanes[at.n_contacts, k] += n_begun
+    set_held(at, lanes, k)
+    _project(at, lanes, k, at.v, False)
 
 
 @internal
@@ -204,16 +284,7 @@ def meet(at, lanes, k, contact, side, step, coefficients, work):
         lanes[at.n_contacts, k] += 2.0
         lanes[at.contact_loss, k] += lanes[at.of_impact + contact, k]
         return
-    lanes[at.mode + contact, k] = side * HOLD
-    lanes[at.lag, k] = rest
-    lanes[at.contact_loss, k] = math.inf
-    if lanes[at.n_steps, k] == 0.0 and step == 0.0:  # the motion begins in the hold
-        lanes[at.contact_time + contact, k] -= lanes[at.t_start, k]
-    else:
-        lanes[at.side + contact, k] = side
-        lanes[at.n_contacts, k] += 1.0
-    set_held(at, lanes, k)
-    _project(at, lanes, k, at.v)
+    _hold(at, lanes, k, contact, side, rest, step, 1.0)
 
 
 @internal
@@ -225,7 +296,7 @@ def _rebound(at, lanes, k, contact, speed, step, coefficients, work):
     n, kick = at.n, at.impact_kick + contact * (at.n + at.m)
     _, size = _along(at, lanes, k, contact, at.v)
     per_speed = 1.0 / speed if abs(speed) > _STILL * size else 0.0
-    compliance = 1.0 if at.is_plain else lanes[at.compliance + contact, k]
+    compliance = _compliance(at, lanes, k, contact)
     share = (1.0 + lanes[at.restitution + contact, k]) / compliance
     towards = changed = 0.0
     for i in range(n):
@@ -304,7 +375,8 @@ def _force(at, lanes, k, contact, mode):
     depth, _ = _along(at, lanes, k, contact, at.q)
     speed, _ = _along(at, lanes, k, contact, at.v)
     is_up = mode > 0.0
-    depth -= lanes[(at.upper if is_up else at.lower) + contact, k]
+    rests = (at.lower_rest, at.upper_rest) if at.has_preload else (at.lower, at.upper)
+    depth -= lanes[rests[int(is_up)] + contact, k]
     stiffness = lanes[(at.upper_stiffness if is_up else at.lower_stiffness) + contact, k]
     force = stiffness * depth + lanes[at.contact_damping + contact, k] * speed
     if at.has_chi:
@@ -330,7 +402,7 @@ def _change_others(at, lanes, k, contact):
             if _is_low(at, lanes, k, j, speed, pressing):
                 is_disturbed = True
             else:
-                release(at, lanes, k, j)
+                release(at, lanes, k, j, math.copysign(1.0, speed))
         elif at.has_slack and lanes[at.slack_damping + j, k] > 0.0:
             side = math.copysign(1.0, mode)
             new = side * (ON if side * _force(at, lanes, k, j, mode) >= 0.0 else SLACK)
@@ -339,11 +411,11 @@ def _change_others(at, lanes, k, contact):
                 lanes[at.side + j, k] = side
                 lanes[at.n_contacts, k] += 1.0
     if is_disturbed:
-        _project(at, lanes, k, at.v)
+        _project(at, lanes, k, at.v, False)
 
 
 @internal
-def turn_tangent(at, lanes, k, first):
+def turn_tangent(at, lanes, k, first, is_column):
     """Apply the impacts of a step to a solution of the variational equation, rows from `first`."""
     is_held = False
     for contact in range(at.contacts):
@@ -360,5 +432,5 @@ def turn_tangent(at, lanes, k, first):
             for i in range(at.n + at.m):
                 lanes[first + at.n + i, k] += lanes[kick + i, k] * place
     if is_held:  # also of what the damping of other contacts adds
-        _project(at, lanes, k, first)
-        _project(at, lanes, k, first + at.n)
+        _project(at, lanes, k, first, is_column)
+        _project(at, lanes, k, first + at.n, False)

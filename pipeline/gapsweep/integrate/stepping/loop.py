@@ -24,10 +24,13 @@ from gapsweep.status import Status
 
 from .impacts import (
     begin_impacts,
+    hold_limits,
+    is_caught,
     meet,
     release,
     set_held,
     settle_on_wall,
+    speed_along,
     turn_tangent,
     while_accurate,
 )
@@ -50,7 +53,8 @@ _ROUNDING = 2.0**-40  # of the largest displacement: rounding error of a motion 
 def _interval(at, lanes, k, contact):
     """Interval of the gap that a contact's mode allows in lane k."""
     mode = lanes[at.mode + contact, k]
-    if at.has_slack and abs(mode) == ON and lanes[at.slack_damping + contact, k] > 0.0:
+    is_free = not at.has_preload or lanes[at.preload + contact, k] == 0.0
+    if at.has_slack and abs(mode) == ON and lanes[at.slack_damping + contact, k] > 0.0 and is_free:
         return -np.inf, np.inf  # its force ends the mode
     if abs(mode) == HOLD:
         return -np.inf, np.inf
@@ -65,7 +69,7 @@ def _watched(at, lanes, k, number, coefficients, series):
     """Put a watched series of lane k into `series`; return the interval that its mode allows.
 
     Gaps come first, then the forces of contacts that never pull, as in `Modes.watched`, or are
-    held on a rigid wall.
+    held on a wall.
     """
     contact = number % at.contacts
     load_series(coefficients, (at.first_gap + contact) * at.n_terms, k, series)
@@ -76,7 +80,7 @@ def _watched(at, lanes, k, number, coefficients, series):
         return _interval(at, lanes, k, contact)
     if abs(mode) == HOLD:
         load_series(coefficients, (at.first_hold + contact) * at.n_terms, k, series)
-        return (0.0, np.inf) if mode > 0.0 else (-np.inf, 0.0)
+        return hold_limits(at, lanes, k, contact)
     damping = lanes[at.slack_damping + contact, k] if at.has_slack else 0.0
     if mode == 0.0 or damping == 0.0:
         return -np.inf, np.inf
@@ -120,7 +124,7 @@ def _pass_zero(at, lanes, k, contact, side):
     """Change the mode of a contact where its force passes zero, and count it."""
     mode = lanes[at.mode + contact, k]
     if abs(mode) == HOLD:
-        release(at, lanes, k, contact)
+        release(at, lanes, k, contact, side)
     else:
         lanes[at.side + contact, k] = side
         lanes[at.mode + contact, k] = math.copysign(SLACK if abs(mode) == ON else ON, mode)
@@ -167,8 +171,8 @@ def _commit_contacts(at, lanes, k, step, coefficients, work):
     for contact in range(at.contacts):
         lo, hi = _interval(at, lanes, k, contact)
         side = work.exits[contact, 1]
-        place = lanes[at.q, k]
-        if not at.is_plain:
+        place = lanes[at.q if at.is_plain else at.gap + contact, k]
+        if not at.is_plain and abs(lanes[at.mode + contact, k]) != HOLD:  # which keeps its place
             place = 0.0
             for i in range(at.n):
                 place += lanes[at.direction + contact * at.n + i, k] * lanes[at.q + i, k]
@@ -178,7 +182,7 @@ def _commit_contacts(at, lanes, k, step, coefficients, work):
             place, has_passed = hi if side > 0.0 else lo, True
             if at.has_impacts and lanes[at.rigid + contact, k] > 0.0:
                 meet(at, lanes, k, contact, side, step, coefficients, work)
-            else:
+            elif not is_caught(at, lanes, k, contact, side, step, coefficients, work):
                 _pass_wall(at, lanes, k, contact, side)
         elif at.has_forces:
             side, when = work.exits[at.contacts + contact, 1], work.exits[at.contacts + contact, 0]
@@ -243,7 +247,7 @@ def _resolve(at, lanes, k, coefficients, work, rtol):
             if at.is_damped and at.is_taylor:
                 _jump(at, lanes, k, first, j >= at.n_states)
             if at.has_impacts and has_passed:
-                turn_tangent(at, lanes, k, first)
+                turn_tangent(at, lanes, k, first, j >= at.n_states)
     return is_done
 
 
@@ -272,12 +276,16 @@ def _jump(at, lanes, k, first, is_column):
         mode, before = lanes[at.mode + contact, k], lanes[at.mode_0 + contact, k]
         if mode in (before, 2.0 * before) or before == 2.0 * mode:
             continue
+        if HOLD in (abs(mode), abs(before)):
+            continue
         damping = lanes[at.contact_damping + contact, k]
         along = lanes[first, k] if at.is_plain else 0.0
         if not at.is_plain:
             for i in range(at.n):
                 along += lanes[at.direction + contact * at.n + i, k] * lanes[first + i, k]
-        change = 0.0
+        change = per_speed = 0.0
+        if at.has_preload and lanes[at.preload + contact, k] > 0.0:
+            per_speed = lanes[at.preload + contact, k] / abs(speed_along(at, lanes, k, contact))
         for of, sign in (
             (before, -1.0),
             (mode, 1.0),
@@ -287,7 +295,7 @@ def _jump(at, lanes, k, first, is_column):
                 wall = at.upper_source if of > 0.0 else at.lower_source
                 moving = lanes[first + wall + contact, k]
             if abs(of) == ON:
-                change += sign * damping * (along - moving)
+                change += (sign * damping + per_speed) * (along - moving)
         if at.is_plain:
             lanes[first + 1, k] -= change
         else:

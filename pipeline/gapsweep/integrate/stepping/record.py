@@ -84,7 +84,9 @@ def load_series(coefficients, first, k, series):
 
 @internal
 def load_depth(at, lanes, coefficients, k, contact, mode, series):
-    """Put the depth of a contact beyond the wall of a mode into `series`, upwards.
+    """Put the length of a contact's spring at the wall of a mode into `series`, upwards.
+
+    It is the depth beyond the wall, with a preload more.
 
     Returns
     -------
@@ -93,7 +95,8 @@ def load_depth(at, lanes, coefficients, k, contact, mode, series):
     """
     load_series(coefficients, (at.first_gap + contact) * at.n_terms, k, series)
     is_up = mode > 0.0
-    series[0] -= lanes[(at.upper if is_up else at.lower) + contact, k]
+    rests = (at.lower_rest, at.upper_rest) if at.has_preload else (at.lower, at.upper)
+    series[0] -= lanes[rests[int(is_up)] + contact, k]
     chi = 0.0
     if at.has_chi:
         chi = math.copysign(lanes[at.chi + contact, k], mode)
@@ -275,6 +278,8 @@ def _record_contact(at, run, k, contact):
         is_left, is_made = acts(mode_0), acts(mode)
     if at.has_impacts and mode_0 == 0.0 and mode == 0.0:  # an impact
         is_left = is_made = True
+    if is_left and is_made and HOLD in (abs(mode), abs(mode_0)):  # pressed on
+        is_left = is_made = False
     if is_left:
         lanes[at.contact_time + contact, k] += end
         if run.contacts:
@@ -316,11 +321,14 @@ def _record_forces(at, run, among):
         among &= among - 1
         for contact in range(at.contacts):
             mode, step = lanes[at.mode_0 + contact, k], lanes[at.step, k]
-            if abs(mode) != ON:
+            is_held = abs(mode) == HOLD and at.has_preload and lanes[at.rigid + contact, k] == 0.0
+            if abs(mode) != ON and not is_held:
                 continue
             series, depth = work.series, work.reduced
+            if is_held:
+                load_series(run.coefficients, (at.first_hold + contact) * at.n_terms, k, series)
             spring, chi = load_depth(at, lanes, run.coefficients, k, contact, mode, depth)
-            for n in range(len(series)):
+            for n in range(0 if is_held else len(series)):
                 rate = (n + 1) * depth[n + 1] if n + 1 < len(series) else 0.0
                 series[n] = spring * depth[n] + lanes[at.contact_damping + contact, k] * rate
                 for i in range(min(n + 1, len(series) - 1) if chi != 0.0 else 0):

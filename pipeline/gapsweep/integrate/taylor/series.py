@@ -154,6 +154,8 @@ class Modes:
     touching : list of Mask
     wall : list of Vec
         Wall in contact; 0 if none is: a wall at infinity is never touched.
+    rest : list of Vec
+        Place where the spring of this wall has no force: with a preload it is before the wall.
     lo, hi : list of Vec
         Interval of the gap that the mode allows.
     stiffness : list of Vec
@@ -167,7 +169,7 @@ class Modes:
         Forces that decide modes; empty without contacts that never pull.
     held : list of Mask
         Contacts in mode hold: code for single lanes decides where it ends. Empty without rigid
-        walls.
+        walls and preloads.
 
     Where contacts are not located, no wall is in contact, and a mode has no ends. A wall in mode
     slack is not in contact.
@@ -201,6 +203,17 @@ class Modes:
             self.touching.append(above | below)
             self.stiffness.append(where(above, stiffness[1], where(below, stiffness[0], 0.0)))
             self.wall.append(where(above, upper, where(below, lower, 0.0)))
+        self.rest = self.wall
+        if layout.has_preload:
+            rests = zip(
+                self.touching,
+                *map(lanes.rows, (mode_rows, "lower_rest", "upper_rest")),
+                strict=True,
+            )
+            self.rest = [
+                where(here, where(mode > 0.0, upper, lower), 0.0)
+                for here, mode, lower, upper in rests
+            ]
         damping = lanes.rows("contact_damping")
         self.damping = [
             where(here, c, 0.0) for here, c in zip(self.touching, damping, strict=False)
@@ -260,6 +273,9 @@ class Pressure:
     decides, is_slack : Mask
         Whether the force ends the present mode *on*, which no wall ends then; whether the mode is
         *slack*.
+    may_decide : Mask
+        Whether the force or the wall ends the present mode *on*, as with a preload; None without
+        preloads.
     lo, hi : Vec
         Interval of the force that the mode allows; infinite for modes that it does not end.
     """
@@ -269,13 +285,19 @@ class Pressure:
         damping = lanes[layout.slack_damping + contact]
         is_watched = (damping > 0.0) & (absolute(mode) > 0.0)
         above = mode > 0.0
-        self.decides = is_watched & absolute(mode).equals(ON)
-        self._wall = where(above, walls[1], walls[0])
+        is_on = is_watched & absolute(mode).equals(ON)
+        self._wall = self._rest = where(above, walls[1], walls[0])
+        self.decides, self.may_decide = is_on, None
+        if layout.has_preload:
+            rests = lanes[layout.upper_rest + contact], lanes[layout.lower_rest + contact]
+            self._rest = where(above, *rests)
+            self.decides = is_on & ~(lanes[layout.preload + contact] > 0.0)
+            self.may_decide = is_on & ~self.decides
         self._stiffness = where(is_watched, where(above, stiffness[1], stiffness[0]), 0.0)
         self._damping = where(is_watched, damping, 0.0)
         self._switched = lanes[layout.switched + contact] > 0.0
-        self.is_slack = is_watched & ~self.decides
-        pushes_up = (self.decides & above) | (is_watched & ~self.decides & ~above)
+        self.is_slack = is_watched & ~is_on
+        pushes_up = (is_on & above) | (self.is_slack & ~above)
         self.lo = where(pushes_up, 0.0, mode.constant(-math.inf))
         self.hi = where(is_watched & ~pushes_up, 0.0, mode.constant(math.inf))
 
@@ -299,7 +321,7 @@ class Pressure:
     def series(self, gap):
         """Series of the force, from the series of the gap."""
         terms = [self._stiffness * x for x in gap]
-        terms[0] = self._stiffness * (gap[0] - self._wall)
+        terms[0] = self._stiffness * (gap[0] - self._rest)
         for n in range(len(gap) - 1):
             terms[n] = fma(self._damping * float(n + 1), gap[n + 1], terms[n])
         terms[0] = where(self._switched, 0.0, terms[0])
@@ -483,13 +505,13 @@ class StepSeries:
     gaps : list of list of Vec
         Series of every contact's b.q; for a plain oscillator, of the coordinate.
     depths : list of list of Vec
-        Series of every contact's b.q less the wall in contact.
+        Series of every contact's b.q less the place without force of the spring in contact.
     square : list of Vec
         Series of the square of a plain oscillator's coordinate, up to two degrees less.
     laws : list of ContactForce
         Forces of contacts that are not located.
     forces : list of list of Vec
-        Series of the forces that hold contacts on rigid walls, upwards; empty without such walls.
+        Series of the forces that hold contacts on walls, upwards; empty without such walls.
     """
 
     laws = forces = _held = ()
@@ -500,7 +522,7 @@ class StepSeries:
         self.q = [[x, v] for x, v in zip(lanes.rows("q"), lanes.rows("v"), strict=True)]
         self.z = [[z] for z in lanes.rows("z")]
         self.gaps = [self.q[0]] if layout.is_plain else [[g] for g in lanes.rows("gap")]
-        self.depths = [[g[0] - w] for g, w in zip(self.gaps, modes.wall, strict=True)]
+        self.depths = [[g[0] - w] for g, w in zip(self.gaps, modes.rest, strict=True)]
         self.laws = contact_forces(lanes, self.gaps)
         self._pressed = [law.force() for law in self.laws] or self.depths
         self.square, self._held = [], modes.held

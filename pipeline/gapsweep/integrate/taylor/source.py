@@ -59,15 +59,16 @@ class Source:
         self._lags = [a + b + c for a, b, c in zip(*parts, strict=True)]
         self._pull = self._matrix("pull", n)
         above = [mode > 0.0 for mode in lanes.rows("mode_0")]
-        changes = [self._rows(each) for each in ("lower", "upper")]
+        self._moving = changes = [self._rows(each) for each in ("lower", "upper")]
+        if layout.has_preload:
+            changes = [self._rows(each) for each in ("lower_rest", "upper_rest")]
         stiffer = [self._rows(f"{each}_stiffness") for each in ("lower", "upper")]
-        self._moving = changes
         self._contacts = [
             (
                 where(modes.touching[i], where(above[i], stiffer[1][i], stiffer[0][i]), 0.0),
                 where(modes.touching[i], where(above[i], changes[1][i], changes[0][i]), 0.0),
                 modes.stiffness[i],
-                modes.wall[i],
+                modes.rest[i],
             )
             for i in range(k)
         ]
@@ -120,8 +121,8 @@ class Source:
         velocities, places, lags = self._state(n)
         gaps = self._terms(layout.first_gap, layout.contacts, n)
         forces, depths = [], []
-        for (stiffer, moved, stiffness, wall), gap in zip(self._contacts, gaps, strict=True):
-            depth = gap - wall if n == 0 else gap
+        for (stiffer, moved, stiffness, rest), gap in zip(self._contacts, gaps, strict=True):
+            depth = gap - rest if n == 0 else gap
             force = stiffer * depth
             forces.append(force - stiffness * moved if n == 0 else force)
             depths.append(stiffness * depth)
@@ -131,8 +132,8 @@ class Source:
             forces[k], depths[k] = fma(change, rate, forces[k]), fma(damping, rate, depths[k])
         for k, (change, chi) in enumerate(self._chi):
             gap = [self._terms(layout.first_gap + k, 1, i)[0] for i in range(n + 2)]
-            _, moved, _, wall = self._contacts[k]
-            pressed = product_term([gap[0] - wall, *gap[1:]], speeds(gap), n)
+            _, moved, _, rest = self._contacts[k]
+            pressed = product_term([gap[0] - rest, *gap[1:]], speeds(gap), n)
             forces[k] = fma(change, pressed, forces[k] - chi * moved * speeds(gap)[n])
             depths[k] = fma(chi, pressed, depths[k])
         totals = []

@@ -63,7 +63,8 @@ class Sizes:
 
     def _of_one(self, lanes, modes, motion):
         # In contact the depth is what counts: an error of x there is one of a much larger force.
-        (contact,), (wall,), ((depth, *_),) = modes.stiffness, modes.wall, motion.depths
+        (contact,), (wall,), ((place, *_),) = modes.stiffness, modes.wall, motion.gaps
+        depth = place - wall
         v, cubic, stiffness = lanes["v"], absolute(lanes["cubic"]), lanes["stiffness"]
         at_wall = contact + cubic * (wall * wall) * 3.0
         square, total = depth * depth, stiffness + at_wall
@@ -96,8 +97,9 @@ class Sizes:
         place, speed = [q[0] for q in motion.q], [q[1] for q in motion.q]
         energy = _square_norm(lanes, "mass_root", speed)
         energy = energy + _square_norm(lanes, "spring_root", place)
-        for contact, depth in zip(modes.stiffness, motion.depths, strict=True):
-            energy = fma(contact, depth[0] * depth[0], energy)
+        for contact, gap, wall in zip(modes.stiffness, motion.gaps, modes.wall, strict=True):
+            depth = gap[0] - wall
+            energy = fma(contact, depth * depth, energy)
 
         def alpha_of(spring):
             (alpha,) = lanes.item("alpha", spring)

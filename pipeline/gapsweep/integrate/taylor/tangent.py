@@ -163,17 +163,26 @@ def _depths(lanes, coefficients, modes):
 def _jump(lanes, one, source=None):
     """Return a function of an end state that returns the state after changes of contact modes.
 
-    The speed changes by ``-c (b.y) M^-1 b`` where damping c begins at a wall, and by the opposite
-    where it ends at a wall; the force of a contact that never pulls ends and begins at zero. A
-    parameter column, with a `Source`, has ``b.y`` less the derivative of the wall's place.
+    The speed changes by ``-(c + N_0 / |u|) (b.y) M^-1 b`` where a force with damping c and preload
+    N_0 begins at a wall, at a speed u, and by ``(c - N_0 / |u|) (b.y) M^-1 b`` where it ends at a
+    wall; the force of a contact that never pulls ends and begins at zero. A parameter column, with
+    a `Source`, has ``b.y`` less the derivative of the wall's place.
     """
     layout, changes = lanes.layout, []
     rows = map(lanes.rows, ("mode", "mode_0", "contact_damping"))
-    for mode, before, damping in zip(*rows, strict=True):
+    for k, (mode, before, damping) in enumerate(zip(*rows, strict=True)):
         is_on, was_on = (absolute(each).equals(ON) for each in (mode, before))
         is_at_zero = mode.equals(before * 2.0) | before.equals(mode * 2.0)
+        enters, leaves = damping, -damping
+        if layout.has_preload:
+            speed = lanes[layout.v_in]
+            if not one.is_plain:
+                speed = dot(one.direction[k], lanes.rows("v_in"), one.zero)
+            step = lanes[layout.preload + k] / absolute(speed)
+            enters, leaves = enters + step, leaves + step
+            is_at_zero = is_at_zero | mode.equals(before)
         # without a gap, one wall is left and the other one is reached at once
-        reached, left = where(is_on, damping, 0.0), where(was_on, -damping, 0.0)
+        reached, left = where(is_on, enters, 0.0), where(was_on, leaves, 0.0)
         sides = ((reached, mode > 0.0), (left, before > 0.0))
         changes.append([(where(is_at_zero, 0.0, by), is_above) for by, is_above in sides])
 

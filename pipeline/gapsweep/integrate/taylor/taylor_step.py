@@ -207,22 +207,24 @@ class _Exits:
     """
 
     def __init__(self, builder, lanes, motion, modes, h, layers):
-        watched = modes.watched(motion.gaps)
+        watched, layout = modes.watched(motion.gaps), lanes.layout
         h, is_decided, self.shapes = _emit_decided_step(builder, watched, h, layers)
         found = [self._crossing_of(builder, *each, h, is_decided) for each in watched]
         self.h, self.is_unclear = h, ~is_decided
         for leaves, crosses, *_ in found:
             self.is_unclear = self.is_unclear | (leaves & ~crosses)
         for pressure, gap, shape in zip(modes.pressures, motion.gaps, self.shapes, strict=False):
-            self.is_unclear = self.is_unclear | _may_leave_slack(pressure, gap, shape, h)
+            self.is_unclear = self.is_unclear | _may_end_by_force(pressure, gap, shape, h)
         for rigid, e, held, (_, crosses, t, *_) in zip(
             lanes.rows("rigid"), lanes.rows("restitution"), modes.held, found, strict=False
         ):
             # what may begin or end in a hold, or change other modes, is for code of single lanes
             meets = crosses & (rigid > 0.0)
-            if not lanes.layout.has_slack:
+            if not layout.has_slack:
                 meets = meets & ((t * lanes["rate"] < SHORT_STEP) | ~(e > 0.0))
             self.is_unclear = self.is_unclear | held | meets
+        for bounces in _low_bounces(lanes, motion.equation, found) if layout.has_preload else ():
+            self.is_unclear = self.is_unclear | bounces
         is_alone = len(found) == 1 and not (modes.held or modes.pressures)
         first = found[0] if is_alone else None
         self.step = (
@@ -254,14 +256,33 @@ class _Exits:
         return leaves, crosses, t, outward, end
 
 
-def _may_leave_slack(pressure, gap, shape, h):
-    """Lanes in mode slack that the force may end, which only code for single lanes locates.
+def _low_bounces(lanes, equation, found):
+    """Yield, for every contact, the lanes that may begin a hold on a wall with a preload.
 
-    A gap that falls and is concave, or rises and is convex, takes the force away from zero. This is
-    almost always so; bounds of the force are needed for other lanes only.
+    The acceleration changes by preload times compliance there: flights of at least one side are
+    higher than the height that is left out if the square of the speed exceeds their product.
+    """
+    layout = lanes.layout
+    for k, (_, crosses, *_, (_, speed)) in enumerate(found):
+        change, reach = lanes[layout.preload + k], lanes["reach"]
+        if not layout.is_plain:
+            change = change * lanes[layout.compliance + k]
+            along = [absolute(b) for b in equation.direction[k]]
+            reach = dot(along, lanes.rows("reach"), 0.0 * change)
+        yield crosses & (speed * speed <= change * lanes[layout.low + k] * reach)
+
+
+def _may_end_by_force(pressure, gap, shape, h):
+    """Lanes in modes of the gap that the force may end, which only code for single lanes locates.
+
+    These are mode slack, and mode on of a contact with a preload. In mode slack, a gap that falls
+    and is concave, or rises and is convex, takes the force away from zero. This is almost always
+    so; bounds of the force are needed for other lanes only.
     """
     leaves = (shape.falls & shape.is_concave) | (shape.rises & shape.is_convex)
     is_open = pressure.is_slack & ~leaves
+    if pressure.may_decide:
+        is_open = is_open | pressure.may_decide
 
     def by_bounds():
         force, lo, hi = pressure.series(gap), pressure.lo, pressure.hi

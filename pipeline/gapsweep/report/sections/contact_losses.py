@@ -101,7 +101,7 @@ def _loops(responses: xr.Dataset, label: Representation) -> Iterator[_Loop]:
         name = f"{label}, {named(one[swept])}" if swept else label
         for _, run in motions(one, (REPRESENTATION,), {}, losses.LOOP_PERIODS):
             for contact, law in enumerate(run.laws):
-                if law.losses:
+                if law.losses.lose_energy:
                     yield _Loop(contact, name, one, run)
 
 

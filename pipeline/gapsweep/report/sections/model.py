@@ -17,7 +17,8 @@ _EQUATION = "ẍ + {damping} ẋ + ω_n² x + {force} = {load}{moving}, with ω 
 # Terms of an unbalance and a moving base, and their numbers: shown if there is one.
 _MOVING = " + (u / m + a) ω² cos ωt + (1 − s) {damping} a ω sin ωt"
 _OF_MOVING = ("unbalance", "base_amplitude", "base_damping")
-_OPTIONAL = ("alpha", "mean_load", "c", "damping")  # terms that are shown if they are not zero
+# Terms that are shown if they are not zero.
+_OPTIONAL = ("alpha", "mean_load", "c", "damping", "preload")
 # Parameters of the equation in the order of the section: symbol and unit.
 _NUMBERS = {
     "zeta": ("ζ", ""),
@@ -33,12 +34,13 @@ _NUMBERS = {
     "K_c": ("K_c", "N/m"),
     "K_ratio": ("r", "(stiffness of the lower wall / K_c)"),
     "damping": ("c_c", "N s/m (of both walls)"),
+    "preload": ("N₀", "N (of both walls)"),
     "chi": ("χ", "s/m"),
     "restitution": ("e", ""),
     "omega": ("ω", "Hz"),
 }
 _RATIO = _NUMBERS["K_ratio"]
-_LOSSES = ("damping", *OF_LABELS)
+_LOSSES = ("damping", "preload", *OF_LABELS)
 # Settings that a contact may have separately.
 _OWN = {"representation": "", "K_c": "K_c", "gap": "j₁/j₂", "K_ratio": "r"}
 _OWN |= {name: _NUMBERS[name][0] for name in _LOSSES}
