@@ -311,13 +311,10 @@ def _export(run: RunContext) -> Iterator[bool]:
 
 def _on_workers(run: RunContext, tables: "list[Points]") -> "list[Responses]":
     """Responses of tables of points from their fixed initial states."""
-    from gapsweep.execution.task import respond_fixed
+    from gapsweep.execution.execute import responses_from
 
     assert run.connect is not None
-    client = run.connect()
-    tasks = [client.submit(respond_fixed, points, pure=False) for points in tables]
-    found: list[Responses] = client.gather(tasks)
-    return found
+    return responses_from(tables, run.connect())
 
 
 def _responses(run: RunContext) -> None:

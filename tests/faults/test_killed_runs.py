@@ -12,10 +12,15 @@ import psutil
 import pytest
 import xarray as xr
 from tests.builders.cache import n_stored
-from tests.builders.runs import ENTRY, in_a_process, started
+from tests.builders.runs import ENTRY, in_a_process, started, wait_until
 from tests.builders.studies import study_text
+from tests.misbehaving.calls import killing_once
 
 import gapsweep as gs
+from gapsweep.errors import ClusterError
+from gapsweep.execution.cluster import cluster
+from gapsweep.execution.execute import responses_from
+from gapsweep.execution.workers import worker_process
 from gapsweep.store.cache import Cache
 from gapsweep.store.maintenance import verify
 
@@ -156,3 +161,45 @@ def test_two_runs_on_one_cache_share_the_work(tmp_path, n_points, locks, second)
     with gs.open(tmp_path / "one" / "responses.nc") as ds:
         assert (ds["status"] == gs.Status.OK).all()
     same(tmp_path / "one" / "responses.nc", tmp_path / second / "responses.nc")
+
+
+@pytest.mark.extended
+def test_disturbances_of_a_killed_worker_are_computed_again(tmp_path, monkeypatch):
+    monkeypatch.setattr("gapsweep.execution.execute.respond_fixed", killing_once)
+    with cluster(workers=1) as client:
+        tables = [tmp_path / "one", tmp_path / "two"]
+        assert responses_from(tables, client) == ["one", "two"]
+        with pytest.raises(ClusterError, match="workers died"):
+            responses_from([tmp_path / "never" / "there"], client)
+
+
+@pytest.mark.extended
+@pytest.mark.parametrize("sent", [signal.SIGINT, signal.SIGTERM])
+def test_a_run_interrupted_while_it_computes_disturbances_prints_one_line(tmp_path, sent):
+    omega = "[9.0, 10.0]"
+    more = "initial_condition = [[0.0, 0.0], [1e-3, 0.0]]"
+    table = "[attractors]\nrays = 8"
+    text = study_text(["piecewise"], omega, name="storm", sweep=more, more=table)
+    (tmp_path / "storm.toml").write_text(text)
+    entry = (
+        "import gapsweep.execution.execute as execute; from tests.misbehaving.calls import busy; "
+        f"execute.respond_fixed = busy; {ENTRY}"
+    )
+    process = start(tmp_path, "cache", "out", entry=entry)
+    wait_until(lambda: n_stored(tmp_path / "cache") == 4, seconds=120)
+    time.sleep(1.0)  # the disturbances begin at once
+    os.killpg(process.pid, sent)
+    _, errors = process.communicate(timeout=60)
+    assert process.returncode == 130, errors
+    assert errors.splitlines()[-1] == "interrupted; run again to resume"
+    assert "Traceback" not in errors
+
+
+@pytest.mark.skipif(os.name != "posix", reason="needs process groups")
+def test_the_folder_of_a_run_killed_while_it_starts_is_removed(tmp_path):
+    folder = tmp_path / "temporary"
+    folder.mkdir()
+    with worker_process(str(folder)) as process:
+        process.stdin.close()  # as the end of the process that started it
+        process.wait(60)
+    assert not folder.exists()

@@ -6,6 +6,7 @@ import signal
 import sys
 import tempfile
 import time
+from pathlib import Path
 from types import SimpleNamespace
 
 
@@ -98,6 +99,20 @@ def dying_with_a_child() -> None:
         time.sleep(60.0)
         os._exit(0)
     os.kill(os.getpid(), signal.SIGKILL)
+
+
+def killing_once(mark: Path) -> str:
+    """End the process of the first call, and of all calls if the mark has no folder."""
+    if not mark.exists():
+        if mark.parent.exists():
+            mark.touch()
+        os.kill(os.getpid(), signal.SIGKILL)
+    return mark.name
+
+
+def busy(_: object) -> None:
+    """Take longer than any test."""
+    time.sleep(1e6)
 
 
 class Deadly:

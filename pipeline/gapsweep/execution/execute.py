@@ -9,7 +9,7 @@ as failed.
 
 import time
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
@@ -26,7 +26,15 @@ from gapsweep.execution.plan import BLOCK, Block, Plan
 from gapsweep.execution.portions import Costs, Rows, cut, is_first_of_sweep, shuffled
 from gapsweep.execution.progress import DEFAULT_TIMEOUT, OnProgress, Progress, tell
 from gapsweep.execution.sweeps import start_of
-from gapsweep.execution.task import Task, TaskResult, Tile, compute, compute_isolated, process
+from gapsweep.execution.task import (
+    Task,
+    TaskResult,
+    Tile,
+    compute,
+    compute_isolated,
+    process,
+    respond_fixed,
+)
 from gapsweep.integrate.problem import DEFAULT_ENGINE
 from gapsweep.response.result import Response, Responses
 from gapsweep.status import Status
@@ -34,7 +42,7 @@ from gapsweep.store.cache import Cache
 from gapsweep.store.index import words
 from gapsweep.store.slab import Slab
 from gapsweep.store.work_locks import WorkLocks
-from gapsweep.study.points import KEY
+from gapsweep.study.points import KEY, Points
 from gapsweep.study.software import software
 
 # A task takes at most this part of a thread's share of the points, so that all end together.
@@ -111,6 +119,28 @@ def execute(
             run.commit()
         cache.merge()
     return run.progress
+
+
+def responses_from(tables: Sequence[Points], client: Client) -> list[Responses]:
+    """Responses of tables of points from their fixed initial states; they are not stored.
+
+    Tables of a worker that dies are recomputed. Raises `ClusterError` if workers die of a
+    table again and again, or the cluster is lost.
+    """
+    found: dict[int, Responses] = {}
+    for _ in range(_MAX_ATTEMPTS):
+        left = [i for i in range(len(tables)) if i not in found]
+        futures = {client.submit(respond_fixed, tables[i], pure=False): i for i in left}
+        for future in as_completed(futures, loop=client.loop):
+            with suppress(KilledWorker):
+                if not is_gone(future):
+                    found[futures[future]] = future.result()
+        if len(found) == len(tables):
+            return [found[i] for i in range(len(tables))]
+    raise ClusterError(
+        f"workers died in {_MAX_ATTEMPTS} attempts to compute disturbances; see their logs, and "
+        "run again with more memory or fewer --workers"
+    )
 
 
 class _Execution:

@@ -111,16 +111,16 @@ def serve() -> None:
     import dask  # while the other process imports as well
     from distributed import Nanny
 
-    config, address, n, options = pickle.load(sys.stdin.buffer)  # of the starting process
-    dask.config.set(config | {"distributed.worker.multiprocessing-method": method})
-
-    async def run() -> None:
+    async def run(address: str, n: int, options: Any) -> None:
         nannies = await asyncio.gather(*(Nanny(address, **options) for _ in range(n)))
         await asyncio.to_thread(sys.stdin.buffer.read)
         closing = (nanny.close(timeout=_LEAVE_SECONDS / 2) for nanny in nannies)
         await asyncio.gather(*closing, return_exceptions=True)  # they remove their folders
 
-    asyncio.run(run())
+    with suppress(EOFError):  # the starting process was killed before it asked for workers
+        config, *asked = pickle.load(sys.stdin.buffer)
+        dask.config.set(config | {"distributed.worker.multiprocessing-method": method})
+        asyncio.run(run(*asked))
     for folder in (os.environ[TEMPORARY], get_temp_dir()):  # the caller may have been killed
         shutil.rmtree(folder, ignore_errors=True)
     end_group(os.getpid())  # this process and its remaining workers
