@@ -9,6 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.optimize import brentq
 from tests.oracles.lossy_contacts import HOLD, Lossy, SmoothWall, Wall
 
 import gapsweep as gs
@@ -1334,6 +1335,29 @@ def test_a_mass_at_rest_on_a_preload_stays_until_the_load_is_more_or_none(dampin
     assert run.t_contacts["wall"] == pytest.approx(expected.times, abs=1e-7)
     assert not run.monodromy.any()
     assert not expected.tangent.any()
+
+
+@pytest.mark.extended  # layouts of systems
+@BOTH
+def test_a_hold_ends_at_once_where_another_wall_changes_its_force(engine):
+    """A stop between both masses has the force 1 N + 6 Ns/m u, more than the wall's 0.3 N."""
+    system = gs.System(
+        mass=np.eye(2), stiffness=np.eye(2), damping=0.1 * np.eye(2),
+        contacts={"wall": [1.0, 0.0], "stop": [1.0, -1.0]},
+        forcing=[gs.Harmonic(k=0, amplitude=[0.3, 0.0])],
+    )  # fmt: skip
+    laws = {
+        "wall": clutch(0.5, 1.0, 0.0, damping=1.0),
+        "stop": clutch(1.0, 1.0, 0.2, damping=6.0),
+    }
+    run = gs.simulate(
+        system, laws, q_0=[0.0, 0.0], v_0=[0.0, -0.5], t_end=0.8, engine=engine, rtol=1e-10
+    )
+    assert len(run.t_contacts["wall"]) == 1
+    w = math.sqrt(1.0 - 0.05**2)
+    meets = brentq(lambda t: 0.5 * math.exp(-0.05 * t) * math.sin(w * t) / w - 0.2, 0.0, 1.0)
+    assert run.t_contacts["wall"][0] == pytest.approx(meets, rel=1e-9)
+    assert run.q_end[0] < -0.01
 
 
 @BOTH

@@ -74,6 +74,7 @@ _MAX_STALLED = 100
 # Parts of a step at which a force is sampled; nodes and weights of Gauss's rule on [-1, 1].
 _SAMPLES = np.linspace(0.0, 1.0, 17)
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(8)
+_CLEAR = 1e-9  # of the change of a hold force: how far beyond its limit ends the hold
 _NEAR = 1e-9  # of a gap: how far rounding puts a contact from the wall that it has just passed
 
 # solve_ivp does not report rejected steps; they follow from its evaluation count.
@@ -403,13 +404,14 @@ def _located(
         if stalled > _MAX_STALLED:
             run.status = Status.CHATTER
             break
-        passed, contact = segment.hit, segment.hit.contact
+        passed, contact, y_before, previous = segment.hit, segment.hit.contact, y, modes
         if scene.laws[contact].losses.is_rigid and not passed.hold:
             y, modes = _met(scene, run, t, y, meet(scene, t, y, modes, contact, passed.side))
             if run.status is not Status.OK:
                 break
+            modes = _without_overcome(scene, run, t, (y_before, previous), y, modes)
             continue
-        previous, side = modes, 1 if (modes[contact] or passed.side) > 0 else -1
+        side = 1 if (modes[contact] or passed.side) > 0 else -1
         run.reach = np.maximum(run.reach, np.abs(y[: scene.n]))
         if passed.force is None and not passed.hold:
             y, modes = _caught(scene, run, t, y, modes, contact, side)
@@ -418,7 +420,34 @@ def _located(
         if passed.force is None:
             y = held_tangent(scene, scene.jumped(y, previous, modes), modes)
         run.contacts += [(t, contact)] * _n_changes(previous[contact], modes[contact])
+        modes = _without_overcome(scene, run, t, (y_before, previous), y, modes)
     return t, y
+
+
+def _without_overcome(
+    scene: ReferenceScene,
+    run: _Record,
+    t: float,
+    before: tuple[State, tuple[int, ...]],
+    y: State,
+    modes: tuple[int, ...],
+) -> tuple[int, ...]:
+    """Return modes without holds whose force a change of another contact has moved past its limit.
+
+    `before` has state and modes before the change: no root of the force tells of such an end.
+    """
+    for contact, pair in enumerate(zip(before[1], modes, strict=True)):
+        if not all(abs(mode) == HOLD for mode in pair):
+            continue
+        was = hold_force(scene, before[1], contact)(t, np.array(before[0]))
+        for end in hold_ends(scene, modes, contact):
+            now = scene.value(end, t, y)
+            beyond = end.side * (end.at - now) * (1.0 if end.falls else -1.0)
+            if beyond > _CLEAR * abs(now - was):
+                after = scene.passed(t, y, modes, end)
+                run.contacts += [(t, contact)] * _n_changes(modes[contact], after[contact])
+                return _without_overcome(scene, run, t, before, y, after)
+    return modes
 
 
 def _met(

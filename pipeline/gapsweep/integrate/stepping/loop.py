@@ -120,12 +120,13 @@ def _pass_wall(at, lanes, k, contact, side):
 
 
 @internal
-def _pass_zero(at, lanes, k, contact, side):
+def _pass_zero(at, lanes, k, contact, side, when):
     """Change the mode of a contact where its force passes zero, and count it."""
     mode = lanes[at.mode + contact, k]
     if abs(mode) == HOLD:
         release(at, lanes, k, contact, side)
-        lanes[at.switched + contact, k] = -1.0
+        # at once: another contact changed the force, and the gap's acceleration is not zero
+        lanes[at.switched + contact, k] = -1.0 if when > 0.0 else 0.0
     else:
         lanes[at.side + contact, k] = side
         lanes[at.mode + contact, k] = math.copysign(SLACK if abs(mode) == ON else ON, mode)
@@ -190,7 +191,7 @@ def _commit_contacts(at, lanes, k, step, coefficients, work):
             lanes[at.switched + contact, k] = 0.0
             is_same = lanes[at.mode + contact, k] == lanes[at.mode_0 + contact, k]
             if side != 0.0 and when <= step and is_same:
-                _pass_zero(at, lanes, k, contact, side)
+                _pass_zero(at, lanes, k, contact, side, when)
                 has_passed = True
         lanes[at.q if at.is_plain else at.gap + contact, k] = place
     return has_passed
