@@ -1302,13 +1302,14 @@ def test_a_pressed_mass_bounces_on_a_preload_until_the_wall_holds_it():
 
 
 @BOTH
-def test_a_mass_at_rest_on_a_preload_stays_until_the_load_is_more_or_none(engine):
+@pytest.mark.parametrize("damping", [0.0, 2.0])
+def test_a_mass_at_rest_on_a_preload_stays_until_the_load_is_more_or_none(damping, engine):
     """The load 0.3 - 0.2 cos(wt) exceeds the preload 0.4 at its third part of a turn."""
     one, w = np.eye(1), 0.5
     loads = [0.3, -0.2]
     run = gs.simulate(
-        pressed(loads[0], forcing=loads[1]), {"wall": clutch(0.4, 5.0, 0.0)}, w / TURN,
-        n_periods=1, tangent=True, engine=engine, rtol=1e-10, dense_output=True,
+        pressed(loads[0], forcing=loads[1]), {"wall": clutch(0.4, 5.0, 0.0, damping=damping)},
+        w / TURN, n_periods=1, tangent=True, engine=engine, rtol=1e-12, dense_output=True,
     )  # fmt: skip
     begins = math.acos(-0.5) / w
     still = run.sample(np.linspace(0.0, begins, 20))
@@ -1326,7 +1327,7 @@ def test_a_mass_at_rest_on_a_preload_stays_until_the_load_is_more_or_none(engine
 
             return loaded
 
-    wall = Wall([1.0], 0.0, 5.0, preload=0.4)
+    wall = Wall([1.0], 0.0, 5.0, damping, pulls=not damping, preload=0.4)
     expected = Pressed(one, 0.05 * one, one, [loads[1]], w, [wall]).run([0.0, 0.0], TURN / w)
     assert (run.q_end[0], run.v_end[0]) == pytest.approx(expected.y, abs=1e-7)
     assert run.n_contacts == expected.n_contacts

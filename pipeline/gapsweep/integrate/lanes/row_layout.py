@@ -329,8 +329,8 @@ class RowLayout:
             # the rate at which contacts shrink volumes in state space
             **{name: k * self.is_damped for name in ("contact_damping", "contact_force")},
             **{"contact_loss": 1 * (self.is_damped or self.has_impacts), "chi": k * self.has_chi},
-            # damping of contacts that never pull, 0 for others; whether the force was zero when
-            # the present mode began
+            # damping of contacts that never pull, 0 for others; 1 if the force was zero when the
+            # present mode began, -1 if a hold ended then
             **{"slack_damping": k * self.has_slack, "switched": k * self.has_forces},
             # rigid walls: whether a contact has them, restitution, contact loss of an impact,
             # inverse of B'M^-1 B of the held contacts, speeds before impacts at the end of a step

@@ -65,7 +65,7 @@ def settle_on_wall(at, lanes, k, contact, series):
     is_on = series[0] in (lanes[at.lower + contact, k], lanes[at.upper + contact, k])
     if not is_on or lanes[at.low + contact, k] == 0.0:
         return
-    was_held = lanes[at.switched + contact, k] > 0.0
+    was_held = lanes[at.switched + contact, k] < 0.0
     _, size = _along(at, lanes, k, contact, at.v)
     if was_held or abs(series[1]) <= _STILL * size:
         series[1] = 0.0

@@ -125,11 +125,12 @@ def _pass_zero(at, lanes, k, contact, side):
     mode = lanes[at.mode + contact, k]
     if abs(mode) == HOLD:
         release(at, lanes, k, contact, side)
+        lanes[at.switched + contact, k] = -1.0
     else:
         lanes[at.side + contact, k] = side
         lanes[at.mode + contact, k] = math.copysign(SLACK if abs(mode) == ON else ON, mode)
         lanes[at.n_contacts, k] += 1.0
-    lanes[at.switched + contact, k] = 1.0
+        lanes[at.switched + contact, k] = 1.0
 
 
 @internal
