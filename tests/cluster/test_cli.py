@@ -389,6 +389,20 @@ def test_a_signal_stops_a_run_and_the_next_one_resumes(gapsweep, folder, number,
     assert 3 <= kept["hits"] < 800
 
 
+def test_the_clean_up_of_libraries_after_ctrl_c_prints_nothing(folder):
+    """As dask's of the folder of a scheduler, which the interrupted run has removed."""
+    entry = (
+        "import atexit, logging, signal, gapsweep.pipeline as pipeline; "
+        "atexit.register(logging.getLogger('distributed').error, 'Failed to remove'); "
+        "pipeline.plan = lambda *_, **__: signal.raise_signal(signal.SIGTERM); "
+        f"{ENTRY}"
+    )
+    done = in_a_process(
+        folder, "plan", "tiny.toml", command=[sys.executable, "-c", entry], code=130
+    )
+    assert done.stderr.strip() == "interrupted; run again to resume"
+
+
 def slow_run(folder, *prefix):
     """A run in a process group of its own, that has stored its first points."""
     slow = QUICK.replace("omega = [9.0, 20.0]", "omega = { start = 6.0, stop = 30.0, num = 400 }")

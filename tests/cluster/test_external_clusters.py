@@ -22,7 +22,7 @@ import xarray as xr
 from benchmarks import overhead
 from distributed import Client, LocalCluster
 from tests.builders.cache import n_stored
-from tests.builders.runs import in_a_process
+from tests.builders.runs import in_a_process, started, wait_until
 from tests.builders.studies import study_text
 
 import gapsweep as gs
@@ -216,6 +216,22 @@ def test_lost_scheduler_is_a_clear_error_and_the_run_resumes(client, slow, tmp_p
         on_progress=lambda p: counts.append((p.n_hits, p.n_computed)),
     ):  # fmt: skip
         assert counts[-1] == (kept, 36 - kept)
+
+
+def test_a_run_prints_one_line_of_a_lost_scheduler(tmp_path):
+    omega = "{ start = 8.0, stop = 30.0, num = 36 }"
+    solver = '[solver]\nengine = "scipy"\nrtol = 1e-8'
+    (tmp_path / "tiny.toml").write_text(study_text(["piecewise"], omega, more=solver))
+    with scheduler() as (address, process), worker(address):
+        where = "--cache", "c-cache", "--scheduler", address
+        command = started(tmp_path, "run", "tiny.toml", "--batch", "1", *where)
+        wait_until(lambda: stored(tmp_path) >= 3)
+        os.killpg(process.pid, signal.SIGKILL)
+        _, errors = command.communicate(timeout=60)
+    assert command.returncode == 1
+    assert errors.splitlines()[-1].startswith("error: the cluster was lost")
+    assert "Traceback" not in errors
+    assert " - ERROR - " not in errors
 
 
 def test_workers_may_join_and_leave(slow, tmp_path):

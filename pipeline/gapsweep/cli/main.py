@@ -1,6 +1,7 @@
 """The command ``gapsweep``, and the translation of errors into exit codes."""
 
 import gc
+import logging
 import os
 import signal
 import sys
@@ -74,7 +75,8 @@ def main() -> None:
         with suppress(OSError):
             sys.stdout.close()
     if code == INTERRUPTED:
-        # Another Ctrl-C must not interrupt the clean-up of libraries with a traceback.
+        # The clean-up of libraries must print nothing, and no Ctrl-C may interrupt it.
+        logging.disable()
         for number in STOPPING:
             signal.signal(number, signal.SIG_IGN)
     sys.exit(code)

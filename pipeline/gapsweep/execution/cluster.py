@@ -65,7 +65,8 @@ def cluster(
             f"scheduler {scheduler}: cannot be reached ({first_line(error)}); start one with "
             "'dask scheduler' or leave out --scheduler"
         ) from None
-    with client:
+    # Its log of a lost scheduler would be a traceback before the error of the run.
+    with _quiet("distributed.client"), client:
         yield client
 
 
