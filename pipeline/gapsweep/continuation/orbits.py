@@ -109,7 +109,10 @@ class OrbitEquations:
         self.n, self.n_states = model.n, model.n_states
         self.first_gap = 0 if isinstance(model, Oscillator) else model.n
         self.n_contacts = len(model.contacts)
-        self.is_rigid = [law.losses.is_rigid for law in family.laws_at(family.values)]
+        # at the upper ends of the ranges, since a damping may be 0 at the lower one
+        laws = family.laws_at({**family.values, **{one.name: one.high for one in windows}})
+        self.is_rigid = [law.losses.is_rigid for law in laws]
+        self.never_pulls = [law.losses.never_pulls for law in laws]
         self.has_period = not family.is_forced
         # The amplitude of free motions is a result, no parameter of their equations.
         self.n_parameters = 0 if family.is_conservative else len(windows)
