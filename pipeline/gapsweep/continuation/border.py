@@ -196,10 +196,14 @@ def rigid_graze(
     if not change:
         return []
     if is_entry:
-        graze = _graze(equations, _located(corrector, last, reference), reference)
+        graze = _graze(
+            equations, _located(corrector, last, reference, equations.is_rigid), reference
+        )
         return [] if graze is None else _with_impact(corrector, graze, reference)
     for free in _without_impact(corrector, last, n, far, reference):
-        graze = _graze(equations, _located(corrector, free, reference), reference)
+        graze = _graze(
+            equations, _located(corrector, free, reference, equations.is_rigid), reference
+        )
         if graze is not None:
             way = graze.orbit.unknowns - last.unknowns
             is_near = float(np.sqrt(way @ way)) <= 3.0 * far
@@ -220,7 +224,7 @@ def behind_impact(
     away = [x for x in orbits if np.abs(x.unknowns - guess).max() > limit.BEFORE_RIGID]
     tangent = away[-1].tangent if away else last.tangent
     model, n, size = equations.models_at(last), equations.n, reference.size[0]
-    for contact, side, wall in _rigid(equations, last):
+    for contact, side, wall in _walls_of(equations, last, equations.is_rigid):
         outward = side * np.reshape(model.systems[0].directions[contact], -1)
         near = on_wall(last, contact) * limit.NEAR_EDGE / limit.ON_WALL
         speed, e = float(outward @ last.state[n : 2 * n]), model.laws[0][contact].losses.restitution
@@ -253,26 +257,29 @@ def _zero(before: float, last: float, apart: float) -> float:
     return last * apart / (before - last) if before != last else np.inf
 
 
-def _rigid(
-    equations: OrbitEquations, orbit: Orbit, kind: str = "is_rigid"
+def _walls_of(
+    equations: OrbitEquations, orbit: Orbit, chosen: Sequence[bool]
 ) -> Iterator[tuple[int, int, float]]:
-    """Contact, side and place of every rigid wall, or of every wall of another kind of losses."""
-    for contact, is_one in enumerate(getattr(equations, kind)):
-        if is_one:
+    """Contact, side and place of every wall of the chosen contacts."""
+    for contact, is_chosen in enumerate(chosen):
+        if is_chosen:
             for side, wall in walls(equations, orbit, contact).items():
                 if wall is not None:
                     yield contact, side, wall
 
 
 def _clearance(
-    equations: OrbitEquations, orbit: Orbit, kind: str = "is_rigid"
+    equations: OrbitEquations, orbit: Orbit, chosen: Sequence[bool] | None = None
 ) -> tuple[int, float]:
     """Number of contacts, and the largest distance of another turning point beyond a wall.
 
-    The distance is negative, as a share of the largest displacement.
+    The walls are those of the chosen contacts, by default the rigid ones. The distance is negative,
+    as a share of the largest displacement.
     """
     n, nearest = 0, -np.inf
-    for contact, side, wall in _rigid(equations, orbit, kind):
+    for contact, side, wall in _walls_of(
+        equations, orbit, equations.is_rigid if chosen is None else chosen
+    ):
         off = beyond(orbit, contact, side, wall)[0] * limit.ON_WALL / on_wall(orbit, contact)
         n += int((off > -limit.IMPACT).sum())
         nearest = max(nearest, float(off[off <= -limit.IMPACT].max(initial=-np.inf)))
@@ -329,7 +336,7 @@ def _with_impact(corrector: Corrector, graze: _Graze, reference: Reference) -> l
 
 
 def _located(
-    corrector: Corrector, orbit: Orbit, reference: Reference, kind: str = "is_rigid"
+    corrector: Corrector, orbit: Orbit, reference: Reference, chosen: Sequence[bool]
 ) -> tuple[Orbit, Array, float] | None:
     """The graze of a branch of orbits without the contact, its tangent there and the slope of the
     distance from the wall along it.
@@ -337,7 +344,7 @@ def _located(
     Differences by the parameter must not pass the wall: the tangent is that of an orbit before it.
     """
     equations = corrector.equations
-    n, value = _clearance(equations, orbit, kind)
+    n, value = _clearance(equations, orbit, chosen)
     s = -max(-0.01 * value, limit.BEFORE_RIGID)
     for _ in range(2 * limit.NEWTON_STEPS):
         if not abs(s) < 1.0:  # no turning point is left that could touch the wall
@@ -346,7 +353,7 @@ def _located(
             (orbit.unknowns + s * orbit.tangent)[None, :], orbit.tangent[None, :], reference,
             np.array([abs(s) + limit.BEFORE_RIGID]),
         )  # fmt: skip
-        now = (n + 1, 0.0) if found is None else _clearance(equations, found, kind)
+        now = (n + 1, 0.0) if found is None else _clearance(equations, found, chosen)
         if found is None or now[0] != n:
             s *= 0.5
             continue
@@ -367,7 +374,7 @@ def _located(
             (orbit.unknowns + ahead * tangent)[None, :], across[None, :], reference,
             np.array([limit.BEFORE_RIGID]),
         )  # fmt: skip
-        now = (n + 1, 0.0) if found is None else _clearance(equations, found, kind)
+        now = (n + 1, 0.0) if found is None else _clearance(equations, found, chosen)
         if found is None or now[0] != n:
             return None
         graze, value = found, now[1]
@@ -436,7 +443,7 @@ def doubled(corrector: Corrector, free: Orbit, reference: Reference) -> Array | 
     of the orbit of two periods lie on either side: ``z = (I - B A)⁻¹ (-k γ)``, B = A - k G.
     """
     equations = corrector.equations
-    located = _located(corrector, free, reference, "never_pulls")
+    located = _located(corrector, free, reference, equations.never_pulls)
     if located is None:
         return None
     graze, tangent, slope = located
