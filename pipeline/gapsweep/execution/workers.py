@@ -118,7 +118,7 @@ def serve() -> None:
         await asyncio.gather(*closing, return_exceptions=True)  # they remove their folders
 
     with suppress(EOFError):  # the starting process was killed before it asked for workers
-        config, *asked = pickle.load(sys.stdin.buffer)
+        config, *asked = pickle.load(sys.stdin.buffer)  # of the starting process
         dask.config.set(config | {"distributed.worker.multiprocessing-method": method})
         asyncio.run(run(*asked))
     for folder in (os.environ[TEMPORARY], get_temp_dir()):  # the caller may have been killed
