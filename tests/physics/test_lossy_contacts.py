@@ -13,7 +13,10 @@ from scipy.optimize import brentq
 from tests.oracles.lossy_contacts import HOLD, Lossy, SmoothWall, Wall
 
 import gapsweep as gs
+from gapsweep.continuation.family import Family, Window
+from gapsweep.continuation.orbits import OrbitEquations, Reference
 from gapsweep.errors import StudyError
+from gapsweep.integrate.problem import Solver
 from gapsweep.report.losses import energy_lost
 
 TURN = 2.0 * math.pi
@@ -1153,6 +1156,49 @@ def test_a_branch_goes_on_where_an_impact_passes_the_phase_of_the_initial_state(
         start = np.array([min(x[row], 1.0 - 1e-12), v[row]])
         one_later, two_later = (oracle.run(start, n * TURN / 0.7).y for n in (1.37, 2.37))
         assert two_later == pytest.approx(one_later, abs=1e-6)
+
+
+def test_a_branch_goes_on_where_a_damped_wall_passes_the_phase_of_the_initial_state():
+    """There the acceleration jumps: the initial state has a kink along the branch."""
+    o = oscillator(0.366, zeta=0.12)
+    law = gs.Piecewise(20.0, gs.Gap(0.45, 0.377), damping=1.2, pulls=True)
+    found = gs.branches(o, law, between=(0.06, 0.12), at=0.09).isel(branch=0)
+    rate, (x, v) = TURN * found["omega"].values, found["start_state"].values.T
+    assert sorted(rate[[0, -1]]) == pytest.approx([0.06 * TURN, 0.12 * TURN], rel=1e-12)
+    order = np.argsort(rate)
+    is_beyond = x[order] > 0.377
+    (row,) = np.flatnonzero(np.diff(is_beyond))
+    assert 3 < row < len(x) - 4
+    slopes = np.diff(v[order])[[row - 1, row + 1]] / np.diff(rate[order])[[row - 1, row + 1]]
+    assert abs(slopes[1] / slopes[0] - 1.0) > 0.1
+    walls = [Wall([1.0], 0.377, 20.0, 1.2), Wall([-1.0], 0.45, 20.0, 1.2)]
+    for i in order[[row - 2, row + 3]]:
+        oracle = Lossy(np.eye(1), 0.24 * np.eye(1), np.eye(1), [0.366], rate[i], walls)
+        ended = oracle.run([x[i], v[i]], TURN / rate[i])
+        assert ended.y == pytest.approx([x[i], v[i]], abs=1e-10)
+        mu = found["multiplier_real"].values[i] + 1j * found["multiplier_imag"].values[i]
+        expected = np.linalg.eigvals(ended.tangent)
+        assert np.sort_complex(mu) == pytest.approx(np.sort_complex(expected), abs=1e-8)
+
+
+@pytest.mark.parametrize("place", [2e-12, -2e-12])
+def test_a_derivative_by_a_parameter_crosses_no_impact(place):
+    """It is that of the free motion 2e-12 before an impact, and that past it as far behind."""
+    free, window = (oscillator(f) for f in (0.0, 1.0)), Window("forcing", 0.2, 0.8)
+    far = gs.Piecewise(1.0, gs.Gap(9.0, 9.0))
+    first, second = (gs.simulate(o, far, 1.0, 0.0, 1.0, n_periods=1, **TIGHT) for o in free)
+    by_x, by_v = second.x_end - first.x_end, second.v_end - first.v_end
+    x, v = first.x_end + 0.5 * by_x, first.v_end + 0.5 * by_v
+    family = Family(oscillator(), rigid(0.8, x + place), 1.0, ("forcing",), {"forcing": 0.5})
+    equations = OrbitEquations(family, (window,), Solver.of(rtol=1e-12))
+    one, y = np.ones((1, 2)), np.array([[0.0, 1.0]])
+    reference = Reference(size=one, duration=one[0], multiple=np.ones(1, int), y=y, rate=y)
+    found = equations.evaluate(np.array([[0.0, 1.0, 0.5]]), reference)
+    if place < 0.0:  # the impact comes earlier by by_x / v
+        before, after = 0.5 - 0.05 * v - x, 0.5 + 0.05 * 0.8 * v - x
+        by_x, by_v = -0.8 * by_x, -0.8 * by_v + (after + 0.8 * before) * by_x / v
+    assert found.is_ok.all()
+    assert found.jacobian[0, :, -1] == pytest.approx([0.6 * by_x, 0.6 * by_v], rel=1e-4)
 
 
 def test_a_branch_along_the_restitution_has_its_determinants():

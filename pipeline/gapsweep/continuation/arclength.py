@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gapsweep.continuation import thresholds as limit
-from gapsweep.continuation.border import behind_impact, rigid_graze
+from gapsweep.continuation.border import behind_start, rigid_graze
 from gapsweep.continuation.crossing import crossing
 from gapsweep.continuation.hopf import hopf_point
 from gapsweep.continuation.locate import Step, orbits_at
@@ -154,7 +154,7 @@ class Continuation:
     def _ahead(self, half: Half, orbit: Orbit | None, reference: Reference) -> Orbit | None:
         """The next orbit where steps are at their smallest; a half without one ends."""
         last = half.orbits[-1]
-        behind = behind_impact(self.corrector, half.orbits, reference)
+        behind = behind_start(self.corrector, last, reference)
         if behind is not None:
             return behind
         # A branch that comes back to a kink has turned round there.

@@ -212,31 +212,29 @@ def rigid_graze(
     return []
 
 
-def behind_impact(
-    corrector: Corrector, orbits: Sequence[Orbit], reference: Reference
-) -> Orbit | None:
-    """Return the next orbit of a branch where an impact passes the phase at which orbits start.
+def behind_start(corrector: Corrector, last: Orbit, reference: Reference) -> Orbit | None:
+    """Return the next orbit of a branch where an impact, or a wall at which the force jumps, passes
+    the phase at which orbits start.
 
-    There the initial state changes from that before the impact to that after it, or back.
+    The branch has a kink there. The initial state at a rigid wall changes from that before the
+    impact to that after it, or back.
     """
-    equations, last, guess = corrector.equations, orbits[-1], orbits[-1].unknowns.copy()
-    # Differences by the parameter pass the phase at closer orbits: their tangents are wrong.
-    away = [x for x in orbits if np.abs(x.unknowns - guess).max() > limit.BEFORE_RIGID]
-    tangent = away[-1].tangent if away else last.tangent
+    equations, guess = corrector.equations, last.unknowns.copy()
     model, n, size = equations.models_at(last), equations.n, reference.size[0]
-    for contact, side, wall in _walls_of(equations, last, equations.is_rigid):
+    for contact, side, wall in _walls_of(equations, last, equations.has_jump):
         outward = side * np.reshape(model.systems[0].directions[contact], -1)
         near = on_wall(last, contact) * limit.NEAR_EDGE / limit.ON_WALL
-        speed, e = float(outward @ last.state[n : 2 * n]), model.laws[0][contact].losses.restitution
+        speed, losses = float(outward @ last.state[n : 2 * n]), model.laws[0][contact].losses
+        e = losses.restitution
         if abs(outward @ last.state[:n] - side * wall) > near or not (speed > 0.0 or e):
             continue
         push = np.linalg.solve(np.atleast_2d(model.systems[0].mass), outward)
-        ratio = e if speed > 0.0 else 1.0 / e
+        ratio = -1.0 if not losses.is_rigid else e if speed > 0.0 else 1.0 / e
         guess[n : 2 * n] -= speed * (1.0 + ratio) / (outward @ push) * push / size[n : 2 * n]
-        along = np.copysign(1.0, tangent[-1]) * np.eye(len(guess))[-1]
-        ahead = abs(tangent[-1]) * along
-        ahead[:n] = tangent[:n]  # the body is where it comes from or goes to at the other speed
-        off = float(outward @ (tangent[:n] * size[:n])) * (1.0 + ratio) / (outward @ push)
+        along = np.copysign(1.0, last.tangent[-1]) * np.eye(len(guess))[-1]
+        ahead = abs(last.tangent[-1]) * along
+        ahead[:n] = last.tangent[:n]  # the body is where it comes from or goes to at another speed
+        off = float(outward @ (last.tangent[:n] * size[:n])) * (1.0 + ratio) / (outward @ push)
         ahead[:n] -= off * push / size[:n]
         distances = np.array(limit.BEHIND)
         found, _ = corrector.orbits(
@@ -245,9 +243,8 @@ def behind_impact(
             reference.take(np.zeros(len(distances), int)),
             np.full(len(distances), limit.LARGEST),
         )
-        n_impacts = _clearance(equations, last)[0]
         for orbit in found:
-            if orbit is not None and _clearance(equations, orbit)[0] == n_impacts:
+            if orbit is not None and orbit.n_contacts == last.n_contacts:
                 return orbit
     return None
 
@@ -375,7 +372,7 @@ def _located(
             np.array([limit.BEFORE_RIGID]),
         )  # fmt: skip
         now = (n + 1, 0.0) if found is None else _clearance(equations, found, chosen)
-        if found is None or now[0] != n:
+        if found is None or now[0] != n or now[1] < -limit.ON_WALL:
             return None
         graze, value = found, now[1]
     return graze, tangent, abs(slope)
