@@ -112,7 +112,7 @@ class OrbitEquations:
         self.n_contacts = len(model.contacts)
         # at the upper ends of the ranges, since a damping may be 0 at the lower one
         laws = family.laws_at({**family.values, **{one.name: one.high for one in windows}})
-        self.is_rigid = [law.losses.is_rigid for law in laws]
+        self.may_hold = [law.losses.may_hold for law in laws]
         self.never_pulls = [law.losses.never_pulls for law in laws]
         self.has_jump = [bool(law.losses) for law in laws]
         self.has_period = not family.is_forced
