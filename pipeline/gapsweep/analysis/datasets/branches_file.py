@@ -180,18 +180,23 @@ def cases(study: Study, attractors: xr.Dataset) -> Iterator[_SceneBranches]:
 def _attractors(here: xr.Dataset, along: str, numbers: NDArray[np.intp]) -> Iterator[Attractor]:
     """The periodic attractors of a case."""
     sections = [name for name in ("section_x", "section_v", "section_z") if name in here]
-    names = [name for name in (*sections, "period_multiple", "period", "x_max") if name in here]
-    here = here[names].load()
+    names = [name for name in ("period_multiple", "period", "x_max") if name in here]
+    # Arrays, since every selection from a Dataset takes longer than the rest.
+    found = {
+        name: here[name].transpose(along, ATTRACTOR, *own, ...).values
+        for several, own in ((sections, [SECTION_POINT]), (names, []))
+        for name in several
+    }
+    values = here[along].values
     for i, k in numbers.tolist():
-        one = here.isel({along: i, ATTRACTOR: k})
-        columns = [one[name].transpose(SECTION_POINT, ...).values for name in sections]
+        columns = [found[name][i, k] for name in sections]
         section = np.concatenate([each.reshape(len(each), -1) for each in columns], axis=1)
         yield Attractor(
-            value=float(one[along]),
+            value=float(values[i]),
             section=section[np.isfinite(section).all(axis=1)],
-            period=float(one.get("period", np.nan)),
-            multiple=int(one["period_multiple"]),
-            x_max=np.ravel(one["x_max"])[0].item(),
+            period=float(found["period"][i, k]) if "period" in found else np.nan,
+            multiple=int(found["period_multiple"][i, k]),
+            x_max=np.ravel(found["x_max"][i, k])[0].item(),
         )
 
 
