@@ -239,8 +239,8 @@ def behind_start(corrector: Corrector, last: Orbit, reference: Reference) -> Orb
         ratio = -1.0 if not losses.is_rigid else e if speed > 0.0 else 1.0 / e
         guess[n : 2 * n] -= speed * (1.0 + ratio) / (outward @ push) * push / size[n : 2 * n]
         along = np.copysign(1.0, last.tangent[-1]) * np.eye(len(guess))[-1]
-        ahead = abs(last.tangent[-1]) * along
-        ahead[:n] = last.tangent[:n]  # the body is where it comes from or goes to at another speed
+        ahead = last.tangent.copy()  # the body is where it comes from or goes to at another speed
+        ahead[n : 2 * n] *= not losses.is_rigid
         off = float(outward @ (last.tangent[:n] * size[:n])) * (1.0 + ratio) / (outward @ push)
         ahead[:n] -= off * push / size[:n]
         distances = np.array(limit.BEHIND)
