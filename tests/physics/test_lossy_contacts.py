@@ -1288,6 +1288,22 @@ def test_a_branch_goes_on_where_a_preload_passes_the_phase_of_the_initial_state(
         assert ended.n_contacts == found["n_contacts"].values[i]
 
 
+def test_a_branch_goes_on_where_a_moving_wall_passes_the_phase_of_the_initial_state():
+    """The speed changes along the branch in another way on either side of the wall."""
+    o, ends, one, rate = oscillator(0.421, zeta=0.032), (0.525, 0.895), np.eye(1), 0.1409 * TURN
+    law = gs.Piecewise(3.79, gs.Gap(0.353, 0.599), damping=0.063, preload=0.461)
+    found = gs.branches(o, law, "j_2", ends, at=0.7, omega=0.1409).isel(branch=0)
+    assert found["j_2"].values[[0, -1]] == pytest.approx(np.array(ends), rel=1e-12)
+    is_beyond = found["start_state"].values[:, 0] > found["j_2"].values
+    assert is_beyond.any() != is_beyond.all()
+    for i in (0, -1):
+        place, named = found["j_2"].values[i], {"c": 0.063, "pulls": False, "preload": 0.461}
+        walls = [Wall([1.0], place, 3.79, **named), Wall([-1.0], 0.353, 3.79, **named)]
+        y = found["start_state"].values[i]
+        ended = Lossy(one, 0.064 * one, one, [0.421], rate, walls).run(y, TURN / rate)
+        assert ended.y == pytest.approx(y, abs=1e-9)
+
+
 def test_a_doubling_is_located_where_rounding_is_larger_than_the_last_step():
     """A branch of two periods ends there: a multiplier of the orbit of one period is -1."""
     o, omega = oscillator(0.496, zeta=0.0176), 0.299

@@ -240,15 +240,16 @@ def behind_start(corrector: Corrector, last: Orbit, reference: Reference) -> Orb
         guess[n : 2 * n] -= speed * (1.0 + ratio) / (outward @ push) * push / size[n : 2 * n]
         along = np.copysign(1.0, last.tangent[-1]) * np.eye(len(guess))[-1]
         ahead = last.tangent.copy()  # the body is where it comes from or goes to at another speed
-        ahead[n : 2 * n] *= not losses.is_rigid
-        off = float(outward @ (last.tangent[:n] * size[:n])) * (1.0 + ratio) / (outward @ push)
+        off = float(outward @ (ahead[:n] * size[:n])) * (1.0 + ratio) / (outward @ push)
         ahead[:n] -= off * push / size[:n]
-        distances = np.array(limit.BEHIND)
+        slow = ahead.copy()
+        slow[n : 2 * n] = 0.0  # the changes of its speed on either side may be unlike
+        ways = np.concatenate([np.outer(limit.BEHIND, way) for way in (slow, ahead)])
         found, _ = corrector.orbits(
-            guess + np.outer(distances, ahead),
-            np.tile(along, (len(distances), 1)),
-            reference.take(np.zeros(len(distances), int)),
-            np.full(len(distances), limit.LARGEST),
+            guess + ways,
+            np.tile(along, (len(ways), 1)),
+            reference.take(np.zeros(len(ways), int)),
+            np.full(len(ways), limit.LARGEST),
         )
         for orbit in found:
             if orbit is not None and orbit.n_contacts == last.n_contacts:
