@@ -279,8 +279,8 @@ def _clearance(
     """Number of contacts, and the largest distance of another turning point beyond a wall.
 
     The walls are those of the chosen contacts, by default the rigid ones and those with a preload.
-    The distance is negative, as a share of the largest displacement. Of turning points beyond a
-    wall that point to it, it is measured on that side, and they join contacts.
+    The distance is negative, as a share of the largest displacement. A turning point beyond a wall
+    that points back to it is measured on that side; on the wall it joins two contacts.
     """
     n, nearest = 0, -np.inf
     for contact, side, wall in _walls_of(
