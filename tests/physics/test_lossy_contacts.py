@@ -1272,6 +1272,56 @@ def test_a_branch_goes_on_where_a_damped_wall_passes_the_phase_of_the_initial_st
         assert np.sort_complex(mu) == pytest.approx(np.sort_complex(expected), abs=1e-8)
 
 
+def test_a_branch_goes_on_where_a_preload_passes_the_phase_of_the_initial_state():
+    """The branch has a fold and ends where it begins, on the other side of the phase."""
+    o, law = oscillator(0.49, zeta=0.0388), gs.Piecewise(8.48, gs.Gap(0.136, 0.1809), preload=0.5)
+    found = gs.branches(o, law, "preload", (0.326, 0.659), at=0.344, omega=0.0934).isel(branch=0)
+    assert found["preload"].values[[0, -1]] == pytest.approx([0.659, 0.659], rel=1e-12)
+    x, rate, one = found["start_state"].values[:, 0], 0.0934 * TURN, np.eye(1)
+    assert x.min() < 0.1809 < x.max()
+    for i in (int(x.argmin()), int(x.argmax())):  # an end of the branch on either side
+        named = {"k": 8.48, "preload": found["preload"].values[i]}
+        walls = [Wall([1.0], 0.1809, **named), Wall([-1.0], 0.136, **named)]
+        y = found["start_state"].values[i]
+        ended = Lossy(one, 2.0 * 0.0388 * one, one, [0.49], rate, walls).run(y, TURN / rate)
+        assert ended.y == pytest.approx(y, abs=1e-9)
+        assert ended.n_contacts == found["n_contacts"].values[i]
+
+
+def test_a_branch_goes_on_where_a_moving_wall_passes_the_phase_of_the_initial_state():
+    """The speed changes along the branch in another way on either side of the wall."""
+    o, ends, one, rate = oscillator(0.421, zeta=0.032), (0.525, 0.895), np.eye(1), 0.1409 * TURN
+    law = gs.Piecewise(3.79, gs.Gap(0.353, 0.599), damping=0.063, preload=0.461)
+    found = gs.branches(o, law, "j_2", ends, at=0.7, omega=0.1409).isel(branch=0)
+    assert found["j_2"].values[[0, -1]] == pytest.approx(np.array(ends), rel=1e-12)
+    is_beyond = found["start_state"].values[:, 0] > found["j_2"].values
+    assert is_beyond.any() != is_beyond.all()
+    for i in (0, -1):
+        place, named = found["j_2"].values[i], {"c": 0.063, "pulls": False, "preload": 0.461}
+        walls = [Wall([1.0], place, 3.79, **named), Wall([-1.0], 0.353, 3.79, **named)]
+        y = found["start_state"].values[i]
+        ended = Lossy(one, 0.064 * one, one, [0.421], rate, walls).run(y, TURN / rate)
+        assert ended.y == pytest.approx(y, abs=1e-9)
+
+
+def test_a_doubling_is_located_where_rounding_is_larger_than_the_last_step():
+    """A branch of two periods ends there: a multiplier of the orbit of one period is -1."""
+    o, omega = oscillator(0.496, zeta=0.0176), 0.299
+    law = gs.Piecewise(129.4, gs.Gap(0.489, 0.333), preload=0.0229)
+    found = gs.branches(o, law, "j_2", (0.3, 0.45), at=0.333, omega=omega)
+    names = found["ends"].attrs["flag_meanings"].split()
+    (branch,) = np.flatnonzero(found["ends"].values == names.index("branch_point"))
+    last = found.isel(branch=branch, step=int(found["n_orbits"][branch]) - 1)
+    assert last["period_multiple"] == 2
+    law = replace(law, gap=gs.Gap(0.489, last["j_2"].item()))
+    run = gs.simulate(
+        o, law, omega, *last["start_state"].values, n_periods=1, tangent=True, engine="scipy",
+        rtol=1e-12,
+    )  # fmt: skip
+    assert [run.x_end, run.v_end] == pytest.approx(last["start_state"].values, abs=1e-6)
+    assert np.linalg.eigvals(run.monodromy).real.min() == pytest.approx(-1.0, abs=1e-5)
+
+
 @pytest.mark.parametrize("place", [2e-12, -2e-12])
 def test_a_derivative_by_a_parameter_crosses_no_impact(place):
     """It is that of the free motion 2e-12 before an impact, and that past it as far behind."""

@@ -239,16 +239,17 @@ def behind_start(corrector: Corrector, last: Orbit, reference: Reference) -> Orb
         ratio = -1.0 if not losses.is_rigid else e if speed > 0.0 else 1.0 / e
         guess[n : 2 * n] -= speed * (1.0 + ratio) / (outward @ push) * push / size[n : 2 * n]
         along = np.copysign(1.0, last.tangent[-1]) * np.eye(len(guess))[-1]
-        ahead = abs(last.tangent[-1]) * along
-        ahead[:n] = last.tangent[:n]  # the body is where it comes from or goes to at another speed
-        off = float(outward @ (last.tangent[:n] * size[:n])) * (1.0 + ratio) / (outward @ push)
+        ahead = last.tangent.copy()  # the body is where it comes from or goes to at another speed
+        off = float(outward @ (ahead[:n] * size[:n])) * (1.0 + ratio) / (outward @ push)
         ahead[:n] -= off * push / size[:n]
-        distances = np.array(limit.BEHIND)
+        slow = ahead.copy()
+        slow[n : 2 * n] = 0.0  # the changes of its speed on either side may be unlike
+        ways = np.concatenate([np.outer(limit.BEHIND, way) for way in (slow, ahead)])
         found, _ = corrector.orbits(
-            guess + np.outer(distances, ahead),
-            np.tile(along, (len(distances), 1)),
-            reference.take(np.zeros(len(distances), int)),
-            np.full(len(distances), limit.LARGEST),
+            guess + ways,
+            np.tile(along, (len(ways), 1)),
+            reference.take(np.zeros(len(ways), int)),
+            np.full(len(ways), limit.LARGEST),
         )
         for orbit in found:
             if orbit is not None and orbit.n_contacts == last.n_contacts:
@@ -278,8 +279,8 @@ def _clearance(
     """Number of contacts, and the largest distance of another turning point beyond a wall.
 
     The walls are those of the chosen contacts, by default the rigid ones and those with a preload.
-    The distance is negative, as a share of the largest displacement. Of turning points beyond a
-    wall that point to it, it is measured on that side, and they join contacts.
+    The distance is negative, as a share of the largest displacement. A turning point beyond a wall
+    that points back to it is measured on that side; on the wall it joins two contacts.
     """
     n, nearest = 0, -np.inf
     for contact, side, wall in _walls_of(
