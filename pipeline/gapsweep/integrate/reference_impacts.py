@@ -88,7 +88,8 @@ def hold_ends(scene: ReferenceScene, modes: tuple[int, ...], contact: int) -> li
 def longest_step(scene: ReferenceScene, modes: tuple[int, ...]) -> float:
     """Longest step [s] in which the forces of holds are known: they need no steps of the motion."""
     waves = [abs(h.k) for h in getattr(scene.system, "harmonics", ())]
-    return _STEP / (_rate(scene) * max([1, *waves])) if _held(scene, modes) else math.inf
+    rate = _rate(scene) * max([1, *waves])
+    return _STEP / rate if rate and _held(scene, modes) else math.inf
 
 
 def is_caught(
