@@ -10,6 +10,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.optimize import brentq
+from tests.oracles import holds
 from tests.oracles.lossy_contacts import HOLD, Lossy, SmoothWall, Wall
 
 import gapsweep as gs
@@ -1679,3 +1680,95 @@ def test_a_branch_along_a_loss_that_reaches_zero_ends_at_the_elastic_orbit(kind)
     assert elastic.contact_share > 0.0
     assert at_zero.size
     assert at_zero == pytest.approx(elastic.x_max, rel=1e-7)
+
+
+def drawn_holds(kind, seed):
+    """A drawn system with walls that hold, for the oracle and gapsweep, and its initial state.
+
+    Between 2 rigid walls it moves at first; on 2 or 3 walls with a preload it is at rest.
+    """
+    rng = np.random.default_rng([("rigid", "preload").index(kind), seed])
+    n_walls = 2 if kind == "rigid" else int(rng.integers(2, 4))
+    n = int(rng.integers(n_walls, 4))
+    k, one = rng.uniform(0.3, 3.0, n + 1), np.eye(n)
+    mass = np.diag(rng.uniform(0.5, 2.0, n)) + 0.1 * (rng.random() < 0.4)
+    stiffness = np.diag(k[:-1] + k[1:]) - np.diag(k[1:-1], 1) - np.diag(k[1:-1], -1)
+    damping = rng.uniform(0.02, 0.15) * stiffness + 0.02 * one
+    directions = np.concatenate([one, one[:-1] - one[1:], one[1:] - one[:-1]])
+    b = np.zeros((n_walls, n))
+    while np.linalg.matrix_rank(b) < n_walls:
+        b = directions[rng.choice(len(directions), n_walls, replace=False)]
+    q, v = np.round(rng.uniform(-0.2, 0.0, n), 2), np.zeros(n)
+    push = rng.uniform(-1.0, 1.0, n) * rng.uniform(0.2, 0.8)
+    load, walls, laws = np.zeros(n), [], []
+    if kind == "preload":
+        load, damped = stiffness @ q - push, rng.random() < 0.5
+    else:
+        v = rng.uniform(-0.3, 0.3, n)
+    for row in b:
+        if kind == "rigid":
+            place, e = float(row @ q + rng.uniform(0.01, 0.2)), float(rng.uniform(0.0, 0.8))
+            e *= rng.random() < 0.7
+            walls.append(holds.Wall(row, place, e=e))
+            laws.append(gs.Rigid(gs.Gap(None, place), restitution=e))
+            load += row * rng.uniform(0.2, 1.0)
+        else:
+            most, spring = float(rng.uniform(0.1, 1.0)), float(10.0 ** rng.uniform(0.0, 2.0))
+            c = float(damped * rng.uniform(0.05, 2.0))
+            walls.append(holds.Wall(row, float(row @ q), spring, c, most))
+            named = {"damping": c, "pulls": True} if damped else {}
+            laws.append(gs.Piecewise(spring, gs.Gap(None, float(row @ q)), preload=most, **named))
+            load += row * rng.uniform(-0.1, 1.1) * most
+    omega, names = float(rng.uniform(0.3, 1.5)), [str(i) for i in range(n_walls)]
+    oracle = holds.Held(mass, damping, stiffness, load, push, omega, walls)
+    system = gs.System(
+        mass=mass, damping=damping, stiffness=stiffness, contacts=dict(zip(names, b, strict=True)),
+        forcing=[gs.Harmonic(k=0, amplitude=load), gs.Harmonic(amplitude=push)],
+    )  # fmt: skip
+    return oracle, system, dict(zip(names, laws, strict=True)), q, v
+
+
+@pytest.mark.extended  # layouts of systems
+@BOTH
+@pytest.mark.parametrize("kind", ["rigid", "preload"])
+def test_walls_that_hold_together_do_so_as_a_search_of_all_modes_says(kind, engine):
+    """Motions, and contacts that begin or end at the initial state: none where a body stays."""
+    rtol, error = (1e-11, 1e-9) if engine == "compiled" else (1e-9, 1e-7)
+    for seed in range(10):
+        oracle, system, laws, q, v = drawn_holds(kind, seed)
+        t_end = min(TURN / oracle.omega, 10.0 if kind == "rigid" else 4.0)
+        run = gs.simulate(
+            system, laws, oracle.omega / TURN, q_0=q, v_0=v, t_end=t_end, engine=engine, rtol=rtol,
+            dense_output=True,
+        )  # fmt: skip
+        expected = oracle.run(q, v, t_end)
+        assert run.status is gs.Status.OK
+        assert np.append(run.q_end, run.v_end) == pytest.approx(expected.y, abs=error)
+        places = run.sample(np.array([part[0] for part in expected.parts]))[0]
+        starts = np.array([part[2][0][: system.n] for part in expected.parts], float)
+        assert places == pytest.approx(starts, abs=error)
+        if kind == "preload":
+            times = np.concatenate([run.t_contacts[name] for name in laws])
+            assert (times > 1e-3).all()
+
+
+@pytest.mark.extended  # layouts of systems
+@BOTH
+def test_two_walls_at_the_origin_stop_masses_that_move_into_both(engine):
+    """The impacts at one time have no largest displacement that speeds could be compared with."""
+    system = gs.System(
+        mass=np.eye(2), stiffness=np.eye(2), damping=0.1 * np.eye(2),
+        contacts={"wall": [0.0, 1.0], "between": [1.0, -1.0]},
+        forcing=[gs.Harmonic(k=0, amplitude=[1.0, 0.5])],
+    )  # fmt: skip
+    laws = {name: gs.Rigid(gs.Gap(None, 0.0), restitution=0.0) for name in system.contacts}
+    run = gs.simulate(system, laws, q_0=[0.0, 0.0], v_0=[0.3, 0.2], t_end=2.0, engine=engine)
+    assert run.status is gs.Status.OK
+    assert np.append(run.q_end, run.v_end) == pytest.approx(np.zeros(4), abs=1e-12)
+
+
+def test_a_hold_of_a_wall_that_never_pulls_takes_no_short_steps():
+    law = clutch(0.4, 5.0, 0.0, damping=2.0)
+    run = gs.simulate(pressed(0.1, forcing=0.05), {"wall": law}, 0.2, n_periods=4)
+    assert (run.q_end[0], run.n_contacts) == (0.0, 0)
+    assert run.n_steps < 200

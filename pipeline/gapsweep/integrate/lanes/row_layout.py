@@ -335,9 +335,9 @@ class RowLayout:
             # rigid walls: whether a contact has them, restitution, contact loss of an impact,
             # inverse of B'M^-1 B of the held contacts, speeds before impacts at the end of a step
             **dict.fromkeys(("rigid", "restitution", "of_impact"), k * self.has_impacts),
-            # height of flights that are left out, over the largest displacement; preload, and the
-            # places of the gap at which the springs of the walls have no force
-            "low": k * self.has_impacts,
+            # height of flights that are left out, over the largest displacement; its least value
+            # [m]; preload, and places of the gap at which the springs of the walls have no force
+            **{"low": k * self.has_impacts, "least_reach": 1 * self.has_impacts},
             **dict.fromkeys(("preload", "lower_rest", "upper_rest"), k * self.has_preload),
             **{"held": k * k * self.has_impacts, "v_in": n * self.has_impacts},
             # of impacts at the end of a step, for single lanes, see `stepping.impacts`

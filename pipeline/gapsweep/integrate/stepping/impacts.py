@@ -169,13 +169,24 @@ def hold_limits(at, lanes, k, contact):
 
 
 @internal
-def release(at, lanes, k, contact, side):
-    """End the hold of a contact that leaves its place upwards or downwards."""
+def _begins(at, lanes, k, step):
+    """Whether a step ends in the initial state."""
+    is_start = lanes[at.cycle, k] == 0.0 and lanes[at.tau, k] == lanes[at.tau_start, k]
+    return is_start and lanes[at.tau_low, k] == 0.0 and step == 0.0
+
+
+@internal
+def release(at, lanes, k, contact, side, step):
+    """End the hold of a contact that leaves its place upwards or downwards, `step` ahead."""
     limits = hold_limits(at, lanes, k, contact)
     new = side if 0.0 < abs(limits[int(side > 0.0)]) < np.inf else 0.0  # beyond a preload
     lanes[at.side + contact, k] = math.copysign(1.0, lanes[at.mode + contact, k])
     lanes[at.mode + contact, k] = new
-    lanes[at.n_contacts, k] += 1.0 if new == 0.0 else 0.0
+    if _begins(at, lanes, k, step):  # others, which are held, move it: there was no contact
+        lanes[at.side + contact, k] = 0.0
+        lanes[at.contact_time + contact, k] = -lanes[at.t_start, k] if new != 0.0 else 0.0
+    elif new == 0.0:
+        lanes[at.n_contacts, k] += 1.0
     set_held(at, lanes, k)
 
 
@@ -212,6 +223,7 @@ def _is_low(at, lanes, k, contact, speed, pressing):
         reach = 0.0
         for i in range(at.n):
             reach += abs(lanes[at.direction + contact * at.n + i, k]) * lanes[at.reach + i, k]
+    reach = max(reach, lanes[at.least_reach, k])
     low = lanes[at.low + contact, k]
     if at.has_preload and lanes[at.preload + contact, k] > 0.0:
         change = lanes[at.preload + contact, k] * _compliance(at, lanes, k, contact)
@@ -249,7 +261,7 @@ def _hold(at, lanes, k, contact, side, rest, step, n_begun):
     lanes[at.mode + contact, k] = side * HOLD
     lanes[at.lag, k] = rest
     lanes[at.contact_loss, k] = math.inf
-    if lanes[at.n_steps, k] == 0.0 and step == 0.0:  # the motion begins in the hold
+    if _begins(at, lanes, k, step):
         lanes[at.contact_time + contact, k] = -lanes[at.t_start, k]
     else:
         lanes[at.side + contact, k] = side
@@ -317,7 +329,7 @@ def _rebound(at, lanes, k, contact, speed, step, coefficients, work):
         before = lanes[at.v + i, k]
         after = before - share * speed * _pull(at, lanes, k, i, contact)
         lanes[at.v + i, k] = 0.0 if abs(after) <= _STILL * abs(before) else after
-    _change_others(at, lanes, k, contact)
+    _change_others(at, lanes, k, contact, step)
     _add_rates(at, lanes, k, 1.0, kick)
     lanes[at.impact_share + contact, k] = share
     _hold_rates(at, lanes, k, kick)
@@ -385,7 +397,7 @@ def _force(at, lanes, k, contact, mode):
 
 
 @internal
-def _change_others(at, lanes, k, contact):
+def _change_others(at, lanes, k, contact, step):
     """Change the modes of the other contacts that an impact ends: holds, and on and slack."""
     is_disturbed = False
     for j in range(at.contacts):
@@ -402,7 +414,7 @@ def _change_others(at, lanes, k, contact):
             if _is_low(at, lanes, k, j, speed, pressing):
                 is_disturbed = True
             else:
-                release(at, lanes, k, j, math.copysign(1.0, speed))
+                release(at, lanes, k, j, math.copysign(1.0, speed), step)
         elif at.has_slack and lanes[at.slack_damping + j, k] > 0.0:
             side = math.copysign(1.0, mode)
             new = side * (ON if side * _force(at, lanes, k, j, mode) >= 0.0 else SLACK)
