@@ -14,7 +14,7 @@ from gapsweep.status import Status
 if TYPE_CHECKING:
     import numpy as np
     import xarray as xr
-    from numpy.typing import NDArray
+    from numpy.typing import ArrayLike, NDArray
 
 START, POINT = "initial_condition", "point"
 # Dimensions within a point: the parts of a system, and lists that are padded where they end.
@@ -100,6 +100,25 @@ def canonical(value: float) -> float:
     call have rounded coordinates, so that they align with those of studies.
     """
     return float(f"{value:.11e}") + 0.0  # -0.0 becomes 0.0
+
+
+def canonical_values(values: "ArrayLike") -> "NDArray[np.float64]":
+    """Return `canonical` of every element; an array of the shape of `values`."""
+    import numpy as np
+
+    of = np.asarray(values, float)
+    with np.errstate(all="ignore"):
+        digits = 11.0 - np.floor(np.log10(np.abs(of)))  # behind the decimal point
+        is_exact = (digits >= 0.0) & (digits <= 22.0)  # those powers of ten are
+        powers = np.array([10.0**k for k in range(23)])[np.where(is_exact, digits, 0.0).astype(int)]
+        shifted = of * powers
+        whole = np.rint(shifted)
+        # Rounding of the product shifts it by less than 1e-4, and a quotient is correctly rounded.
+        is_sure = is_exact & (np.abs(np.abs(shifted - whole) - 0.5) > 1e-3)
+        is_sure &= (np.abs(shifted) >= 1e11) & (np.abs(shifted) < 1e12)
+        found = np.asarray(whole / powers)
+    found[~is_sure] = [canonical(value) for value in of[~is_sure].tolist()]
+    return found
 
 
 def empty(table: Mapping[str, Variable], sizes: Mapping[str, int]) -> dict[str, Any]:
@@ -241,7 +260,7 @@ def dataset(
         own = tuple(dim for dim in dims if dim in (POINT, "omega" if name == "omega" else START))
         if name != START:
             at = tuple(slice(None) if dim in own else 0 for dim in dims)
-            rounded = np.array([canonical(value) for value in values[at].ravel().tolist()])
+            rounded = canonical_values(values[at].ravel())
             found[name] = variable(name, own, rounded)
     found |= {name: variable(name, dims, values) for name, values in arrays.items()}
     attributes = {

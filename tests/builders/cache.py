@@ -105,13 +105,21 @@ def messages(study, cache):
     return {place: one.message for place, one in stored(study, cache).items()}
 
 
+def sweep_tiles(study, representation=0):
+    """Tiles of a study's sweeps by one representation, one for each direction."""
+    block = plan(study).block(representation)
+    tiles = []
+    for rows, table in block.tables:
+        firsts = np.flatnonzero(~block.follows[rows])
+        about = table.kind.identity, block.keys[rows], block.previous(rows)
+        starts = np.zeros((len(firsts), table.kind.n_states)), np.zeros(len(firsts), KEY)
+        tiles.append(Tile(table, *about, np.diff(firsts, append=len(rows)), *starts))
+    return tiles
+
+
 def tile_rows(study, representation=0):
     """Responses of all points of a sweep, computed here in one tile."""
-    block = plan(study).block(representation)
-    rows = np.arange(len(block.cells))
-    ((_, table),) = study.points(block.cells)
-    nothing = np.zeros(len(rows), KEY)
-    tile = Tile(table, "", nothing, nothing, np.array([len(rows)]), np.zeros((1, 2)), nothing[:1])
+    (tile,) = sweep_tiles(study, representation)
     return respond_to(tile).rows()
 
 

@@ -8,12 +8,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 from tests.builders.attractors import attractors_of_scenes
-from tests.builders.cache import tile_rows
+from tests.builders.cache import sweep_tiles, tile_rows
 from tests.builders.datasets import tables
 from tests.oracles import exact_orbits
 from tests.oracles.section_points import orbit_distance, parts
 
 import gapsweep as gs
+from gapsweep.execution.task import Task, compute, process
 from gapsweep.integrate.problem import Models, Solver
 from gapsweep.response import ensemble, thresholds
 from gapsweep.response.autonomous import PoincareMap
@@ -30,6 +31,7 @@ from gapsweep.response.section import (
     unit_of,
 )
 from gapsweep.status import Status
+from gapsweep.store.slab import stored
 
 SYMMETRIC, ASYMMETRIC = gs.Gap(0.4e-3, 0.4e-3), gs.Gap(0.0, 0.8e-3)
 SOFT, HARD = 1.4e4, 1.4e6
@@ -285,6 +287,28 @@ def test_upward_sweep_rides_the_upper_branch_beyond_the_fitted_range():
     ran_away = [r for r in polynomial if math.isnan(r.x_max)]
     assert ran_away, "the polynomial falls off its range"
     assert all(r.status is gs.Status.OUT_OF_FIT_RANGE and r.message for r in ran_away)
+
+
+def test_sweeps_in_both_directions_are_the_same_together_and_one_by_one():
+    """A fit of walls that overlap is refused, in rows before those of another gap."""
+    whole = tables(["poly-5"], np.linspace(5.0, 20.0, 7))
+    both = {"initial_condition": ["sweep_up", "sweep_down"]}
+    whole["sweep"][0] |= {"K_c": [SOFT], "gap": [[-3e-4, 1e-4], [4e-4, 4e-4]]} | both
+    tiles = sweep_tiles(gs.Study.from_dict(whole))
+    assert [tile.points.kind.start for tile in tiles] == ["sweep_up", "sweep_down"]
+    together = compute(Task(tiles, 600.0, process())).slabs
+    apart = [slab for one in tiles for slab in compute(Task([one], 600.0, process())).slabs]
+    assert [one.identity for one in together] == [one.identity for one in apart]
+    for one, other in zip(map(stored, together), map(stored, apart), strict=True):
+        assert_array_equal(one.previous, other.previous)
+        left, right = one.responses, other.responses
+        assert left.messages == right.messages
+        assert {*left.columns["status"].tolist()} == {Status.OK, Status.MODEL_INVALID}
+        for name in left.columns.keys() - {"cpu_time"}:
+            assert_array_equal(left.columns[name], right.columns[name], err_msg=name)
+        for name, (values, counts) in left.lists.items():
+            assert_array_equal(values, right.lists[name][0], err_msg=name)
+            assert_array_equal(counts, right.lists[name][1], err_msg=name)
 
 
 def test_loose_tolerances_still_find_the_period():

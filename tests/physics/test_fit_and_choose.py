@@ -102,6 +102,7 @@ def test_a_probability_that_is_never_small_says_where_it_is_least():
     [
         ({"at_most": 1.0}, "at_most = 1: must be < 1"),
         ({"at_most": 0.0}, "at_most"),
+        ({"at_most": "1 mm"}, "at_most = '1 mm': .* without dimension"),
         ({"event": {"quantity": "amplitude"}}, "no threshold"),
         ({"uncertain": {"forcing": 0.03}}, "must be a distribution"),
         ({"samples": 100}, "power of two"),
@@ -117,6 +118,12 @@ def test_a_bad_probability_is_refused_in_one_line(change, words):
     with pytest.raises(gs.ModelError, match=words) as raised:
         gs.probability(**(good | change))
     assert "\n" not in str(raised.value)
+
+
+def test_a_probability_may_be_in_percent():
+    event = {"quantity": "amplitude", "above": 0.1}
+    uncertain = {"forcing": scipy.stats.norm(0.03, 1e-3)}
+    assert gs.probability(event, "1 %", uncertain) == gs.probability(event, 0.01, uncertain)
 
 
 def test_the_distribution_of_the_chosen_number_is_of_its_deviation():

@@ -13,7 +13,10 @@ from scipy.optimize import brentq
 from tests.oracles.lossy_contacts import HOLD, Lossy, SmoothWall, Wall
 
 import gapsweep as gs
+from gapsweep.continuation.family import Family, Window
+from gapsweep.continuation.orbits import OrbitEquations, Reference
 from gapsweep.errors import StudyError
+from gapsweep.integrate.problem import Solver
 from gapsweep.report.losses import energy_lost
 
 TURN = 2.0 * math.pi
@@ -1153,6 +1156,140 @@ def test_a_branch_goes_on_where_an_impact_passes_the_phase_of_the_initial_state(
         start = np.array([min(x[row], 1.0 - 1e-12), v[row]])
         one_later, two_later = (oracle.run(start, n * TURN / 0.7).y for n in (1.37, 2.37))
         assert two_later == pytest.approx(one_later, abs=1e-6)
+
+
+@pytest.mark.extended  # the oracle takes seconds
+@pytest.mark.parametrize("preload", [0.3, 0.5])
+def test_a_branch_passes_the_graze_of_a_preload(preload):
+    """The wall changes a small speed u by 2 u N_0 / (N_0 + a), a the acceleration back from it.
+
+    The free orbit grazes at F / (c omega) = 1, with a = 1. Past it its part of the motion is
+    (1, u) - u d before the contact, so that F changes as -0.1 u d_1. The depth is
+    u^2 / 2 (N_0 + a).
+    """
+    found = gs.branches(
+        oscillator(zeta=0.05), clutch(preload, place=1.0), "forcing", (0.02, 0.3), at=0.05,
+        omega=1.0 / TURN,
+    )  # fmt: skip
+    assert found.attrs["n_lost"] == 0
+    found = found.isel(branch=0)
+    names = np.array(found["special"].attrs["flag_meanings"].split())[found["special"].values]
+    forcing, n_contacts = found["forcing"].values, found["n_contacts"].values
+    assert sorted(forcing[[0, -1]]) == pytest.approx([0.02, 0.3], rel=1e-12)
+    (row,) = np.flatnonzero(names == "grazing")
+    assert forcing[row] == pytest.approx(0.1, rel=1e-9)
+    assert sorted(n_contacts[[row - 1, row + 1]]) == [0, 2]
+
+    w, side = math.sqrt(1.0 - 0.05**2), 1 if n_contacts[row + 1] else -1
+    c, s = math.cos(w * TURN), math.sin(w * TURN) / w
+    free = math.exp(-0.05 * TURN) * np.array([[c + 0.05 * s, s], [-s, c - 0.05 * s]])
+    kick = -2.0 * preload / (preload + 1.0)
+    d = free @ np.linalg.solve(np.eye(2) - free, [0.0, kick])
+    past = [row + side, row + 2 * side]
+    u = np.sqrt(2.0 * (preload + 1.0) * (found["x_max"].values[past] - 1.0))
+    slopes = (forcing[past] - 0.1) / u
+    first = slopes[0] - u[0] * np.diff(slopes)[0] / np.diff(u)[0]
+    assert first == pytest.approx(-0.1 * d[0], rel=1e-3)
+
+    (fold,) = np.flatnonzero(names == "fold")
+    one, walls = np.eye(1), [Wall([1.0], 1.0, 20.0, preload=preload)]
+    for i in (fold, 0, -1):  # the oracle misses shorter contacts
+        oracle = Lossy(one, 0.1 * one, one, [forcing[i]], 1.0, walls)
+        y = found["start_state"].values[i]
+        ended = oracle.run(y, TURN)
+        assert ended.n_contacts == n_contacts[i]
+        assert ended.y == pytest.approx(y, abs=1e-9)
+        expected = np.sort(np.abs(np.linalg.eigvals(ended.tangent)))
+        mu = found["multiplier_real"].values[i] + 1j * found["multiplier_imag"].values[i]
+        assert np.sort(np.abs(mu)) == pytest.approx(expected, rel=1e-4)
+        assert i != fold or expected[1] == pytest.approx(1.0, abs=1e-5)
+
+
+@pytest.mark.extended  # the oracle takes seconds
+def test_a_branch_passes_the_graze_of_a_preload_from_beyond_the_wall():
+    """A load holds the mass in contact; the motion there is linear up to the graze."""
+    load, preload, place, rate = 1.0, 0.4, 0.1, 1.3
+    stiffness = 4.0
+    depth = (load - preload - place) / stiffness
+    graze = depth * math.hypot(stiffness - rate**2, 0.1 * rate)
+    o = replace(oscillator(zeta=0.05), mean_load=load)
+    found = gs.branches(
+        o, clutch(preload, 3.0, place), "forcing", (0.02, 2.0 * graze), at=0.05, omega=rate / TURN
+    ).isel(branch=0)
+    names = np.array(found["special"].attrs["flag_meanings"].split())[found["special"].values]
+    (row,) = np.flatnonzero(names == "grazing")
+    forcing, n_contacts = found["forcing"].values, found["n_contacts"].values
+    assert forcing[row] == pytest.approx(graze, rel=1e-9)
+    assert sorted(n_contacts[[row - 1, row + 1]]) == [0, 2]
+    assert sorted(forcing[[0, -1]]) == pytest.approx([0.02, 2.0 * graze], rel=1e-12)
+    # of the coordinate without the mean load, beside a wall that is so much closer
+    one, walls = np.eye(1), [Wall([1.0], place - load, 3.0, preload=preload)]
+    for i in (0, -1):
+        oracle = Lossy(one, 0.1 * one, one, [forcing[i]], rate, walls)
+        y = found["start_state"].values[i] - [load, 0.0]
+        assert oracle.run(y, TURN / rate).y == pytest.approx(y, abs=1e-9)
+
+
+def test_a_branch_of_twice_the_period_ends_at_a_graze_of_the_other_one():
+    """Every other turn passes the wall, less and less; in the end the orbit has one period."""
+    o, law = oscillator(0.184, zeta=0.04), clutch(0.009, 9.35, 0.438)
+    found = gs.branches(o, law, between=(0.11, 0.16), at=0.15, follow=1)
+    names = found["ends"].attrs["flag_meanings"].split()
+    assert found["parent"].values.tolist() == [-1, 0]
+    assert names[int(found["ends"][1])] == names[int(found["begins"][1])] == "branch_point"
+    last = found.isel(branch=1, step=int(found["n_orbits"][1]) - 1)
+    rate = TURN * last["omega"].item()
+    assert 0.184 / math.hypot(1.0 - rate**2, 0.08 * rate) == pytest.approx(0.438, rel=1e-9)
+    assert last["period_multiple"] == 2
+    grazing = last["special"].attrs["flag_meanings"].split().index("grazing")
+    assert last["special"] == grazing
+    parent = found.isel(branch=0)
+    at = np.flatnonzero(parent["special"].values == grazing)
+    y = parent["start_state"].values[at[0]]
+    assert last["start_state"].values == pytest.approx(y, rel=1e-7)
+
+
+def test_a_branch_goes_on_where_a_damped_wall_passes_the_phase_of_the_initial_state():
+    """There the acceleration jumps: the initial state has a kink along the branch."""
+    o = oscillator(0.366, zeta=0.12)
+    law = gs.Piecewise(20.0, gs.Gap(0.45, 0.377), damping=1.2, pulls=True)
+    found = gs.branches(o, law, between=(0.06, 0.12), at=0.09).isel(branch=0)
+    rate, (x, v) = TURN * found["omega"].values, found["start_state"].values.T
+    assert sorted(rate[[0, -1]]) == pytest.approx([0.06 * TURN, 0.12 * TURN], rel=1e-12)
+    order = np.argsort(rate)
+    is_beyond = x[order] > 0.377
+    (row,) = np.flatnonzero(np.diff(is_beyond))
+    assert 3 < row < len(x) - 4
+    slopes = np.diff(v[order])[[row - 1, row + 1]] / np.diff(rate[order])[[row - 1, row + 1]]
+    assert abs(slopes[1] / slopes[0] - 1.0) > 0.1
+    walls = [Wall([1.0], 0.377, 20.0, 1.2), Wall([-1.0], 0.45, 20.0, 1.2)]
+    for i in order[[row - 2, row + 3]]:
+        oracle = Lossy(np.eye(1), 0.24 * np.eye(1), np.eye(1), [0.366], rate[i], walls)
+        ended = oracle.run([x[i], v[i]], TURN / rate[i])
+        assert ended.y == pytest.approx([x[i], v[i]], abs=1e-10)
+        mu = found["multiplier_real"].values[i] + 1j * found["multiplier_imag"].values[i]
+        expected = np.linalg.eigvals(ended.tangent)
+        assert np.sort_complex(mu) == pytest.approx(np.sort_complex(expected), abs=1e-8)
+
+
+@pytest.mark.parametrize("place", [2e-12, -2e-12])
+def test_a_derivative_by_a_parameter_crosses_no_impact(place):
+    """It is that of the free motion 2e-12 before an impact, and that past it as far behind."""
+    free, window = (oscillator(f) for f in (0.0, 1.0)), Window("forcing", 0.2, 0.8)
+    far = gs.Piecewise(1.0, gs.Gap(9.0, 9.0))
+    first, second = (gs.simulate(o, far, 1.0, 0.0, 1.0, n_periods=1, **TIGHT) for o in free)
+    by_x, by_v = second.x_end - first.x_end, second.v_end - first.v_end
+    x, v = first.x_end + 0.5 * by_x, first.v_end + 0.5 * by_v
+    family = Family(oscillator(), rigid(0.8, x + place), 1.0, ("forcing",), {"forcing": 0.5})
+    equations = OrbitEquations(family, (window,), Solver.of(rtol=1e-12))
+    one, y = np.ones((1, 2)), np.array([[0.0, 1.0]])
+    reference = Reference(size=one, duration=one[0], multiple=np.ones(1, int), y=y, rate=y)
+    found = equations.evaluate(np.array([[0.0, 1.0, 0.5]]), reference)
+    if place < 0.0:  # the impact comes earlier by by_x / v
+        before, after = 0.5 - 0.05 * v - x, 0.5 + 0.05 * 0.8 * v - x
+        by_x, by_v = -0.8 * by_x, -0.8 * by_v + (after + 0.8 * before) * by_x / v
+    assert found.is_ok.all()
+    assert found.jacobian[0, :, -1] == pytest.approx([0.6 * by_x, 0.6 * by_v], rel=1e-4)
 
 
 def test_a_branch_along_the_restitution_has_its_determinants():

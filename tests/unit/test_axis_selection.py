@@ -1,5 +1,6 @@
 """Selection along an axis: one rule of what is equal, and messages that say what there is."""
 
+import decimal
 import math
 import re
 
@@ -11,6 +12,7 @@ from hypothesis import strategies as st
 
 from gapsweep.study.axis_selection import is_several, listed, numbers_of_sweeps, positions
 from gapsweep.study.points import canonical
+from gapsweep.variables import canonical_values
 
 LABELS = ["piecewise", "tanh-1e4", "tanh-1e4@paper", "mine:spring"]
 AXES = st.lists(st.floats(-1e6, 1e6).map(canonical), min_size=1, max_size=20, unique=True)
@@ -145,3 +147,22 @@ def test_several(wanted):
 )
 def test_one(wanted):
     assert not is_several(wanted)
+
+
+def rounded(x):
+    """A finite number with 12 significant decimal digits, halves to even, as the nearest float."""
+    context = decimal.Context(prec=12, rounding=decimal.ROUND_HALF_EVEN)
+    return float(context.create_decimal(decimal.Decimal(x))) + 0.0
+
+
+def test_arrays_are_rounded_to_the_last_bit_as_decimal_numbers():
+    rng = np.random.default_rng(1)
+    anything = rng.standard_normal(2000) * 10.0 ** rng.integers(-30, 30, 2000)
+    powers = 10.0 ** np.arange(-30, 30)
+    near_powers = np.concatenate([np.nextafter(powers, 0.0), powers * (1.0 - 4e-13)])
+    halves = (rng.integers(10**11, 10**12, 2000) + 0.5) / 10.0 ** rng.integers(0, 23, 2000)
+    several = np.concatenate([anything, powers, near_powers, halves, [0.0, -0.0, 5e-324, 1.7e308]])
+    found = canonical_values(several.reshape(2, -1)).ravel()
+    expected = np.array([rounded(x) for x in several.tolist()])
+    np.testing.assert_array_equal(found.view(np.int64), expected.view(np.int64))
+    np.testing.assert_array_equal(canonical_values([np.inf, np.nan]), [np.inf, np.nan])

@@ -54,6 +54,7 @@ def of_argument(a):
 REFUSED = {
     "no parameter": (lambda: differentiated(None), r"parameters = None: .* as \["),
     "number for a parameter": (lambda: differentiated(3), r"parameters = 3: .* as \["),
+    "parameter named twice": (lambda: differentiated(["gap", "gap"]), r"parameters = .* different"),
     "argument without a value": (
         lambda: differentiated("a", oscillator=of_argument),
         r"a: has no default; write values={'a': 1\.0}",

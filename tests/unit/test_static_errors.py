@@ -195,12 +195,15 @@ def test_force_error_is_over_the_displacements_that_the_exact_law_visits():
         high = responses["x_max"][0, 0, 0, :, i].values.max()
         here = found.isel(forcing=i)
         assert (here["visited_min"].item(), here["visited_max"].item()) == (low, high)
+        assert here["force_error_ratio"].sel(representation="piecewise").item() == 0.0
         for label in labels[1:]:
             law = gs.contact_law(label, SOFT, ASYMMETRIC)
             x = np.linspace(low, high, 400_001)
             error = law.force(x) - SOFT * (np.minimum(x, 0.0) + np.maximum(x - 0.8e-3, 0.0))
             rms = math.sqrt(np.trapezoid(error**2, x) / (high - low)) / p
             assert_allclose(here["force_error_ratio"].sel(representation=label), rms, rtol=1e-5)
+    no_range = static(one, responses * np.nan)["force_error_ratio"]
+    assert no_range.isnull().all()
     without = static(one)
     expected = [expected_range(replace(OSCILLATOR, forcing=p), gs.Piecewise(SOFT, ASYMMETRIC))
                 for p in levels]  # fmt: skip

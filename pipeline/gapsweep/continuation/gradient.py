@@ -145,6 +145,8 @@ def parameters_of(
     is_list = isinstance(names, Collection) and len(names) > 0
     if not (is_list and all(isinstance(name, str) for name in names)):
         raise ModelError(f'parameters = {names!r}: must be names, as ["gap", "K_c"]')
+    if len({*names}) < len(names):
+        raise ModelError(f"parameters = {names!r}: must be different names")
     if isinstance(model, Oscillator | System) or not callable(model):
         return tuple(map(Parameter, names))
     if not isinstance(values, Mapping):

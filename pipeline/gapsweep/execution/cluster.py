@@ -14,12 +14,11 @@ from distributed import Client, LocalCluster
 from distributed.system import MEMORY_LIMIT
 
 from gapsweep.errors import ClusterError
-from gapsweep.execution.workers import end_workers, start_workers, worker_process
+from gapsweep.execution.workers import end_workers, start_workers, worker_process, workers_run
 from gapsweep.study.software import software
 
 CONNECT_SECONDS = 10
 _WAIT_SECONDS = 0.1
-_LOOK_SECONDS = 0.01
 _LONGEST_PLACE = 71  # characters: multiprocessing adds 32, and macOS allows 103 in all
 # Errors on a worker become the status of its points; its log only repeats them.
 _SILENT = logging.CRITICAL
@@ -96,14 +95,12 @@ def local_cluster(workers: int, dashboard: bool) -> Iterator[Client]:
         start_workers(process, local.scheduler_address, workers, options)
         try:
             with Client(local) as client:
-                while len(local.scheduler.workers) < workers:
-                    if process.poll() is not None:
-                        raise ClusterError(
-                            f"no local cluster of {workers} workers: a worker process died during "
-                            "startup, perhaps for lack of memory, processes "
-                            "or open files (ulimit -a); try fewer --workers"
-                        )
-                    time.sleep(_LOOK_SECONDS)
+                if not workers_run(process):
+                    raise ClusterError(
+                        f"no local cluster of {workers} workers: a worker process died during "
+                        "startup, perhaps for lack of memory, processes "
+                        "or open files (ulimit -a); try fewer --workers"
+                    )
                 yield client
         finally:
             end_workers(process)

@@ -97,7 +97,9 @@ class Costs:
 
     def room(self, kind: tuple[int, int]) -> int:
         """Number of points of a kind that fill a task."""
-        return max(self._computed_in(self.aim, kind), 1) if self.knows(kind) else self.unknown
+        if not self.knows(kind):
+            return self.unknown * (1 + kind[1])  # upward and downward sweeps, which go together
+        return max(self._computed_in(self.aim, kind), 1)
 
     def least(self, kind: tuple[int, int], n_threads: int) -> int:
         """Number of points of a kind that a thread computes while the client serves all threads."""

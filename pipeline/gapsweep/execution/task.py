@@ -9,7 +9,7 @@ import os
 import platform
 import threading
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext, suppress
 from dataclasses import dataclass, replace
 from functools import cache
@@ -28,7 +28,7 @@ from gapsweep.response.respond import respond_models
 from gapsweep.response.result import Response, Responses
 from gapsweep.response.scene import CONFIRMING_RTOL, TANGENT_RTOL
 from gapsweep.store.slab import Slab, slabs
-from gapsweep.study.points import KEY, Kind, Points
+from gapsweep.study.points import KEY, SWEEPS, Kind, Points
 from gapsweep.study.software import software, versions
 
 _RESTARTED = "the preceding point has no end state; started from the last point that has"
@@ -71,6 +71,15 @@ class Tile:
         """The tile of a single point; `state` is its initial state if it is of a sweep."""
         nothing, state = np.zeros(1, KEY), state.reshape(1, -1)
         return cls(points, "", nothing, nothing, np.ones(1, int), state, nothing)
+
+    @classmethod
+    def joined(cls, tiles: "Sequence[Tile]") -> "Tile":
+        """Return the sweeps of tiles that differ in the direction only, with one direction."""
+        first = tiles[0]
+        points = Points(first.points.kind, np.concatenate([each.points.numbers for each in tiles]))
+        names = "keys", "previous", "lengths", "states", "origins"
+        arrays = [np.concatenate([getattr(each, name) for each in tiles]) for name in names]
+        return cls(points, first.identity, *arrays)
 
     @property
     def firsts(self) -> NDArray[np.int64]:
@@ -119,12 +128,29 @@ def compute(task: Task) -> TaskResult:
     begin = time.thread_time()
     found, n_warm = [], len(_warm)
     with nullcontext() if is_ours else _ending_after(task.timeout):
-        for tile in task.tiles:
-            found += tile.slabs(respond_to(tile), platform.node())
+        for tiles in _both_directions(task.tiles):
+            responses = respond_to(Tile.joined(tiles))
+            ends = np.cumsum([len(tile) for tile in tiles])
+            for tile, rows in zip(tiles, np.split(np.arange(ends[-1]), ends[:-1]), strict=True):
+                found += tile.slabs(responses.take(rows), platform.node())
     seconds = spent = time.thread_time() - begin
     if len(_warm) > n_warm:  # that includes compilation, which happens once
         seconds = sum(slab.seconds for slab in found)
     return TaskResult(found, seconds, spent, software())
+
+
+def _both_directions(tiles: Iterable[Tile]) -> list[list[Tile]]:
+    """Tiles whose points are computed together: upward and downward sweeps of equal settings.
+
+    A step of a sweep is one call for a single point, which costs about as much as one for two.
+    """
+    groups: dict[Kind, list[Tile]] = {}
+    for tile in tiles:
+        kind = tile.points.kind
+        groups.setdefault(replace(kind, start=SWEEPS[0]) if kind.is_sweep else kind, []).append(
+            tile
+        )
+    return [*groups.values()]
 
 
 def compute_isolated(task: Task) -> TaskResult:
@@ -209,12 +235,14 @@ def respond_to(tile: Tile, ask: Ask | None = None) -> Responses:
     `ask`: function that returns responses of independent points from states, shape (n, n_states);
     None computes them in this process, all in one call.
     """
+    points = tile.points
+    respond = _together(points) if ask is None else lambda rows, y: ask(points.take(rows), y)
     states, first, lengths = tile.states.copy(), tile.firsts, tile.lengths
     order, parts = [], []
     for position in range(max(lengths, default=0)):
         here = np.flatnonzero(lengths > position)
         rows = first[here] + position
-        found = (ask or _together)(tile.points.take(rows), states[here])
+        found = respond(rows, states[here])
         states[here[found.has_end]] = found.ends[found.has_end]
         parts.append(found)
         order.append(rows)
@@ -225,19 +253,30 @@ def respond_to(tile: Tile, ask: Ask | None = None) -> Responses:
 
 def respond_fixed(points: Points) -> Responses:
     """Steady responses of points from their fixed initial states."""
-    return _together(points, points.starts)
+    return _together(points)(np.arange(len(points)), points.starts)
 
 
-def _together(points: Points, states: States) -> Responses:
-    """Responses of independent points, all in one call; refused models give failures."""
-    (rows, models), refused = points.models()
-    starts = states if points.kind.is_sweep else points.starts
-    found = _answered(points.kind, models, starts[rows])
-    if not refused:
-        return found
-    others = Responses.of(list(map(failed, refused.values())), points.kind.structure)
-    whole = Responses.concatenated([found, others])
-    return whole.take(np.argsort([*rows.tolist(), *refused]))
+def _together(points: Points) -> Callable[[NDArray[np.intp], States], Responses]:
+    """Function that returns responses of some of the points, all in one call.
+
+    Models are made once for all of its calls. Refused models give failures.
+    """
+    (valid, models), refused = points.models()
+    place = np.full(len(points), -1)
+    place[valid] = np.arange(len(valid))
+
+    def respond(rows: NDArray[np.intp], states: States) -> Responses:
+        starts = states if points.kind.is_sweep else points.starts[rows]
+        here, others = np.flatnonzero(place[rows] >= 0), np.flatnonzero(place[rows] < 0)
+        some = models if len(here) == len(models) else models.take(place[rows[here]])
+        found = _answered(points.kind, some, starts[here])
+        if not others.size:
+            return found
+        failures = [failed(refused[row]) for row in rows[others].tolist()]
+        whole = Responses.concatenated([found, Responses.of(failures, points.kind.structure)])
+        return whole.take(np.argsort(np.concatenate([here, others])))
+
+    return respond
 
 
 def _warm_up(kind: Kind, models: Models, start: States) -> None:

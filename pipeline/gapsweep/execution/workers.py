@@ -17,13 +17,14 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from multiprocessing.util import get_temp_dir
-from typing import Any
+from typing import Any, BinaryIO
 
 import psutil
 
 from gapsweep.user_code.load import TEMPORARY
 
 _CODE = "from gapsweep.execution.workers import serve; serve()"
+_RUNNING = b"."
 _LEAVE_SECONDS = 2.0
 _PRELOADED = ["distributed.worker", "gapsweep.execution.task"]
 
@@ -37,20 +38,20 @@ def worker_process(folder: str) -> "Iterator[subprocess.Popen[bytes]]":
     import dask  # the process starts without it
 
     settings = dask.config.get("distributed.nanny.pre-spawn-environ")
-    process = subprocess.Popen(
+    with subprocess.Popen(
         [sys.executable, "-P", "-c", _CODE],
         env={name: str(value) for name, value in settings.items()}
         | os.environ
         | {"PYTHONPATH": search_path(), TEMPORARY: folder},
         stdin=subprocess.PIPE,
-        stdout=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
         stderr=subprocess.DEVNULL,
         start_new_session=True,
-    )
-    try:
-        yield process
-    finally:
-        end_workers(process)
+    ) as process:
+        try:
+            yield process
+        finally:
+            end_workers(process)
 
 
 def start_workers(process: "subprocess.Popen[bytes]", address: str, n: int, options: Any) -> None:
@@ -65,6 +66,12 @@ def start_workers(process: "subprocess.Popen[bytes]", address: str, n: int, opti
     with suppress(BrokenPipeError):  # the process has ended
         process.stdin.write(pickle.dumps((dask.config.config, address, n, options)))
         process.stdin.flush()
+
+
+def workers_run(process: "subprocess.Popen[bytes]") -> bool:
+    """Wait until all workers run and are restarted when they die; False if one did not start."""
+    assert process.stdout is not None, "it is a pipe"
+    return process.stdout.read(1) == _RUNNING
 
 
 def end_workers(process: "subprocess.Popen[bytes]") -> None:
@@ -102,6 +109,14 @@ def search_path() -> str:
 
 def serve() -> None:
     """Main of the worker process: run workers while stdin is open, then remove their files."""
+    # Only this process writes to stdout; what workers print is dropped.
+    with os.fdopen(os.dup(1), "wb") as stdout, open(os.devnull, "wb") as nowhere:
+        os.dup2(nowhere.fileno(), 1)
+        _serve(stdout)
+    end_group(os.getpid())  # this process and its remaining workers
+
+
+def _serve(stdout: BinaryIO) -> None:
     method = "forkserver" if "forkserver" in multiprocessing.get_all_start_methods() else "spawn"
     if method == "forkserver":
         from multiprocessing import forkserver
@@ -109,10 +124,15 @@ def serve() -> None:
         multiprocessing.set_forkserver_preload(_PRELOADED)
         forkserver.ensure_running()
     import dask  # while the other process imports as well
-    from distributed import Nanny
+    from distributed import Nanny, Status
 
     async def run(address: str, n: int, options: Any) -> None:
         nannies = await asyncio.gather(*(Nanny(address, **options) for _ in range(n)))
+        # A nanny gives up a worker that dies before the nanny knows that it runs.
+        if {nanny.status for nanny in nannies} != {Status.running}:
+            return
+        stdout.write(_RUNNING)
+        stdout.flush()
         await asyncio.to_thread(sys.stdin.buffer.read)
         closing = (nanny.close(timeout=_LEAVE_SECONDS / 2) for nanny in nannies)
         await asyncio.gather(*closing, return_exceptions=True)  # they remove their folders
@@ -123,4 +143,3 @@ def serve() -> None:
         asyncio.run(run(*asked))
     for folder in (os.environ[TEMPORARY], get_temp_dir()):  # the caller may have been killed
         shutil.rmtree(folder, ignore_errors=True)
-    end_group(os.getpid())  # this process and its remaining workers

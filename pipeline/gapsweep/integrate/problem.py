@@ -42,6 +42,10 @@ _LOWEST_BOUNCE = 1e-9  # at any tolerance: the number of bounces grows as the ro
 _NO_LENGTH = 1e-3  # [m] of a problem without loads, initial state and gap
 
 
+class _Integrated(list[Any]):
+    """Systems as engines integrate them, of rows that have been checked."""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Models:
     """Parameter sets of n motions of one `kind`: rows that refer to distinct systems and laws.
@@ -73,6 +77,8 @@ class Models:
     size: Array | None = None
 
     def __post_init__(self) -> None:
+        if isinstance(self.systems, _Integrated):
+            return
         # One object of each type: there may be as many objects as rows.
         for system in {type(system): system for system in self.systems}.values():
             if not isinstance(system, Oscillator | System):
@@ -82,7 +88,8 @@ class Models:
                 )
         for law in {type(law): law for laws in self.laws for law in laws}.values():
             checked_law(law)
-        object.__setattr__(self, "systems", [_integrated(system) for system in self.systems])
+        systems = _Integrated(_integrated(system) for system in self.systems)
+        object.__setattr__(self, "systems", systems)
 
     @classmethod
     def of(
@@ -107,7 +114,7 @@ class Models:
         some, system = np.unique(self.system[rows], return_inverse=True)
         others, law = np.unique(self.law[rows], return_inverse=True)
         return Models(
-            systems=[self.systems[i] for i in some.tolist()],
+            systems=_Integrated(self.systems[i] for i in some.tolist()),
             laws=[self.laws[i] for i in others.tolist()],
             system=system,
             law=law,

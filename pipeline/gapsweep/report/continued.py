@@ -15,6 +15,7 @@ from gapsweep.report.selection import scene
 from gapsweep.response.absolute import N_PERIODS, extremes
 from gapsweep.study.axis_selection import listed, positions
 from gapsweep.study.grid import CONTACT, COORDINATE, LAG, START, Grid
+from gapsweep.study.samples import SAMPLE
 from gapsweep.study.study import Study
 from gapsweep.variables import SECTION_POINT
 
@@ -156,6 +157,8 @@ def _cell(grid: Grid, one: xr.Dataset) -> int:
                 f"{name}: no coordinate of this dataset, and the study has {listed(values)}; "
                 "select without drop=True to keep it"
             )
+        elif name == SAMPLE:
+            at.append(int(one[name]))  # samples of a study are numbered from 0
         else:
             at.append(int(positions(name, values, one[name].item(), "the study")[0]))
     return int(np.ravel_multi_index(at, grid.shape))

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from gapsweep.model.labels import Representation
 from gapsweep.quantities import without_units
-from gapsweep.study.points import canonical
+from gapsweep.variables import canonical, canonical_values
 
 _MANY, _ENDS = 8, 3  # most values in a message; of more values, the number at either end
 
@@ -92,7 +92,7 @@ def _within(name: str, axis: NDArray[Any], wanted: slice, of: str) -> NDArray[np
         high = np.inf if wanted.stop is None else canonical(wanted.stop)
     except (TypeError, ValueError, OverflowError):
         raise ValueError(f"{name} = {wanted}: the ends must be numbers") from None
-    values = np.array([canonical(value) for value in axis.tolist()])
+    values = canonical_values(axis)
     found = np.flatnonzero((values >= low) & (values <= high))
     if not found.size:
         raise ValueError(

@@ -12,12 +12,12 @@ from numpy.typing import ArrayLike, NDArray
 from gapsweep.model.labels import Representation
 from gapsweep.model.oscillator import Gap
 from gapsweep.model.structure import AnyStructure
-from gapsweep.study.points import FIXED, SWEEPS, canonical
+from gapsweep.study.points import FIXED, SWEEPS
 from gapsweep.study.samples import DRAWN, SAMPLE, Samples
 from gapsweep.variables import CONTACT as CONTACT
 from gapsweep.variables import COORDINATE as COORDINATE
 from gapsweep.variables import LAG as LAG
-from gapsweep.variables import METRES, Units, part_units
+from gapsweep.variables import METRES, Units, canonical_values, part_units
 from gapsweep.variables import START as START
 
 Axes = Mapping[str, Sequence[Any]]
@@ -40,8 +40,7 @@ class Starts(Sequence[tuple[str, tuple[float, ...]]]):
     @classmethod
     def fixed(cls, states: ArrayLike) -> "Starts":
         """Return fixed initial states, shape (n, n_states), rounded to canonical values."""
-        found = np.asarray(states, float)
-        found = np.reshape([canonical(value) for value in found.ravel().tolist()], found.shape)
+        found = canonical_values(states)
         return cls(np.zeros(len(found), np.int8), found, np.arange(len(found), dtype=np.int32))
 
     @classmethod

@@ -7,7 +7,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from gapsweep.variables import canonical
+from gapsweep.variables import canonical_values
 
 Array = NDArray[np.float64]
 
@@ -87,7 +87,7 @@ class Samples(Sequence[int]):
         drawn, nominal = self.numbers[name][places], self.nominal.get(name)
         if nominal is None:
             return drawn
-        return _rounded(drawn + value if nominal == "plus" else drawn * value)
+        return canonical_values(drawn + value if nominal == "plus" else drawn * value)
 
 
 def drawn(
@@ -133,14 +133,11 @@ def drawn(
             matrices[-1][:, i] = second[:, i]
         parts.append(np.stack(matrices))
     shares = np.concatenate([np.concatenate(each) for each in parts])
+    # The same numbers on all machines, although their last bits vary.
     numbers = {
-        name: _rounded(of.ppf(shares[:, i])) for i, (name, of) in enumerate(distributions.items())
+        name: canonical_values(of.ppf(shares[:, i]))
+        for i, (name, of) in enumerate(distributions.items())
     }
     of_repeat, matrix, row = np.indices((repeats, len(parts[0]), samples), np.int32).reshape(3, -1)
     label = np.arange(len(shares), dtype=np.int32)
     return Samples(numbers, matrix, of_repeat, row, nominal or {}, label)
-
-
-def _rounded(values: Any) -> Array:
-    """Return canonical values; the same numbers on all machines, although their last bits vary."""
-    return np.array([canonical(value) for value in np.asarray(values).tolist()])

@@ -146,16 +146,21 @@ def cases(study: Study, attractors: xr.Dataset) -> Iterator[_SceneBranches]:
     assert table is not None
     along, axes = table.along, grid.axes
     dims = [name for name in grid.dims if name not in (along, START)]
-    window = Window.of(along, (min(axes[along]), max(axes[along])))
+    followed = [
+        i
+        for i, law in enumerate(axes["representation"])
+        if is_followed(law) and (along not in OF_LABELS or study.model.takes(law, along))
+    ]
     order = [grid.dims.index(name) for name in (*dims, along, START)]
     requested = grid.requested.transpose(order)
+    # Blocks with other laws only have the value of an elastic contact.
+    of_laws = np.moveaxis(requested.take(followed, dims.index("representation")), -2, 0)
+    values = np.array(axes[along])[of_laws.any(axis=tuple(range(1, of_laws.ndim)))]
+    window = Window.of(along, (values.min(), values.max()))
     kind = attractors["response_class"].transpose(*dims, along, ATTRACTOR).values
     for place in np.ndindex(*requested.shape[:-2]):
         at = dict(zip(dims, place, strict=True))
-        law = axes["representation"][at["representation"]]
-        if not is_followed(law) or (along in OF_LABELS and not study.model.takes(law, along)):
-            continue
-        if not requested[place].any():
+        if at["representation"] not in followed or not requested[place].any():
             continue
         cell = at | dict(zip((along, START), np.argwhere(requested[place])[0], strict=True))
         flat = np.ravel_multi_index([cell[name] for name in grid.dims], grid.shape)
@@ -175,18 +180,23 @@ def cases(study: Study, attractors: xr.Dataset) -> Iterator[_SceneBranches]:
 def _attractors(here: xr.Dataset, along: str, numbers: NDArray[np.intp]) -> Iterator[Attractor]:
     """The periodic attractors of a case."""
     sections = [name for name in ("section_x", "section_v", "section_z") if name in here]
-    names = [name for name in (*sections, "period_multiple", "period", "x_max") if name in here]
-    here = here[names].load()
+    names = [name for name in ("period_multiple", "period", "x_max") if name in here]
+    # Arrays, since every selection from a Dataset takes longer than the rest.
+    found = {
+        name: here[name].transpose(along, ATTRACTOR, *own, ...).values
+        for several, own in ((sections, [SECTION_POINT]), (names, []))
+        for name in several
+    }
+    values = here[along].values
     for i, k in numbers.tolist():
-        one = here.isel({along: i, ATTRACTOR: k})
-        columns = [one[name].transpose(SECTION_POINT, ...).values for name in sections]
+        columns = [found[name][i, k] for name in sections]
         section = np.concatenate([each.reshape(len(each), -1) for each in columns], axis=1)
         yield Attractor(
-            value=float(one[along]),
+            value=float(values[i]),
             section=section[np.isfinite(section).all(axis=1)],
-            period=float(one.get("period", np.nan)),
-            multiple=int(one["period_multiple"]),
-            x_max=np.ravel(one["x_max"])[0].item(),
+            period=float(found["period"][i, k]) if "period" in found else np.nan,
+            multiple=int(found["period_multiple"][i, k]),
+            x_max=np.ravel(found["x_max"][i, k])[0].item(),
         )
 
 

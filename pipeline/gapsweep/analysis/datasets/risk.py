@@ -25,6 +25,7 @@ from gapsweep.model.contact import ContactLaw
 from gapsweep.model.doubts import doubts, warn_of
 from gapsweep.model.oscillator import Oscillator, called_as, checked
 from gapsweep.model.structure import structure_of
+from gapsweep.quantities import without_units
 from gapsweep.response.respond import check_steady, respond_models
 from gapsweep.response.result import RESPONSE, ResponseClass, Steady
 from gapsweep.status import Status
@@ -431,7 +432,7 @@ def probability(
     >>> gs.probability(event, 0.01, {"forcing": scipy.stats.norm(2.0, 0.1)})
     <gapsweep.Chance: P(amplitude above 0.001) at most 0.01>
     """
-    limit = checked("at_most", at_most, low=0.0, strict=True)
+    limit = checked("at_most", without_units("at_most", at_most, "1"), low=0.0, strict=True)
     if not limit < 1.0:
         raise ModelError(f"at_most = {limit:g}: must be < 1")
     settings = {"samples": samples, "repeats": repeats, "seed": seed}

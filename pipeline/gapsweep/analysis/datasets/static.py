@@ -24,7 +24,7 @@ from gapsweep.analysis.datasets.contact_errors import (
     expected_range,
     in_gap,
     largest_in_gap,
-    rms_error,
+    rms_errors,
     static_error,
     tanh_threshold,
 )
@@ -128,8 +128,17 @@ def static(study: Study, responses: xr.Dataset | None = None) -> xr.Dataset:
     swept = {name: grid.axes[name] for name in grid.scene_dims if name in (*_SPRING, "K_ratio")}
     axes: dict[str, Sequence[Any]] = {"K_c": grid.K_c, "gap": grid.gaps, **swept}
     settings = [dict(zip(axes, each, strict=True)) for each in product(*axes.values())]
+    springs = {name: axis for name, axis in axes.items() if name in _SPRING}
+    # One oscillator for all walls that it meets.
+    oscillators = {
+        each: with_numbers(study.oscillator, dict(zip(springs, each, strict=True)))
+        for each in product(*springs.values())
+    }
     models = [
-        (with_numbers(study.oscillator, each), each["K_c"], each["gap"], each.get("K_ratio", 1.0))
+        (
+            oscillators[tuple(each[name] for name in springs)],
+            *(each["K_c"], each["gap"], each.get("K_ratio", 1.0)),
+        )
         for each in settings
     ]
     sizes = {"representation": len(labels), **{dim: len(axis) for dim, axis in axes.items()}}
@@ -145,7 +154,6 @@ def static(study: Study, responses: xr.Dataset | None = None) -> xr.Dataset:
         for label in labels
         for oscillator, *walls in models
     ]
-    springs = {name: axis for name, axis in axes.items() if name in _SPRING}
     is_first = [all(each[n] == axis[0] for n, axis in springs.items()) for each in settings]
     of_first = [one for one, first in zip(of_all, is_first * len(labels), strict=True) if first]
     of_walls_alone = {dim: size for dim, size in sizes.items() if dim not in springs}
@@ -195,28 +203,29 @@ def _with_forcing(
         dataset = dataset.assign_coords(forcing=(dims, forcing, described.attributes))
     over = [*map(str, dataset["in_gap_force"].dims), *(() if swept is None else ("forcing",))]
     shape = [*(dataset.sizes[dim] for dim in over)]
-    cases = [
-        (
-            at_resonance(replace(oscillator, forcing=p), study.grid.omega),
-            Piecewise(K_c, gap, K_ratio=ratio),
-        )
-        for oscillator, K_c, gap, ratio in models
-        for p in forcing.tolist()
-    ]
+    loaded = {
+        oscillator: [
+            at_resonance(replace(oscillator, forcing=p), study.grid.omega) for p in forcing.tolist()
+        ]
+        for oscillator in dict.fromkeys(oscillator for oscillator, *_ in models)
+    }
+    loads = np.array([[abs(one.forcing) for one in loaded[model[0]]] for model in models])
     ranges, x_max = _visited(responses, over[1:]), study.spec.approximation.range
     is_expected = ranges is None
     if ranges is None:
-        ranges = np.array([expected_range(*case, x_max) for case in cases])
-
-    def error(law: ContactLaw | None, at: int) -> float:
-        oscillator, p = cases[at][0], abs(cases[at][0].forcing)
-        if law is None or not p:
-            return np.nan
-        low, high = expected_range(oscillator, law, x_max) if is_expected else ranges[at].tolist()
-        return rms_error(law, low, high) / p if low < high else np.nan
-
-    n = len(forcing)
-    errors = [error(law, i % len(models) * n + k) for i, law in enumerate(laws) for k in range(n)]
+        exact = [Piecewise(K_c, gap, K_ratio=ratio) for _, K_c, gap, ratio in models]
+        pairs = zip(models, exact, strict=True)
+        ranges = np.array(
+            [expected_range(one, law, x_max) for model, law in pairs for one in loaded[model[0]]]
+        )
+    of_models = ranges.reshape(*loads.shape, 2)
+    errors = np.full((len(laws), len(forcing)), np.nan)
+    for i, law in enumerate(laws):
+        at = i % len(models)
+        if law is not None:
+            end = getattr(law, "fit_range", np.inf) if is_expected else np.inf
+            found = rms_errors(law, np.clip(of_models[at], -end, end))
+            np.divide(found, loads[at], out=errors[i], where=loads[at] > 0.0)
     said = "expected at the main resonance" if is_expected else "by the exact law's responses"
     for (name, variable), values in zip(VISITED_VARIABLES.items(), ranges.T, strict=True):
         dataset[name] = over[1:], values.reshape(shape[1:]), variable.attributes

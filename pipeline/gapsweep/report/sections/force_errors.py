@@ -9,7 +9,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from gapsweep.analysis.datasets.contact_errors import ADEQUATE, TOO_COARSE
-from gapsweep.analysis.dimensions import Array, scene_dims, scenes
+from gapsweep.analysis.dimensions import Array, scene_dims
 from gapsweep.model.labels import NOT_LOCATED
 from gapsweep.report.drawing import labels_of
 from gapsweep.report.inputs import Inputs
@@ -28,13 +28,17 @@ def sections(inputs: Inputs) -> Iterator[Part]:
     name = "force_error_ratio"
     laws = [label for label in labels_of(static) if not (label.is_located or label == NOT_LOCATED)]
     ratio = static[[name]].sel(representation=laws).load()
-    every = (ratio.isel(at) for at in scenes(ratio, scene_dims(ratio[name].dims)))
-    cases = [case for case in every if np.isfinite(case[name]).any()]
-    if not cases:
+    dims = scene_dims(ratio[name].dims)
+    errors = ratio[name].transpose("representation", *dims).values
+    is_known = np.isfinite(errors).any(axis=0)
+    if not is_known.any():
         return
-    names = list(map(title_of, cases))
-    errors = np.stack([case[name].values for case in cases], axis=1)
-    is_listed = len(names) <= _MOST_CASES
+    errors, positions = errors[:, is_known], np.argwhere(is_known)
+    is_listed = len(positions) <= _MOST_CASES
+    names = [
+        title_of(ratio.isel(dict(zip(dims, position, strict=True))))
+        for position in positions[:_MOST_CASES]
+    ]
     of_law = _each if is_listed else _counted
     rows = [
         [law, *of_law(values)]
@@ -42,7 +46,7 @@ def sections(inputs: Inputs) -> Iterator[Part]:
         if np.isfinite(values).any()
     ]
     header = ["Representation", *(names if is_listed else ["Range", *_WORDS.values()])]
-    title = f"Force error{'' if is_listed else f' in {len(names)} cases'}"
+    title = f"Force error{'' if is_listed else f' in {len(positions)} cases'}"
     visited = static[name].attrs["visited"].replace("by", "visited by", 1)
     sentences = [
         "Root-mean-square difference of a law's force from that of the exact law over the "
