@@ -215,6 +215,21 @@ def test_branches_follow_chi_and_are_continued_once_where_a_law_has_none(client,
 
 
 @pytest.mark.extended
+def test_branches_along_chi_have_the_range_of_the_laws_with_chi(client, tmp_path):
+    """A block without chi has the value of an elastic contact, 0, on the axis of the study."""
+    (block,) = tables()["sweep"]
+    block |= {"initial_condition": [0.35, 0.0], "omega": 0.24}
+    swept = block | {"representation": ["huntcrossley"], "chi": [0.1, 1.0]}
+    other = block | {"representation": ["piecewise"]}
+    study = gs.Study.from_dict(tables(sweep=[swept, other], branches={"along": "chi"}))
+    assert study.grid.axes["chi"][0] == 0.0
+    found = run(study, client, tmp_path).load()
+    assert {*found["representation"].values} == {"huntcrossley"}
+    assert found["chi"].min() == pytest.approx(0.1, rel=1e-12)
+    assert found["chi"].max() == pytest.approx(1.0, rel=1e-12)
+
+
+@pytest.mark.extended
 def test_special_points_of_laws_are_compared(branches):
     assert branches["match_kind"].values.tolist() == [1, 1, 5, 5]
     exact, law = branches["match_exact"].values, branches["match_law"].values

@@ -10,10 +10,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.optimize import brentq
+from tests.oracles import holds
 from tests.oracles.lossy_contacts import HOLD, Lossy, SmoothWall, Wall
 
 import gapsweep as gs
+from gapsweep.continuation.family import Family, Window
+from gapsweep.continuation.orbits import OrbitEquations, Reference
 from gapsweep.errors import StudyError
+from gapsweep.integrate.problem import Solver
 from gapsweep.report.losses import energy_lost
 
 TURN = 2.0 * math.pi
@@ -1155,6 +1159,190 @@ def test_a_branch_goes_on_where_an_impact_passes_the_phase_of_the_initial_state(
         assert two_later == pytest.approx(one_later, abs=1e-6)
 
 
+@pytest.mark.extended  # the oracle takes seconds
+@pytest.mark.parametrize("preload", [0.3, 0.5])
+def test_a_branch_passes_the_graze_of_a_preload(preload):
+    """The wall changes a small speed u by 2 u N_0 / (N_0 + a), a the acceleration back from it.
+
+    The free orbit grazes at F / (c omega) = 1, with a = 1. Past it its part of the motion is
+    (1, u) - u d before the contact, so that F changes as -0.1 u d_1. The depth is
+    u^2 / 2 (N_0 + a).
+    """
+    found = gs.branches(
+        oscillator(zeta=0.05), clutch(preload, place=1.0), "forcing", (0.02, 0.3), at=0.05,
+        omega=1.0 / TURN,
+    )  # fmt: skip
+    assert found.attrs["n_lost"] == 0
+    found = found.isel(branch=0)
+    names = np.array(found["special"].attrs["flag_meanings"].split())[found["special"].values]
+    forcing, n_contacts = found["forcing"].values, found["n_contacts"].values
+    assert sorted(forcing[[0, -1]]) == pytest.approx([0.02, 0.3], rel=1e-12)
+    (row,) = np.flatnonzero(names == "grazing")
+    assert forcing[row] == pytest.approx(0.1, rel=1e-9)
+    assert sorted(n_contacts[[row - 1, row + 1]]) == [0, 2]
+
+    w, side = math.sqrt(1.0 - 0.05**2), 1 if n_contacts[row + 1] else -1
+    c, s = math.cos(w * TURN), math.sin(w * TURN) / w
+    free = math.exp(-0.05 * TURN) * np.array([[c + 0.05 * s, s], [-s, c - 0.05 * s]])
+    kick = -2.0 * preload / (preload + 1.0)
+    d = free @ np.linalg.solve(np.eye(2) - free, [0.0, kick])
+    past = [row + side, row + 2 * side]
+    u = np.sqrt(2.0 * (preload + 1.0) * (found["x_max"].values[past] - 1.0))
+    slopes = (forcing[past] - 0.1) / u
+    first = slopes[0] - u[0] * np.diff(slopes)[0] / np.diff(u)[0]
+    assert first == pytest.approx(-0.1 * d[0], rel=1e-3)
+
+    (fold,) = np.flatnonzero(names == "fold")
+    one, walls = np.eye(1), [Wall([1.0], 1.0, 20.0, preload=preload)]
+    for i in (fold, 0, -1):  # the oracle misses shorter contacts
+        oracle = Lossy(one, 0.1 * one, one, [forcing[i]], 1.0, walls)
+        y = found["start_state"].values[i]
+        ended = oracle.run(y, TURN)
+        assert ended.n_contacts == n_contacts[i]
+        assert ended.y == pytest.approx(y, abs=1e-9)
+        expected = np.sort(np.abs(np.linalg.eigvals(ended.tangent)))
+        mu = found["multiplier_real"].values[i] + 1j * found["multiplier_imag"].values[i]
+        assert np.sort(np.abs(mu)) == pytest.approx(expected, rel=1e-4)
+        assert i != fold or expected[1] == pytest.approx(1.0, abs=1e-5)
+
+
+@pytest.mark.extended  # the oracle takes seconds
+def test_a_branch_passes_the_graze_of_a_preload_from_beyond_the_wall():
+    """A load holds the mass in contact; the motion there is linear up to the graze."""
+    load, preload, place, rate = 1.0, 0.4, 0.1, 1.3
+    stiffness = 4.0
+    depth = (load - preload - place) / stiffness
+    graze = depth * math.hypot(stiffness - rate**2, 0.1 * rate)
+    o = replace(oscillator(zeta=0.05), mean_load=load)
+    found = gs.branches(
+        o, clutch(preload, 3.0, place), "forcing", (0.02, 2.0 * graze), at=0.05, omega=rate / TURN
+    ).isel(branch=0)
+    names = np.array(found["special"].attrs["flag_meanings"].split())[found["special"].values]
+    (row,) = np.flatnonzero(names == "grazing")
+    forcing, n_contacts = found["forcing"].values, found["n_contacts"].values
+    assert forcing[row] == pytest.approx(graze, rel=1e-9)
+    assert sorted(n_contacts[[row - 1, row + 1]]) == [0, 2]
+    assert sorted(forcing[[0, -1]]) == pytest.approx([0.02, 2.0 * graze], rel=1e-12)
+    # of the coordinate without the mean load, beside a wall that is so much closer
+    one, walls = np.eye(1), [Wall([1.0], place - load, 3.0, preload=preload)]
+    for i in (0, -1):
+        oracle = Lossy(one, 0.1 * one, one, [forcing[i]], rate, walls)
+        y = found["start_state"].values[i] - [load, 0.0]
+        assert oracle.run(y, TURN / rate).y == pytest.approx(y, abs=1e-9)
+
+
+def test_a_branch_of_twice_the_period_ends_at_a_graze_of_the_other_one():
+    """Every other turn passes the wall, less and less; in the end the orbit has one period."""
+    o, law = oscillator(0.184, zeta=0.04), clutch(0.009, 9.35, 0.438)
+    found = gs.branches(o, law, between=(0.11, 0.16), at=0.15, follow=1)
+    names = found["ends"].attrs["flag_meanings"].split()
+    assert found["parent"].values.tolist() == [-1, 0]
+    assert names[int(found["ends"][1])] == names[int(found["begins"][1])] == "branch_point"
+    last = found.isel(branch=1, step=int(found["n_orbits"][1]) - 1)
+    rate = TURN * last["omega"].item()
+    assert 0.184 / math.hypot(1.0 - rate**2, 0.08 * rate) == pytest.approx(0.438, rel=1e-9)
+    assert last["period_multiple"] == 2
+    grazing = last["special"].attrs["flag_meanings"].split().index("grazing")
+    assert last["special"] == grazing
+    parent = found.isel(branch=0)
+    at = np.flatnonzero(parent["special"].values == grazing)
+    y = parent["start_state"].values[at[0]]
+    assert last["start_state"].values == pytest.approx(y, rel=1e-7)
+
+
+def test_a_branch_goes_on_where_a_damped_wall_passes_the_phase_of_the_initial_state():
+    """There the acceleration jumps: the initial state has a kink along the branch."""
+    o = oscillator(0.366, zeta=0.12)
+    law = gs.Piecewise(20.0, gs.Gap(0.45, 0.377), damping=1.2, pulls=True)
+    found = gs.branches(o, law, between=(0.06, 0.12), at=0.09).isel(branch=0)
+    rate, (x, v) = TURN * found["omega"].values, found["start_state"].values.T
+    assert sorted(rate[[0, -1]]) == pytest.approx([0.06 * TURN, 0.12 * TURN], rel=1e-12)
+    order = np.argsort(rate)
+    is_beyond = x[order] > 0.377
+    (row,) = np.flatnonzero(np.diff(is_beyond))
+    assert 3 < row < len(x) - 4
+    slopes = np.diff(v[order])[[row - 1, row + 1]] / np.diff(rate[order])[[row - 1, row + 1]]
+    assert abs(slopes[1] / slopes[0] - 1.0) > 0.1
+    walls = [Wall([1.0], 0.377, 20.0, 1.2), Wall([-1.0], 0.45, 20.0, 1.2)]
+    for i in order[[row - 2, row + 3]]:
+        oracle = Lossy(np.eye(1), 0.24 * np.eye(1), np.eye(1), [0.366], rate[i], walls)
+        ended = oracle.run([x[i], v[i]], TURN / rate[i])
+        assert ended.y == pytest.approx([x[i], v[i]], abs=1e-10)
+        mu = found["multiplier_real"].values[i] + 1j * found["multiplier_imag"].values[i]
+        expected = np.linalg.eigvals(ended.tangent)
+        assert np.sort_complex(mu) == pytest.approx(np.sort_complex(expected), abs=1e-8)
+
+
+def test_a_branch_goes_on_where_a_preload_passes_the_phase_of_the_initial_state():
+    """The branch has a fold and ends where it begins, on the other side of the phase."""
+    o, law = oscillator(0.49, zeta=0.0388), gs.Piecewise(8.48, gs.Gap(0.136, 0.1809), preload=0.5)
+    found = gs.branches(o, law, "preload", (0.326, 0.659), at=0.344, omega=0.0934).isel(branch=0)
+    assert found["preload"].values[[0, -1]] == pytest.approx([0.659, 0.659], rel=1e-12)
+    x, rate, one = found["start_state"].values[:, 0], 0.0934 * TURN, np.eye(1)
+    assert x.min() < 0.1809 < x.max()
+    for i in (int(x.argmin()), int(x.argmax())):  # an end of the branch on either side
+        named = {"k": 8.48, "preload": found["preload"].values[i]}
+        walls = [Wall([1.0], 0.1809, **named), Wall([-1.0], 0.136, **named)]
+        y = found["start_state"].values[i]
+        ended = Lossy(one, 2.0 * 0.0388 * one, one, [0.49], rate, walls).run(y, TURN / rate)
+        assert ended.y == pytest.approx(y, abs=1e-9)
+        assert ended.n_contacts == found["n_contacts"].values[i]
+
+
+def test_a_branch_goes_on_where_a_moving_wall_passes_the_phase_of_the_initial_state():
+    """The speed changes along the branch in another way on either side of the wall."""
+    o, ends, one, rate = oscillator(0.421, zeta=0.032), (0.525, 0.895), np.eye(1), 0.1409 * TURN
+    law = gs.Piecewise(3.79, gs.Gap(0.353, 0.599), damping=0.063, preload=0.461)
+    found = gs.branches(o, law, "j_2", ends, at=0.7, omega=0.1409).isel(branch=0)
+    assert found["j_2"].values[[0, -1]] == pytest.approx(np.array(ends), rel=1e-12)
+    is_beyond = found["start_state"].values[:, 0] > found["j_2"].values
+    assert is_beyond.any() != is_beyond.all()
+    for i in (0, -1):
+        place, named = found["j_2"].values[i], {"c": 0.063, "pulls": False, "preload": 0.461}
+        walls = [Wall([1.0], place, 3.79, **named), Wall([-1.0], 0.353, 3.79, **named)]
+        y = found["start_state"].values[i]
+        ended = Lossy(one, 0.064 * one, one, [0.421], rate, walls).run(y, TURN / rate)
+        assert ended.y == pytest.approx(y, abs=1e-9)
+
+
+def test_a_doubling_is_located_where_rounding_is_larger_than_the_last_step():
+    """A branch of two periods ends there: a multiplier of the orbit of one period is -1."""
+    o, omega = oscillator(0.496, zeta=0.0176), 0.299
+    law = gs.Piecewise(129.4, gs.Gap(0.489, 0.333), preload=0.0229)
+    found = gs.branches(o, law, "j_2", (0.3, 0.45), at=0.333, omega=omega)
+    names = found["ends"].attrs["flag_meanings"].split()
+    (branch,) = np.flatnonzero(found["ends"].values == names.index("branch_point"))
+    last = found.isel(branch=branch, step=int(found["n_orbits"][branch]) - 1)
+    assert last["period_multiple"] == 2
+    law = replace(law, gap=gs.Gap(0.489, last["j_2"].item()))
+    run = gs.simulate(
+        o, law, omega, *last["start_state"].values, n_periods=1, tangent=True, engine="scipy",
+        rtol=1e-12,
+    )  # fmt: skip
+    assert [run.x_end, run.v_end] == pytest.approx(last["start_state"].values, abs=1e-6)
+    assert np.linalg.eigvals(run.monodromy).real.min() == pytest.approx(-1.0, abs=1e-5)
+
+
+@pytest.mark.parametrize("place", [2e-12, -2e-12])
+def test_a_derivative_by_a_parameter_crosses_no_impact(place):
+    """It is that of the free motion 2e-12 before an impact, and that past it as far behind."""
+    free, window = (oscillator(f) for f in (0.0, 1.0)), Window("forcing", 0.2, 0.8)
+    far = gs.Piecewise(1.0, gs.Gap(9.0, 9.0))
+    first, second = (gs.simulate(o, far, 1.0, 0.0, 1.0, n_periods=1, **TIGHT) for o in free)
+    by_x, by_v = second.x_end - first.x_end, second.v_end - first.v_end
+    x, v = first.x_end + 0.5 * by_x, first.v_end + 0.5 * by_v
+    family = Family(oscillator(), rigid(0.8, x + place), 1.0, ("forcing",), {"forcing": 0.5})
+    equations = OrbitEquations(family, (window,), Solver.of(rtol=1e-12))
+    one, y = np.ones((1, 2)), np.array([[0.0, 1.0]])
+    reference = Reference(size=one, duration=one[0], multiple=np.ones(1, int), y=y, rate=y)
+    found = equations.evaluate(np.array([[0.0, 1.0, 0.5]]), reference)
+    if place < 0.0:  # the impact comes earlier by by_x / v
+        before, after = 0.5 - 0.05 * v - x, 0.5 + 0.05 * 0.8 * v - x
+        by_x, by_v = -0.8 * by_x, -0.8 * by_v + (after + 0.8 * before) * by_x / v
+    assert found.is_ok.all()
+    assert found.jacobian[0, :, -1] == pytest.approx([0.6 * by_x, 0.6 * by_v], rel=1e-4)
+
+
 def test_a_branch_along_the_restitution_has_its_determinants():
     found = gs.branches(
         oscillator(0.2, zeta=0.05), rigid(0.8), "restitution", between=(0.6, 0.9),
@@ -1492,3 +1680,95 @@ def test_a_branch_along_a_loss_that_reaches_zero_ends_at_the_elastic_orbit(kind)
     assert elastic.contact_share > 0.0
     assert at_zero.size
     assert at_zero == pytest.approx(elastic.x_max, rel=1e-7)
+
+
+def drawn_holds(kind, seed):
+    """A drawn system with walls that hold, for the oracle and gapsweep, and its initial state.
+
+    Between 2 rigid walls it moves at first; on 2 or 3 walls with a preload it is at rest.
+    """
+    rng = np.random.default_rng([("rigid", "preload").index(kind), seed])
+    n_walls = 2 if kind == "rigid" else int(rng.integers(2, 4))
+    n = int(rng.integers(n_walls, 4))
+    k, one = rng.uniform(0.3, 3.0, n + 1), np.eye(n)
+    mass = np.diag(rng.uniform(0.5, 2.0, n)) + 0.1 * (rng.random() < 0.4)
+    stiffness = np.diag(k[:-1] + k[1:]) - np.diag(k[1:-1], 1) - np.diag(k[1:-1], -1)
+    damping = rng.uniform(0.02, 0.15) * stiffness + 0.02 * one
+    directions = np.concatenate([one, one[:-1] - one[1:], one[1:] - one[:-1]])
+    b = np.zeros((n_walls, n))
+    while np.linalg.matrix_rank(b) < n_walls:
+        b = directions[rng.choice(len(directions), n_walls, replace=False)]
+    q, v = np.round(rng.uniform(-0.2, 0.0, n), 2), np.zeros(n)
+    push = rng.uniform(-1.0, 1.0, n) * rng.uniform(0.2, 0.8)
+    load, walls, laws = np.zeros(n), [], []
+    if kind == "preload":
+        load, damped = stiffness @ q - push, rng.random() < 0.5
+    else:
+        v = rng.uniform(-0.3, 0.3, n)
+    for row in b:
+        if kind == "rigid":
+            place, e = float(row @ q + rng.uniform(0.01, 0.2)), float(rng.uniform(0.0, 0.8))
+            e *= rng.random() < 0.7
+            walls.append(holds.Wall(row, place, e=e))
+            laws.append(gs.Rigid(gs.Gap(None, place), restitution=e))
+            load += row * rng.uniform(0.2, 1.0)
+        else:
+            most, spring = float(rng.uniform(0.1, 1.0)), float(10.0 ** rng.uniform(0.0, 2.0))
+            c = float(damped * rng.uniform(0.05, 2.0))
+            walls.append(holds.Wall(row, float(row @ q), spring, c, most))
+            named = {"damping": c, "pulls": True} if damped else {}
+            laws.append(gs.Piecewise(spring, gs.Gap(None, float(row @ q)), preload=most, **named))
+            load += row * rng.uniform(-0.1, 1.1) * most
+    omega, names = float(rng.uniform(0.3, 1.5)), [str(i) for i in range(n_walls)]
+    oracle = holds.Held(mass, damping, stiffness, load, push, omega, walls)
+    system = gs.System(
+        mass=mass, damping=damping, stiffness=stiffness, contacts=dict(zip(names, b, strict=True)),
+        forcing=[gs.Harmonic(k=0, amplitude=load), gs.Harmonic(amplitude=push)],
+    )  # fmt: skip
+    return oracle, system, dict(zip(names, laws, strict=True)), q, v
+
+
+@pytest.mark.extended  # layouts of systems
+@BOTH
+@pytest.mark.parametrize("kind", ["rigid", "preload"])
+def test_walls_that_hold_together_do_so_as_a_search_of_all_modes_says(kind, engine):
+    """Motions, and contacts that begin or end at the initial state: none where a body stays."""
+    rtol, error = (1e-11, 1e-9) if engine == "compiled" else (1e-9, 1e-7)
+    for seed in range(10):
+        oracle, system, laws, q, v = drawn_holds(kind, seed)
+        t_end = min(TURN / oracle.omega, 10.0 if kind == "rigid" else 4.0)
+        run = gs.simulate(
+            system, laws, oracle.omega / TURN, q_0=q, v_0=v, t_end=t_end, engine=engine, rtol=rtol,
+            dense_output=True,
+        )  # fmt: skip
+        expected = oracle.run(q, v, t_end)
+        assert run.status is gs.Status.OK
+        assert np.append(run.q_end, run.v_end) == pytest.approx(expected.y, abs=error)
+        places = run.sample(np.array([part[0] for part in expected.parts]))[0]
+        starts = np.array([part[2][0][: system.n] for part in expected.parts], float)
+        assert places == pytest.approx(starts, abs=error)
+        if kind == "preload":
+            times = np.concatenate([run.t_contacts[name] for name in laws])
+            assert (times > 1e-3).all()
+
+
+@pytest.mark.extended  # layouts of systems
+@BOTH
+def test_two_walls_at_the_origin_stop_masses_that_move_into_both(engine):
+    """The impacts at one time have no largest displacement that speeds could be compared with."""
+    system = gs.System(
+        mass=np.eye(2), stiffness=np.eye(2), damping=0.1 * np.eye(2),
+        contacts={"wall": [0.0, 1.0], "between": [1.0, -1.0]},
+        forcing=[gs.Harmonic(k=0, amplitude=[1.0, 0.5])],
+    )  # fmt: skip
+    laws = {name: gs.Rigid(gs.Gap(None, 0.0), restitution=0.0) for name in system.contacts}
+    run = gs.simulate(system, laws, q_0=[0.0, 0.0], v_0=[0.3, 0.2], t_end=2.0, engine=engine)
+    assert run.status is gs.Status.OK
+    assert np.append(run.q_end, run.v_end) == pytest.approx(np.zeros(4), abs=1e-12)
+
+
+def test_a_hold_of_a_wall_that_never_pulls_takes_no_short_steps():
+    law = clutch(0.4, 5.0, 0.0, damping=2.0)
+    run = gs.simulate(pressed(0.1, forcing=0.05), {"wall": law}, 0.2, n_periods=4)
+    assert (run.q_end[0], run.n_contacts) == (0.0, 0)
+    assert run.n_steps < 200

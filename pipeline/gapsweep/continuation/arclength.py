@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gapsweep.continuation import thresholds as limit
-from gapsweep.continuation.border import behind_impact, rigid_graze
+from gapsweep.continuation.border import behind_start, sharp_graze
 from gapsweep.continuation.crossing import crossing
 from gapsweep.continuation.hopf import hopf_point
 from gapsweep.continuation.locate import Step, orbits_at
@@ -78,11 +78,11 @@ class Continuation:
                 half, step, of = halves[i], float(size[i]), here.take([k])
                 turn = self._turn(half, orbit, step, of)
                 passed = None if turn is None else orbit
-                graze = rigid_graze(self.corrector, half.orbits, passed, step, of)
+                graze = sharp_graze(self.corrector, half.orbits, passed, step, of)
                 if graze:
                     half.orbits += graze[:-1]
                     half.references += [of] * (len(graze) - 1)
-                    orbit, turn, size[i] = graze[-1], math.inf, limit.PAST_RIGID[-1]
+                    orbit, turn, size[i] = graze[-1], math.inf, limit.PAST_SHARP[-1]
                 if turn is None:
                     size[i] = 0.5 * step
                     if size[i] >= limit.SMALLEST:
@@ -154,7 +154,10 @@ class Continuation:
     def _ahead(self, half: Half, orbit: Orbit | None, reference: Reference) -> Orbit | None:
         """The next orbit where steps are at their smallest; a half without one ends."""
         last = half.orbits[-1]
-        behind = behind_impact(self.corrector, half.orbits, reference)
+        if orbit is not None and orbit.identity.is_prime < last.identity.is_prime:
+            half.end = "branch_point"  # near an orbit of a part of the period
+            return None
+        behind = behind_start(self.corrector, last, reference)
         if behind is not None:
             return behind
         # A branch that comes back to a kink has turned round there.
@@ -220,6 +223,8 @@ class Continuation:
             # Behind it lie the same orbits half a period later, or their mirror images.
             half.orbits[-1] = found
             return "branch_point"
+        if last.special == Special.GRAZING and before.identity.is_prime > last.identity.is_prime:
+            return "branch_point"  # at an orbit of a part of the period
         if passed or self._leaves(last):
             return "window"
         if self.equations.has_period and self._ends_at_equilibrium(half):

@@ -14,8 +14,16 @@ A graze of a rigid wall has Φ without the contact only. Past it the wall revers
 which changes the end of the motion by ``-(1 + e) u Φ(T, t) (0, β)``, β = M⁻¹b / b'M⁻¹b, and the
 multipliers grow as 1/u [2]_. State y and parameter a of orbits with the impact are linear in u::
 
-    (Φ(T, 0) - I) y + φ_a a = (1 + e) u Φ(T, t) (0, β)
+    (Φ(T, 0) - I) y + φ_a a = κ u Φ(T, t) (0, β),   κ = 1 + e
     g_y y + g_a a = 0                         the turning point stays on the wall
+
+A wall with a preload N₀ acts as such an impact. With the acceleration -r back from the wall, the
+body returns with -u, after the time 2 u / (r + N₀ b'M⁻¹b) instead of 2 u / r::
+
+    κ = 2 N₀ b'M⁻¹b / (r + N₀ b'M⁻¹b)
+
+A graze from beyond the wall has the same κ, towards the side from which the orbit comes. The depth
+is u² / 2 r of the motion without the contact: at a weak preload it is large at a short distance.
 
 .. [1] M. di Bernardo, C. J. Budd, A. R. Champneys, P. Kowalczyk, Piecewise-smooth Dynamical
    Systems, Springer 2008, chapters 2 and 7.
@@ -24,6 +32,7 @@ multipliers grow as 1/u [2]_. State y and parameter a of orbits with the impact 
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import chain, combinations
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,21 +52,22 @@ class _Touch:
     """A turning point of a gap on a wall."""
 
     t: float  # [s]
-    off: float  # distance beyond the wall [m]
-    clear: float  # the same of an orbit without the contact
-    outward: Array  # direction of the contact, towards the wall
+    off: float  # distance past an orbit that is clear of the wall [m]
+    past: Array  # direction of the contact, from the orbit's side of the wall to the other side
     jump: Array  # S
-    kick: Array  # change of the state by an impact on the rigid wall, over its speed
+    kick: Array  # change of the state by a rigid wall or a preload, over the speed at the wall
+    back: float  # acceleration away from the wall [m/s²]
     is_outer: bool  # whether the orbit comes from the gap, not from beyond the wall
 
 
 @dataclass(frozen=True, slots=True)
 class _Graze:
-    """A graze of a rigid wall, with directions in the space of unknowns."""
+    """A graze of a rigid wall or a preload, with directions in the space of unknowns."""
 
     orbit: Orbit
     towards: Array  # tangent of the branch without the impact, towards the graze
     past: Array  # of the branch with the impact, away from the graze
+    deep: Array  # change by which turning points are as deep as past the graze, at the distance 1
     deeper: Array  # change by which the turning point moves by the largest displacement
 
 
@@ -78,8 +88,8 @@ def both_sides(equations: OrbitEquations, orbit: Orbit, reference: Reference) ->
     slopes, flow = [], np.eye(equations.n_states)
     for touch, piece in zip(touched, until, strict=True):
         flow = piece @ flow
-        slopes.append(touch.outward @ flow[:n])
-    aside = np.linalg.lstsq(np.array(slopes), [touch.clear - touch.off for touch in touched])[0]
+        slopes.append(touch.past @ flow[:n])
+    aside = np.linalg.lstsq(np.array(slopes), [-touch.off for touch in touched])[0]
     pieces = integrate(_pieces(state + aside, np.array([begin, *times, end])))
     assert pieces.monodromy is not None
     without = with_contact = pieces.monodromy[0]
@@ -110,7 +120,7 @@ def _touched(
 ) -> tuple[float, Array, list[_Touch]]:
     """A time of an orbit [s], its state then, and its grazes in the period from there on.
 
-    Walls that never pull and rigid walls have such grazes.
+    Walls that never pull, rigid walls and those with a preload have such grazes.
     """
     begin = limit.OFF_TURNING * orbit.period  # the orbit may turn where it starts
     state = integrate(_pieces(orbit.state, np.array([0.0, begin]))).state[0]
@@ -119,26 +129,30 @@ def _touched(
     system = models.systems[0]
     for contact, law in enumerate(models.laws[0]):
         losses = law.losses
-        if losses.preload or not (losses.never_pulls or losses.is_rigid):
-            continue  # at a preload S grows as 1 / u
+        if not (losses.never_pulls or losses.may_hold):
+            continue
         near, b = on_wall(orbit, contact), np.reshape(system.directions[contact], -1)
-        jump, kick = np.eye(equations.n_states), np.zeros(equations.n_states)
         push = np.linalg.solve(np.atleast_2d(system.mass), b)
+        jump, kick = np.eye(equations.n_states), np.zeros(equations.n_states)
         jump[n : 2 * n, :n] -= losses.damping * np.outer(push, b)
-        kick[n : 2 * n] = -(1.0 + losses.restitution) * push / (b @ push)
         for side, wall in walls(equations, orbit, contact).items():
             if wall is None:
                 continue
             is_outer = bool((np.abs(beyond(orbit, contact, side, wall)[0]) <= near).any())
-            clear = limit.CLEAR_OF_WALL * near * (-1.0 if is_outer else 1.0)
-            off = side * (events.extrema - wall)
+            past = side if is_outer else -side
+            off = past * (events.extrema - wall)
             is_there = (events.extrema_of == equations.first_gap + contact) & (np.abs(off) <= near)
-            if losses.is_rigid:  # impacts are on the wall
+            if losses.may_hold:  # impacts are on the wall
                 is_there &= off < -limit.IMPACT * near / limit.ON_WALL
-            found += [
-                _Touch(t, x, clear, side * b, jump, side * kick, is_outer)
-                for t, x in zip(events.t_extrema[is_there].tolist(), off[is_there], strict=True)
-            ]
+            off += limit.CLEAR_OF_WALL * near
+            for t, x in zip(events.t_extrema[is_there].tolist(), off[is_there], strict=True):
+                earlier = np.array([begin, t - limit.EARLIER * orbit.period])
+                speed = past * b @ integrate(_pieces(state, earlier)).state[0, n : 2 * n]
+                back = float(speed) / (limit.EARLIER * orbit.period)
+                share = losses.preload / (losses.preload + back / (b @ push))
+                ratio = 1.0 + losses.restitution if losses.is_rigid else 2.0 * share
+                kick[n : 2 * n] = -past * ratio * push / (b @ push)
+                found.append(_Touch(t, x, past * b, jump, kick.copy(), back, is_outer))
     return begin, state, sorted(found, key=lambda touch: touch.t)
 
 
@@ -164,90 +178,81 @@ def _kind(without: Array, with_contact: Array) -> Special:
     return Special.GRAZING
 
 
-def rigid_graze(
+def sharp_graze(
     corrector: Corrector,
     orbits: Sequence[Orbit],
     found: Orbit | None,
     step: float,
     reference: Reference,
 ) -> list[Orbit]:
-    """Return the graze of a rigid wall that a branch passes in a step, and the orbit past it.
+    """Return the graze of a rigid wall or a preload that a branch passes in a step, and the orbit
+    past it.
 
     `found` is the orbit at the end of the step, None where none is found. The tangent of the
     grazing orbit is that of the branch past it. Empty where no graze is passed.
     """
     equations, last = corrector.equations, orbits[-1]
-    if last.special == Special.GRAZING or not any(equations.is_rigid):
+    if last.special == Special.GRAZING or not any(equations.may_hold):
         return []
     (n, gap), before = _clearance(equations, last), orbits[-2] if len(orbits) > 1 else None
     if found is not None:
-        change = _clearance(equations, found)[0] - n
-        is_entry, far = change > 0, step
+        change, far = _clearance(equations, found)[0] - n, step
+        is_entry, is_exit = change > 0, change < 0
     else:  # no orbit: where the gap, or the reciprocal of the largest multiplier, would be zero
         if before is None or _clearance(equations, before)[0] != n:
             return []
         apart = float(np.sqrt(((last.unknowns - before.unknowns) ** 2).sum()))
         with np.errstate(divide="ignore", invalid="ignore"):  # multipliers are 0 after a hold
             spectral = [1.0 / np.abs(each.multipliers[0]) for each in (before, last)]
-        is_entry = 0.0 < _zero(_clearance(equations, before)[1], gap, apart) <= 2.0 * step
-        is_exit = n > 0 and spectral[1] < limit.STRONG
         far = _zero(spectral[0], spectral[1], apart)
-        change = int(is_entry) or -int(is_exit and 0.0 < far <= 2.0 * step)
-    if not change:
-        return []
-    if is_entry:
-        graze = _graze(
-            equations, _located(corrector, last, reference, equations.is_rigid), reference
-        )
-        return [] if graze is None else _with_impact(corrector, graze, reference)
-    for free in _without_impact(corrector, last, n, far, reference):
-        graze = _graze(
-            equations, _located(corrector, free, reference, equations.is_rigid), reference
-        )
-        if graze is not None:
+        is_exit = n > 0 and spectral[1] < limit.STRONG and 0.0 < far <= 2.0 * step
+        is_entry = 0.0 < _zero(_clearance(equations, before)[1], gap, apart) <= 2.0 * step
+    for free in _without_impact(corrector, last, n, far, reference) if is_exit else ():
+        for graze in _grazes(corrector, free, reference):
             way = graze.orbit.unknowns - last.unknowns
             is_near = float(np.sqrt(way @ way)) <= 3.0 * far
             if is_near and -graze.past @ last.tangent > np.cos(limit.TURN):
                 return [replace(graze.orbit, tangent=-graze.towards)]
+    for graze in _grazes(corrector, last, reference) if is_entry else ():
+        if past := _with_impact(corrector, graze, reference):
+            return past
     return []
 
 
-def behind_impact(
-    corrector: Corrector, orbits: Sequence[Orbit], reference: Reference
-) -> Orbit | None:
-    """Return the next orbit of a branch where an impact passes the phase at which orbits start.
+def behind_start(corrector: Corrector, last: Orbit, reference: Reference) -> Orbit | None:
+    """Return the next orbit of a branch where an impact, or a wall at which the force jumps, passes
+    the phase at which orbits start.
 
-    There the initial state changes from that before the impact to that after it, or back.
+    The branch has a kink there. The initial state at a rigid wall changes from that before the
+    impact to that after it, or back.
     """
-    equations, last, guess = corrector.equations, orbits[-1], orbits[-1].unknowns.copy()
-    # Differences by the parameter pass the phase at closer orbits: their tangents are wrong.
-    away = [x for x in orbits if np.abs(x.unknowns - guess).max() > limit.BEFORE_RIGID]
-    tangent = away[-1].tangent if away else last.tangent
+    equations, guess = corrector.equations, last.unknowns.copy()
     model, n, size = equations.models_at(last), equations.n, reference.size[0]
-    for contact, side, wall in _walls_of(equations, last, equations.is_rigid):
+    for contact, side, wall in _walls_of(equations, last, equations.has_jump):
         outward = side * np.reshape(model.systems[0].directions[contact], -1)
         near = on_wall(last, contact) * limit.NEAR_EDGE / limit.ON_WALL
-        speed, e = float(outward @ last.state[n : 2 * n]), model.laws[0][contact].losses.restitution
+        speed, losses = float(outward @ last.state[n : 2 * n]), model.laws[0][contact].losses
+        e = losses.restitution
         if abs(outward @ last.state[:n] - side * wall) > near or not (speed > 0.0 or e):
             continue
         push = np.linalg.solve(np.atleast_2d(model.systems[0].mass), outward)
-        ratio = e if speed > 0.0 else 1.0 / e
+        ratio = -1.0 if not losses.is_rigid else e if speed > 0.0 else 1.0 / e
         guess[n : 2 * n] -= speed * (1.0 + ratio) / (outward @ push) * push / size[n : 2 * n]
-        along = np.copysign(1.0, tangent[-1]) * np.eye(len(guess))[-1]
-        ahead = abs(tangent[-1]) * along
-        ahead[:n] = tangent[:n]  # the body is where it comes from or goes to at the other speed
-        off = float(outward @ (tangent[:n] * size[:n])) * (1.0 + ratio) / (outward @ push)
+        along = np.copysign(1.0, last.tangent[-1]) * np.eye(len(guess))[-1]
+        ahead = last.tangent.copy()  # the body is where it comes from or goes to at another speed
+        off = float(outward @ (ahead[:n] * size[:n])) * (1.0 + ratio) / (outward @ push)
         ahead[:n] -= off * push / size[:n]
-        distances = np.array(limit.BEHIND)
+        slow = ahead.copy()
+        slow[n : 2 * n] = 0.0  # the changes of its speed on either side may be unlike
+        ways = np.concatenate([np.outer(limit.BEHIND, way) for way in (slow, ahead)])
         found, _ = corrector.orbits(
-            guess + np.outer(distances, ahead),
-            np.tile(along, (len(distances), 1)),
-            reference.take(np.zeros(len(distances), int)),
-            np.full(len(distances), limit.LARGEST),
+            guess + ways,
+            np.tile(along, (len(ways), 1)),
+            reference.take(np.zeros(len(ways), int)),
+            np.full(len(ways), limit.LARGEST),
         )
-        n_impacts = _clearance(equations, last)[0]
         for orbit in found:
-            if orbit is not None and _clearance(equations, orbit)[0] == n_impacts:
+            if orbit is not None and orbit.n_contacts == last.n_contacts:
                 return orbit
     return None
 
@@ -273,15 +278,17 @@ def _clearance(
 ) -> tuple[int, float]:
     """Number of contacts, and the largest distance of another turning point beyond a wall.
 
-    The walls are those of the chosen contacts, by default the rigid ones. The distance is negative,
-    as a share of the largest displacement.
+    The walls are those of the chosen contacts, by default the rigid ones and those with a preload.
+    The distance is negative, as a share of the largest displacement. A turning point beyond a wall
+    that points back to it is measured on that side; on the wall it joins two contacts.
     """
     n, nearest = 0, -np.inf
     for contact, side, wall in _walls_of(
-        equations, orbit, equations.is_rigid if chosen is None else chosen
+        equations, orbit, equations.may_hold if chosen is None else chosen
     ):
-        off = beyond(orbit, contact, side, wall)[0] * limit.ON_WALL / on_wall(orbit, contact)
-        n += int((off > -limit.IMPACT).sum())
+        outer, inner = beyond(orbit, contact, side, wall)
+        off = np.append(outer, -inner) * limit.ON_WALL / on_wall(orbit, contact)
+        n += int((off > -limit.IMPACT).sum()) - len(inner)
         nearest = max(nearest, float(off[off <= -limit.IMPACT].max(initial=-np.inf)))
     return n, nearest
 
@@ -301,7 +308,7 @@ def _without_impact(
         last.unknowns + far * last.tangent + guesses,
         np.tile(axes[-1], (len(guesses), 1)),
         reference.take(np.zeros(len(guesses), int)),
-        np.repeat(limit.ASIDE_RIGID * distances, 2 * len(ways)),
+        np.repeat(limit.ASIDE_SHARP * distances, 2 * len(ways)),
     )
     free = [o for o in found if o is not None and _clearance(corrector.equations, o)[0] < n]
     return sorted(free, key=lambda o: float(((o.unknowns - last.unknowns) ** 2).sum()))[:4]
@@ -315,10 +322,11 @@ def _with_impact(corrector: Corrector, graze: _Graze, reference: Reference) -> l
     circle.
     """
     depths = np.append(0.0, np.outer([1.0, -1.0], 10.0 ** np.arange(-4.0, 1.5, 0.5)))
-    distances = np.repeat(limit.PAST_RIGID, len(depths))
-    aside = np.outer(distances**2 * np.tile(depths, len(limit.PAST_RIGID)), graze.deeper)
+    scale = max(1.0, float(np.sqrt(graze.deep @ graze.deep)))  # weak: deep at short distances
+    distances = np.repeat(limit.PAST_SHARP, len(depths)) / scale
+    aside = graze.deep + np.outer(np.tile(depths, len(limit.PAST_SHARP)), graze.deeper)
     found, _ = corrector.orbits(
-        graze.orbit.unknowns + np.outer(distances, graze.past) + aside,
+        graze.orbit.unknowns + np.outer(distances, graze.past) + distances[:, None] ** 2 * aside,
         np.tile(graze.past, (len(distances), 1)),
         reference.take(np.zeros(len(distances), int)),
         distances,
@@ -345,13 +353,13 @@ def _located(
     """
     equations = corrector.equations
     n, value = _clearance(equations, orbit, chosen)
-    s = -max(-0.01 * value, limit.BEFORE_RIGID)
+    s = -max(-0.01 * value, limit.BEFORE_SHARP)
     for _ in range(2 * limit.NEWTON_STEPS):
         if not abs(s) < 1.0:  # no turning point is left that could touch the wall
             return None
         (found,), _ = corrector.orbits(
             (orbit.unknowns + s * orbit.tangent)[None, :], orbit.tangent[None, :], reference,
-            np.array([abs(s) + limit.BEFORE_RIGID]),
+            np.array([abs(s) + limit.BEFORE_SHARP]),
         )  # fmt: skip
         now = (n + 1, 0.0) if found is None else _clearance(equations, found, chosen)
         if found is None or now[0] != n:
@@ -360,9 +368,9 @@ def _located(
         along = float((found.unknowns - orbit.unknowns) @ found.tangent)
         slope = (now[1] - value) / along
         orbit, value = found, now[1]
-        if abs(np.log(-value / limit.BEFORE_RIGID)) < 1.0:
+        if abs(np.log(-value / limit.BEFORE_SHARP)) < 1.0:
             break
-        s = (-limit.BEFORE_RIGID - value) / slope
+        s = (-limit.BEFORE_SHARP - value) / slope
     else:
         return None
     tangent = orbit.tangent * np.sign(slope)
@@ -372,21 +380,25 @@ def _located(
         ahead += (-nearer * limit.CLEAR_OF_WALL * limit.ON_WALL - value) / abs(slope)
         (found,), _ = corrector.orbits(
             (orbit.unknowns + ahead * tangent)[None, :], across[None, :], reference,
-            np.array([limit.BEFORE_RIGID]),
+            np.array([limit.BEFORE_SHARP]),
         )  # fmt: skip
         now = (n + 1, 0.0) if found is None else _clearance(equations, found, chosen)
-        if found is None or now[0] != n:
+        if found is None or now[0] != n or now[1] < -limit.ON_WALL:
             return None
         graze, value = found, now[1]
     return graze, tangent, abs(slope)
 
 
-def _graze(
-    equations: OrbitEquations, located: tuple[Orbit, Array, float] | None, reference: Reference
-) -> _Graze | None:
-    """A graze with its directions; None if no branch has impacts on all walls that it touches."""
+def _grazes(corrector: Corrector, free: Orbit, reference: Reference) -> list[_Graze]:
+    """The graze of a branch without the contact, with the directions of branches past it.
+
+    Where the orbit touches several walls at once, or one twice in its period, they may pass all or
+    some of them and leave the others; the branch that passes all is the first one.
+    """
+    equations = corrector.equations
+    located = _located(corrector, free, reference, equations.may_hold)
     if located is None:
-        return None
+        return []
     graze, tangent, slope = located
     touched, pieces = _flow(equations, graze)
     n, states, m = equations.n, equations.n_states, len(touched)
@@ -395,28 +407,36 @@ def _graze(
     change, turned = np.eye(states, states + m), np.zeros((m, states + m))
     for k, touch in enumerate(touched):
         change = pieces[k] @ change
-        turned[k] = touch.outward @ change[:n] / size
+        turned[k] = touch.past @ change[:n] / size
         change[:, states + k] += touch.kick
     change = pieces[m] @ change
     try:
         start = np.linalg.solve(np.eye(states) - change[:, :states], change[:, states:])
     except np.linalg.LinAlgError:
-        return None
-    steepest = turned[0, :states] * reference.size[0]
-    turned = turned[:, :states] @ start + turned[:, states:]
-    *speeds, along = np.linalg.svd(np.column_stack([turned, np.full(m, slope)]))[2][-1]
-    if not (np.all(np.array(speeds) > 0.0) or np.all(np.array(speeds) < 0.0)):
-        return None
-    past = along * tangent
-    past[:states] += start @ speeds / reference.size[0]
-    deeper = np.zeros_like(tangent)
-    deeper[:states] = steepest / (steepest @ steepest)
-    return _Graze(
-        replace(graze, special=int(Special.GRAZING), branching=0.0),
-        tangent,
-        past * np.sign(speeds[0]) / np.sqrt(past @ past),
-        deeper,
-    )
+        return []
+    steepest = turned[:, :states] * reference.size[0]
+    turned = np.column_stack([turned[:, :states] @ start + turned[:, states:], np.full(m, slope)])
+    back = np.array([touch.back for touch in touched])
+    orbit, found = replace(graze, special=int(Special.GRAZING), branching=0.0), []
+    for some in map(list, _subsets(m)):
+        others = np.delete(np.arange(m), some)
+        null = np.linalg.svd(turned[some][:, [*some, m]])[2][-1]
+        speeds = np.zeros(m + 1)
+        speeds[[*some, m]] = null * np.sign(null[0])
+        if (speeds[some] > 0.0).all() and (turned[others] @ speeds < 0.0).all():
+            past = speeds[m] * tangent
+            past[:states] += start @ speeds[:m] / reference.size[0]
+            deep, deeper, way = np.zeros_like(past), np.zeros_like(past), steepest[some[0]]
+            depths = speeds[some] ** 2 / (2.0 * back[some] * size * (past @ past))
+            deep[:states] = np.linalg.lstsq(steepest[some], depths)[0]
+            deeper[:states] = way / (way @ way)
+            found.append(_Graze(orbit, tangent, past / np.sqrt(past @ past), deep, deeper))
+    return found
+
+
+def _subsets(m: int) -> Iterator[tuple[int, ...]]:
+    """Subsets of m items, the largest first; the empty one is left out."""
+    return chain.from_iterable(combinations(range(m), k) for k in range(m, 0, -1))
 
 
 def _flow(equations: OrbitEquations, graze: Orbit) -> tuple[list[_Touch], Array]:
@@ -452,7 +472,7 @@ def doubled(corrector: Corrector, free: Orbit, reference: Reference) -> Array | 
         return None
     states, size = equations.n_states, reference.size[0]
     scale = size[None, :] / size[:, None]
-    along = touched[0].outward @ pieces[0][: equations.n] * size / _largest(graze)
+    along = touched[0].past @ pieces[0][: equations.n] * size / _largest(graze)
     without = pieces[1] @ pieces[0] * scale
     jump = without - pieces[1] @ touched[0].jump @ pieces[0] * scale
     push = jump @ along / (along @ along)

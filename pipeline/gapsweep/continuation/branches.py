@@ -243,7 +243,7 @@ def _apart(one: Orbit, other: Orbit) -> float:
 
 def _tested(half: Half, i: int) -> Step:
     """A step whose ends have tangents along it where they are special points: there the tangent of
-    a pitchfork has no part along the parameter, and that at a rigid wall is one past the graze.
+    a pitchfork has no part along the parameter, and that at an impact is one past the graze.
     """
     step = half.step(i)
     along = step.chord / step.size

@@ -61,7 +61,7 @@ def _solved(
 ) -> tuple[Array, Array, Evaluation] | None:
     """Unknowns of the crossing of a step, second derivatives, and the equations there."""
     d, first, psi, beta, length = len(u), u, np.empty(0), 0.0, np.inf
-    for _ in range(limit.NEWTON_STEPS):
+    for k in range(limit.NEWTON_STEPS):
         evaluation, jacobians, moved = _derivatives(equations, u, step.reference, size)
         if evaluation is None:
             return None
@@ -87,7 +87,8 @@ def _solved(
         if not far <= step.size:
             return None
         before, length = length, float(np.abs(change[:d]).max())
-        if max(before, length) <= limit.CROSSING_STEP:  # a second step gains the last digits
+        is_last = k == limit.NEWTON_STEPS - 1 and length <= limit.NEARLY  # rounding is left
+        if max(before, length) <= limit.CROSSING_STEP or is_last:  # two gain the last digits
             last = equations.evaluate(u[None, :], step.reference)
             scale = 1.0 + float(np.abs(last.jacobian[0, :, :-1]).max())
             closes = last.is_ok[0] and np.abs(last.residual[0]).max() <= limit.RESIDUAL * scale

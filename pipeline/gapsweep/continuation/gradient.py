@@ -59,7 +59,7 @@ def gradient(
 
     The parameter columns of the motion are integrated with it through its contacts; no derivative
     is a difference of two motions. Contacts must be located (`gapsweep.Piecewise`,
-    `gapsweep.HuntCrossley`).
+    `gapsweep.HuntCrossley`, `gapsweep.Rigid`).
 
     Parameters
     ----------
@@ -83,7 +83,7 @@ def gradient(
         unforced, ``period``; those of a system have names as ``x_max[q_1]``. ``graze`` is the
         distance [m] beyond the wall of the turning point nearest to a wall, negative before it:
         derivatives hold up to the graze, and on its other side they differ. NaN for responses that
-        are not periodic.
+        are not periodic; derivatives also where impacts of several contacts accumulate at one time.
 
     Raises
     ------

@@ -8,7 +8,8 @@ parameters p::
 
 φ is the motion's end and f the derivative of y_ref by time. Both are divided by the size of the
 state. Derivatives of φ by y are the monodromy matrix, by T the motion's rate, by the parameters
-central differences of two motions. All orbits of a call are integrated together.
+central differences of two motions, or of one and the orbit where the other one has other contacts
+with walls that have losses. All orbits of a call are integrated together.
 """
 
 import math
@@ -111,8 +112,9 @@ class OrbitEquations:
         self.n_contacts = len(model.contacts)
         # at the upper ends of the ranges, since a damping may be 0 at the lower one
         laws = family.laws_at({**family.values, **{one.name: one.high for one in windows}})
-        self.is_rigid = [law.losses.is_rigid for law in laws]
+        self.may_hold = [law.losses.may_hold for law in laws]
         self.never_pulls = [law.losses.never_pulls for law in laws]
+        self.has_jump = [bool(law.losses) for law in laws]
         self.has_period = not family.is_forced
         # The amplitude of free motions is a result, no parameter of their equations.
         self.n_parameters = 0 if family.is_conservative else len(windows)
@@ -166,6 +168,11 @@ class OrbitEquations:
         )
         ends, monodromy = found.state.reshape(-1, m, n), found.monodromy
         assert monodromy is not None
+        is_ok = found.status.reshape(-1, m) == Status.OK
+        # A motion with other contacts than its orbit tells nothing of the derivative.
+        n_contacts = found.n_contacts.reshape(-1, m)
+        is_alike = is_ok & (n_contacts == n_contacts[0]) if any(self.has_jump) else is_ok
+        at, lanes = np.array(shifted), np.arange(m)
         size = reference.size
         with np.errstate(all="ignore"):  # of motions that failed
             residual = [(ends[0] - y) / size]
@@ -176,8 +183,12 @@ class OrbitEquations:
                 rate = Rates(models)(np.arange(m), ends[0].T).T
                 columns.append((rate / size * reference.duration[:, None])[:, :, None])
             for k in range(self.n_parameters):
-                apart = shifted[1 + 2 * k][:, k] - shifted[2 + 2 * k][:, k]
-                change = (ends[1 + 2 * k] - ends[2 + 2 * k]) / apart[:, None]
+                more, less = 1 + 2 * k, 2 + 2 * k
+                high = np.where(is_alike[more] | ~is_alike[less], more, 0)
+                low = np.where(is_alike[less] | ~is_alike[more], less, 0)
+                is_ok[0] &= is_ok[high, lanes] & is_ok[low, lanes]
+                apart = at[high, lanes, k] - at[low, lanes, k]
+                change = (ends[high, lanes] - ends[low, lanes]) / apart[:, None]
                 columns.append((change / size)[:, :, None])
             jacobian = np.concatenate(columns, axis=2)
             if self.has_period:
@@ -188,9 +199,14 @@ class OrbitEquations:
                 row[:, 0, :n] = normal
                 jacobian = np.concatenate([jacobian, row], axis=1)
             of_all = np.concatenate(residual, axis=1)
-            is_ok = (found.status.reshape(-1, m) == Status.OK).all(axis=0)
-            is_ok &= np.isfinite(jacobian).all(axis=(1, 2)) & np.isfinite(of_all).all(axis=1)
-        return Evaluation(residual=of_all, jacobian=jacobian, is_ok=is_ok, motions=found, rate=rate)
+            is_finite = np.isfinite(jacobian).all(axis=(1, 2)) & np.isfinite(of_all).all(axis=1)
+        return Evaluation(
+            residual=of_all,
+            jacobian=jacobian,
+            is_ok=is_ok[0] & is_finite,
+            motions=found,
+            rate=rate,
+        )
 
     def _motions(
         self, y: Array, period: Array | None, places: Array, multiple: NDArray[np.int64]

@@ -97,7 +97,7 @@ def sign_changes(before: Orbit, after: Orbit, equations: OrbitEquations) -> Iter
             yield SignChange(Special.CUSP, lambda orbit: float(orbit.tangent[-2:] @ (b - a)))
         return
     if Special.GRAZING in (before.special, after.special) and before.n_contacts != after.n_contacts:
-        return  # between a graze of a rigid wall and an orbit past it, where multipliers are large
+        return  # between a graze and an orbit with an impact past it, where multipliers are large
     if before.special == Special.BORDER_FLIP and before.across is not None:
         return  # on the branch of twice the period that begins there
     if not equations.family.is_conservative:
@@ -110,8 +110,8 @@ def sign_changes(before: Orbit, after: Orbit, equations: OrbitEquations) -> Iter
             is_rounding = kind == Special.FOLD and max(map(abs, values)) < VERTICAL
             if values[0] * values[1] < 0.0 and not is_rounding:
                 yield SignChange(kind, test)
-    for contact, is_rigid in enumerate(equations.is_rigid):
-        for side in (1, -1) if not is_rigid else ():  # continuation locates these grazes
+    for contact, may_hold in enumerate(equations.may_hold):
+        for side in (1, -1) if not may_hold else ():  # continuation locates these grazes
             yield from _grazes(before, after, equations, contact, side)
 
 

@@ -80,15 +80,17 @@ ON_WALL = 1e-7
 CLEAR_OF_WALL = 1e-3
 # A turning point nearer to a rigid wall, as a share of the largest one, is an impact.
 IMPACT = 1e-12
-# Next to a graze of a rigid wall a multiplier is larger than the reciprocal of this.
+# Next to a graze of a rigid wall or a preload a multiplier is larger than the reciprocal of this.
 STRONG = 0.1
-# Distance from a rigid wall at which differences by the parameter do not pass it.
-BEFORE_RIGID = 1e-6
+# Distance from such a wall at which differences by the parameter do not pass it.
+BEFORE_SHARP = 1e-6
 # First steps past the graze, the longest one that works: depths have the order of their squares,
 # and differences by the parameter must not undo them.
-PAST_RIGID = (1e-2, 3e-3, 1e-3, 3e-4, 1e-4)
+PAST_SHARP = (1e-2, 3e-3, 1e-3, 3e-4, 1e-4)
+# Part of the period before a graze in which the acceleration hardly changes.
+EARLIER = 1e-5
 # Orbits without the impact are sought so many distances of the graze around it.
-ASIDE_RIGID = 100.0
+ASIDE_SHARP = 100.0
 # Largest residual of an orbit at a crossing, for one unit of the derivatives, and singular value
 # that is zero, as a share of the next one.
 RESIDUAL, SINGULAR = 1e-9, 1e-5

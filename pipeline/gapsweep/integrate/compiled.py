@@ -100,9 +100,9 @@ def _forces(found: Array | None, mass: Array | None, which: NDArray[np.intp]) ->
 
 def _check_columns(models: Models, solver: Solver, shifts: Shifts) -> None:
     """Raise a `ModelError` if motions of the models have no parameter columns."""
-    if not _is_exact(models) or any(law.losses.is_rigid for law in models.laws[0]):
+    if not _is_exact(models):
         raise ModelError(
-            f"law = {models.laws[0][0]}: gradients need located contacts with a stiffness, as "
+            f"law = {models.laws[0][0]}: gradients need located contacts, as "
             "gs.Piecewise(1.4e4, gs.Gap(4e-4, 4e-4))"
         )
     if solver.runge_kutta_setting:

@@ -15,7 +15,7 @@ Smooth laws, and the exact law without location, are integrated in one plain run
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Container, Sequence
 from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
@@ -36,9 +36,12 @@ from gapsweep.integrate.reference_impacts import (
     hold_force,
     is_caught,
     is_inside,
+    longest_step,
     meet,
     moving,
-    on_rigid_walls,
+    on_walls,
+    settled,
+    still,
     stopped,
 )
 from gapsweep.integrate.reference_motion import (
@@ -71,10 +74,10 @@ Event = Callable[[float, Sequence[float]], float]
 # Fields of `Events` that are lists of events; the others are their lengths.
 _EVENTS = [each.name for each in fields(Events) if not each.name.startswith("n_")]
 _MAX_STALLED = 100
+_MAX_IMPACTS = 10_000  # at one time
 # Parts of a step at which a force is sampled; nodes and weights of Gauss's rule on [-1, 1].
 _SAMPLES = np.linspace(0.0, 1.0, 17)
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(8)
-_CLEAR = 1e-9  # of the change of a hold force: how far beyond its limit ends the hold
 _NEAR = 1e-9  # of a gap: how far rounding puts a contact from the wall that it has just passed
 
 # solve_ivp does not report rejected steps; they follow from its evaluation count.
@@ -374,22 +377,15 @@ def _located(
         run.status = Status.MODEL_INVALID
         run.pieces.append(resting(t, np.array(y)))
         return t, y
-    for contact, side in on_rigid_walls(scene, y):
-        y = _on_wall(scene, y, Watched(contact, side, False, scene.wall(contact, side)))
-        met = meet(scene, t, y, modes, contact, side)
-        if abs(met.modes[contact]) == HOLD:  # the motion begins in the hold
-            run.loss = math.inf
-            y, modes = met.y, met.modes
-        elif side * scene.gap(contact, y[scene.n :]) > 0.0:
-            y, modes = _met(scene, run, t, y, met)
     run.reach = np.maximum(run.reach, np.abs(y[: scene.n]))
-    for contact, law in enumerate(scene.laws):
-        for side in (1, -1) if law.losses.preload else ():
-            is_there = scene.gap(contact, y) == scene.wall(contact, side)
-            if is_there and not scene.gap(contact, y[scene.n :]):
-                y, modes = _caught(scene, run, t, y, modes, contact, side)
-    while t < t_end:
-        found = _solve(scene, run, modes, t, y, t_end, passed)
+    on = dict(on_walls(scene, y))
+    for contact, side in on.items():
+        if scene.laws[contact].losses.is_rigid:
+            y = _on_wall(scene, y, Watched(contact, side, False, scene.wall(contact, side)))
+    y, modes = _impacts(scene, run, t, y, modes, on)
+    y, modes = _with_holds(scene, run, t, y, modes, on)
+    while t < t_end and run.status is Status.OK:
+        found = _solve(scene, run, modes, t, y, t_end, passed, on)
         segment = _cut_at_missed_contact(scene, modes, found)
         run.pieces.append(segment.motion)
         for contact, mode in enumerate(modes):
@@ -404,50 +400,68 @@ def _located(
         if stalled > _MAX_STALLED:
             run.status = Status.CHATTER
             break
-        passed, contact, y_before, previous = segment.hit, segment.hit.contact, y, modes
-        if scene.laws[contact].losses.is_rigid and not passed.hold:
-            y, modes = _met(scene, run, t, y, meet(scene, t, y, modes, contact, passed.side))
-            if run.status is not Status.OK:
-                break
-            modes = _without_overcome(scene, run, t, (y_before, previous), y, modes)
-            continue
-        side = 1 if (modes[contact] or passed.side) > 0 else -1
+        passed, contact, previous = segment.hit, segment.hit.contact, modes
+        on = {k: 1 if mode > 0 else -1 for k, mode in enumerate(modes) if abs(mode) == HOLD}
         run.reach = np.maximum(run.reach, np.abs(y[: scene.n]))
         if passed.force is None and not passed.hold:
-            y, modes = _caught(scene, run, t, y, modes, contact, side)
-        if modes is previous:
-            modes = scene.passed(t, y, modes, segment.hit)
-        if passed.force is None:
+            on[contact] = 1 if (modes[contact] or passed.side) > 0 else -1
+            y, modes = _impacts(scene, run, t, y, modes, on)
+            y, modes = _caught(scene, run, t, y, modes, contact, on[contact])
+        is_met = passed.force is None and scene.laws[contact].losses.is_rigid and not passed.hold
+        if modes is previous and not is_met:
+            modes = scene.passed(t, y, modes, passed)
+        if passed.force is None and not is_met:
             y = held_tangent(scene, scene.jumped(y, previous, modes), modes)
-        run.contacts += [(t, contact)] * _n_changes(previous[contact], modes[contact])
-        modes = _without_overcome(scene, run, t, (y_before, previous), y, modes)
+        if not is_met:
+            run.contacts += [(t, contact)] * _n_changes(previous[contact], modes[contact])
+        moved = modes
+        undecided = {k: side for k, side in on.items() if not (passed.hold and k == contact)}
+        y, modes = _with_holds(scene, run, t, y, modes, undecided)
+        for k, pair in enumerate(zip(moved, modes, strict=True)):
+            run.contacts += [(t, k)] * _n_changes(*pair)
     return t, y
 
 
-def _without_overcome(
+def _impacts(
     scene: ReferenceScene,
     run: _Record,
     t: float,
-    before: tuple[State, tuple[int, ...]],
     y: State,
     modes: tuple[int, ...],
-) -> tuple[int, ...]:
-    """Return modes without holds whose force a change of another contact has moved past its limit.
+    on: dict[int, int],
+) -> tuple[State, tuple[int, ...]]:
+    """Return state and modes after impacts of contacts on rigid walls, one after the other."""
+    for _ in range(_MAX_IMPACTS):
+        meeting = [
+            (contact, side)
+            for contact, side in on.items()
+            if scene.laws[contact].losses.is_rigid
+            and not modes[contact]
+            and side * scene.gap(contact, y[scene.n :]) > still(scene, contact, y)
+        ]
+        if not meeting or run.status is not Status.OK:
+            return y, modes
+        y, modes = _met(scene, run, t, y, meet(scene, t, y, modes, *min(meeting)))
+    run.status = Status.CHATTER
+    return y, modes
 
-    `before` has state and modes before the change: no root of the force tells of such an end.
-    """
-    for contact, pair in enumerate(zip(before[1], modes, strict=True)):
-        if not all(abs(mode) == HOLD for mode in pair):
-            continue
-        was = hold_force(scene, before[1], contact)(t, np.array(before[0]))
-        for end in hold_ends(scene, modes, contact):
-            now = scene.value(end, t, y)
-            beyond = end.side * (end.at - now) * (1.0 if end.falls else -1.0)
-            if beyond > _CLEAR * abs(now - was):
-                after = scene.passed(t, y, modes, end)
-                run.contacts += [(t, contact)] * _n_changes(modes[contact], after[contact])
-                return _without_overcome(scene, run, t, before, y, after)
-    return modes
+
+def _with_holds(
+    scene: ReferenceScene,
+    run: _Record,
+    t: float,
+    y: State,
+    modes: tuple[int, ...],
+    on: dict[int, int],
+) -> tuple[State, tuple[int, ...]]:
+    """Return state and modes in which walls hold those contacts `on` them that they must hold."""
+    found = settled(scene, t, y, modes, on)
+    if has_dependent_holds(scene, found):
+        run.status = Status.MODEL_INVALID
+        return y, found
+    if any(abs(new) == HOLD and old != new for old, new in zip(modes, found, strict=True)):
+        y, run.loss = stopped(scene, y, found), math.inf
+    return y, found
 
 
 def _met(
@@ -533,6 +547,7 @@ def _solve(
     y: State,
     t_end: float,
     passed: Watched | None,
+    on: Container[int] = (),
 ) -> _Segment:
     """Run `solve_ivp` until `t_end`, the next contact or divergence.
 
@@ -540,6 +555,8 @@ def _solve(
     ----------
     passed : Watched, optional
         The wall or zero force that the motion has passed just before.
+    on : container of int
+        Contacts on a wall at `t`.
     """
     exits = _exits(scene, modes)
     solution = solve_ivp(
@@ -548,10 +565,11 @@ def _solve(
         y,
         _METHODS[scene.method],
         dense_output=True,
-        events=[_contact_event(scene, each, t, y, passed) for each in exits]
+        events=[_contact_event(scene, each, t, y, passed, on) for each in exits]
         + [_Stop(lambda t, y: max(map(abs, y[: scene.n])) - DIVERGED_AT)],
         rtol=scene.rtol,
         atol=scene.atol,
+        max_step=longest_step(scene, modes or ()),
     )
     run.count(scene, solution.nfev, len(solution.t) - 1)
     moved = len(solution.t) > 1
@@ -624,16 +642,19 @@ def _contact_event(
     t_start: float,
     y_start: State,
     passed: Watched | None,
+    on: Container[int],
 ) -> _Stop:
     """Return the event that ends a mode: a zero of the distance from a value after `t_start`."""
     contact, side, at = watched.contact, watched.side, watched.at
     at_start = scene.value(watched, t_start, y_start)
     starts_there = at_start == at
-    if passed is not None and passed.contact == contact and not starts_there:
-        is_same = watched.force is not None and passed.force is not None
-        near = _NEAR * (scene.laws[contact].gap.size + abs(at_start))
-        starts_there = is_same or (watched.force is None and abs(at_start - at) <= near)
     sign = 1.0 if watched.falls else -1.0
+    if watched.force is not None and passed is not None and passed.contact == contact:
+        starts_there |= passed.force is not None
+    elif watched.force is None and not watched.hold:
+        near = _NEAR * (scene.laws[contact].gap.size + abs(at_start)) * (contact in on)
+        # beyond: it has passed where the event of another contact ended the segment before
+        starts_there |= sign * side * (at_start - at) <= near
 
     def event(t: float, y: Sequence[float]) -> float:
         if not starts_there:
@@ -651,15 +672,20 @@ def _cut_at_missed_contact(
     missed = []
     for each in _exits(scene, modes):
         value = _watched_motion(scene, segment.motion, each)
-        turns = roots(value, 1, 0.0)
-        if not turns.size:
-            continue
+        # where another contact ends the segment, this one has perhaps passed and not yet turned
+        turns = np.append(roots(value, 1, 0.0), segment.motion.x[-1])
         law = scene.laws[each.contact]
         # A touch within rounding of the wall is not a contact.
-        slack = 8.0 * np.finfo(float).eps * max(law.gap.distances)
+        size = max(map(abs, law.gap.distances))
+        if law.losses.may_hold:  # it may be at rest on the wall
+            size += np.abs(scene.directions[each.contact]) @ np.abs(segment.y[: scene.n])
+        slack = 8.0 * np.finfo(float).eps * size
         slack *= law.K_c if each.force or each.hold else 1.0
         allowed = 1.0 if each.falls else -1.0
-        wrong = np.flatnonzero(allowed * each.side * (value(turns)[:, 0] - each.at) < -slack)
+        inside = allowed * each.side * (value(turns)[:, 0] - each.at)
+        inside -= min(allowed * each.side * (value(segment.motion.x[0])[0] - each.at), 0.0)
+        inside[-1] += scene.atol * (not each.hold) + scene.rtol * abs(value.c[-1, :, 0]).max()
+        wrong = np.flatnonzero(inside < -slack)
         if wrong.size and (segment.hit != each or turns[wrong[0]] < segment.t):
             before = turns[wrong[0] - 1] if wrong[0] else segment.motion.x[0]
             missed.append((turns[wrong[0]], before, each))

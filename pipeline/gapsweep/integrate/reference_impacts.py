@@ -14,8 +14,11 @@ from gapsweep.model.contact_modes import HOLD, ON, SLACK
 Array = NDArray[np.float64]
 
 _LOW = 1e-13  # of the wall's distance: height of flights that are summed
+_LEAST = 1e-3  # of the absolute tolerance: height of flights at preloads that are left out
 _LONGEST_REST = 1e-3  # of a radian of the forcing and of the fastest oscillation
+_STEP = 0.3  # in rad of the fastest oscillation, while walls hold contacts
 _AT_WALL = 16.0 * np.finfo(float).eps  # of the displacements that a gap is the sum of
+_CLEAR = 1e-9  # of a force or acceleration: how far beyond its limit it ends or begins a hold
 _STILL = 64.0 * np.finfo(float).eps  # of the speeds that a gap's speed is the sum of
 
 
@@ -82,6 +85,13 @@ def hold_ends(scene: ReferenceScene, modes: tuple[int, ...], contact: int) -> li
     return [*found, Watched(contact, side, False, most, hold=force)] if most else found
 
 
+def longest_step(scene: ReferenceScene, modes: tuple[int, ...]) -> float:
+    """Longest step [s] in which the forces of holds are known: they need no steps of the motion."""
+    waves = [abs(h.k) for h in getattr(scene.system, "harmonics", ())]
+    rate = _rate(scene) * max([1, *waves])
+    return _STEP / rate if rate and _held(scene, modes) else math.inf
+
+
 def is_caught(
     scene: ReferenceScene,
     t: float,
@@ -101,7 +111,7 @@ def is_caught(
     pressing = side * float(b @ np.asarray(moving(scene, free)(t, np.array(y)))[n : 2 * n])
     least = -change if law.walls[0] == law.walls[1] else 0.0
     slowest = min(pressing - least, change - pressing)
-    height = low_bounce(scene.rtol) * float(np.abs(b) @ reach)
+    height = max(low_bounce(scene.rtol) * float(np.abs(b) @ reach), _LEAST * scene.atol)
     speed = scene.gap(contact, y[n:])
     return bool(change > 0.0 and slowest >= 0.0 and 0.5 * speed**2 <= slowest * height)
 
@@ -149,18 +159,89 @@ def _near(scene: ReferenceScene, contact: int, y: State) -> tuple[float, float]:
     return slack, max(slack, scene.atol)
 
 
-def on_rigid_walls(scene: ReferenceScene, y: State) -> list[tuple[int, int]]:
-    """Contacts, and sides, that are on rigid walls up to rounding and do not leave them."""
+def still(scene: ReferenceScene, contact: int, y: State) -> float:
+    """Speed of a gap [m/s] that may be rounding."""
+    return _STILL * float(np.abs(scene.directions[contact]) @ np.abs(y[scene.n : 2 * scene.n]))
+
+
+def on_walls(scene: ReferenceScene, y: State) -> list[tuple[int, int]]:
+    """Contacts, and sides, that are up to rounding on walls that may hold, and do not leave them.
+
+    A moving gap is on a rigid wall only.
+    """
     found = []
     for k, law in enumerate(scene.laws):
         before, beyond = _near(scene, k, y)
-        for side in (1, -1) if law.losses.is_rigid else ():
-            size = _STILL * float(np.abs(scene.directions[k]) @ np.abs(y[scene.n : 2 * scene.n]))
+        for side in (1, -1) if law.losses.may_hold else ():
             speed = side * scene.gap(k, y[scene.n :])
-            depth = side * (scene.gap(k, y) - scene.wall(k, side))
-            if -before <= depth <= beyond and speed >= -size:
+            depth, slow = side * (scene.gap(k, y) - scene.wall(k, side)), still(scene, k, y)
+            if law.losses.is_rigid:
+                is_on = -before <= depth <= beyond and speed >= -slow
+            else:
+                is_on = abs(depth) <= before and abs(speed) <= slow
+            if is_on:
                 found.append((k, side))
+                break
     return found
+
+
+def settled(
+    scene: ReferenceScene, t: float, y: State, modes: tuple[int, ...], on: dict[int, int]
+) -> tuple[int, ...]:
+    """Return the modes in which walls hold the contacts at rest `on` them, all decided together.
+
+    Forces of holds within their limits and accelerations away from the walls are a linear
+    complementarity problem with the positive definite matrix B'M^-1 B: it has one solution. By
+    Murty's method the mode of the first contact that violates it changes, until none does [1]_.
+
+    References
+    ----------
+    .. [1] K. G. Murty, "Note on a Bard-type scheme for solving the complementarity problem",
+       Opsearch 11 (1974) 123-130.
+    """
+    resting = {
+        k: side
+        for k, side in sorted(on.items())
+        if scene.laws[k].losses.may_hold
+        and (abs(modes[k]) == HOLD or abs(scene.gap(k, y[scene.n :])) <= still(scene, k, y))
+    }
+    for _ in range(3 ** len(resting)):
+        if has_dependent_holds(scene, modes):
+            return modes
+        rates = np.asarray(moving(scene, modes)(t, np.array(y)))[scene.n : 2 * scene.n]
+        for k, side in resting.items():
+            new = _of_rest(scene, t, y, modes, k, side, rates)
+            if new != modes[k]:
+                modes = (*modes[:k], new, *modes[k + 1 :])
+                break
+        else:
+            break
+    return modes
+
+
+def _of_rest(
+    scene: ReferenceScene,
+    t: float,
+    y: State,
+    modes: tuple[int, ...],
+    contact: int,
+    side: int,
+    rates: Array,
+) -> int:
+    """Mode of a contact at rest on a wall, while those of others and their accelerations stay."""
+    b = scene.directions[contact]
+    if abs(modes[contact]) != HOLD:
+        towards = side if not modes[contact] else -side
+        pressing = towards * float(b @ rates)
+        holds = pressing > _CLEAR * float(np.abs(b) @ np.abs(rates))
+        return side * HOLD if holds else modes[contact]
+    force = hold_force(scene, modes, contact)(t, np.array(y))
+    most = abs(scene.compliance[contact] ** -1 * float(np.abs(b) @ np.abs(rates)))
+    for end in hold_ends(scene, modes, contact):
+        beyond = end.side * (end.at - force) * (1.0 if end.falls else -1.0)
+        if beyond > _CLEAR * max(abs(force), most):
+            return scene.passed(t, y, modes, end)[contact]
+    return modes[contact]
 
 
 def meet(

@@ -8,7 +8,8 @@ which the engine integrates with the motion [1]_::
 
 An extremum X of the displacement changes by ``dX/dp = x_p + x_y dy/dp``: the velocity is zero
 there, so that the change of its time does not count. A contact begins and ends where the gap passes
-a wall, at times that change by ``(dwall/dp - dx/dp) / v``.
+a wall, at times that change by ``(dwall/dp - dx/dp) / v``. So does an impact on a rigid wall; an
+extremum there has a velocity before the impact, and its time counts.
 
 References
 ----------
@@ -52,6 +53,8 @@ _NEWTON_STEPS = 8
 _CLOSED, _ROUNDING, _NEARLY = 1e-14, 16 * np.finfo(float).eps, 1e-8
 
 _STILL = 1e-9  # speed at a turning point, as a share of the largest speed
+# Shares of a period: motions to impacts end as much earlier; impacts are as close by then.
+_BEFORE, _CLOSE_BY = 16 * np.finfo(float).eps, 1e-6
 
 
 @dataclass(frozen=True, slots=True)
@@ -271,13 +274,19 @@ class _Reading:
         has_gaps = not isinstance(self.model, Oscillator)
         self.first_gap = n if has_gaps else 0
         self.walls = _Walls(orbits.shifted, orbits.shifts)
+        self.is_rigid = np.array([law.losses.is_rigid for law in orbits.models.laws[0]], bool)
         self._turns = self._turning_points()
         turned = _extremes(*self._turns, self.first_gap + contacts if has_gaps else n)
         grazed = self._nearest()
         passed = np.repeat(np.arange(len(orbits.y)), self.events.n_contacts)
+        is_elastic = ~self.is_rigid[self.events.contacts_of]
+        self._passed_of = self.events.contacts_of[is_elastic]
+        passed = passed[is_elastic]
         which = np.concatenate([turned[0], grazed[0], passed])
-        times = np.concatenate([turned[1], grazed[1], self.events.t_contacts])
-        ends = orbits.run(which, times, records=False)
+        times = np.concatenate([turned[1], grazed[1], self.events.t_contacts[is_elastic]])
+        if self.is_rigid.any():
+            times[: len(turned[0])] -= _BEFORE * orbits.period[turned[0]]
+        ends = orbits.run(which, np.maximum(times, 0.0), records=False)
         assert ends.columns is not None and ends.monodromy is not None  # noqa: PT018
         moved = ends.columns + ends.monodromy @ change[which]
         first, last = len(turned[0]), len(which) - len(passed)
@@ -326,17 +335,51 @@ class _Reading:
         value, slope = np.full(shape, np.nan), np.full((*shape, n_parameters), np.nan)
         value[which, of, side] = (along * states[:, :n]).sum(axis=1)
         slope[which, of, side] = np.einsum("ki,kip->kp", along, moved[:, :n])
+        if self.is_rigid.any():
+            speed = (along * states[:, n : 2 * n]).sum(axis=1)
+            left, later = self._next_impacts(which, states, moved)
+            value[which, of, side] += speed * left
+            slope[which, of, side] += speed[:, None] * later
         return (
             lambda i: (value[:, i, 0], slope[:, i, 0]),
             lambda i: (value[:, i, 1], slope[:, i, 1]),
         )
 
+    def _next_impacts(self, which: Numbers, states: Array, moved: Array) -> tuple[Array, Array]:
+        """Times [s] from the ends of motions to impacts close by, and their derivatives.
+
+        Shapes (n_motions,) and (n_motions, n_parameters); 0 without such an impact. The time of a
+        slow impact has rounding errors: it may be before the end.
+        """
+        n, b = self.model.n, self.directions[self.is_rigid]
+        place, moving = (x[which][:, self.is_rigid] for x in (self.walls.place, self.walls.moving))
+        gap, speed = (states[:, n * k : n * (k + 1)] @ b.T for k in range(2))
+        off = place - gap[:, :, None]
+        side = np.abs(off).argmin(axis=2)
+        left = np.take_along_axis(off, side[:, :, None], axis=2)[:, :, 0]
+        with np.errstate(all="ignore"):
+            left = left / speed
+        is_next = np.abs(left) <= _CLOSE_BY * self.orbits.period[which, None]
+        first = np.where(is_next, np.abs(left), np.inf).argmin(axis=1)
+        rows = np.arange(len(which))
+        missed = moving[rows, first, side[rows, first]]
+        missed = missed - np.einsum("ki,kip->kp", b[first], moved[:, :n])
+        left, is_impact = left[rows, first], is_next[rows, first]
+        speeds = np.where(is_impact, speed[rows, first], np.inf)
+        return np.where(is_impact, left, 0.0), missed / speeds[:, None]
+
     def _share(self, contact: int) -> tuple[Array, Array]:
-        """Share of a period beyond the walls of a contact, and its derivatives."""
+        """Share of a period beyond the walls of a contact, and its derivatives.
+
+        Impacts take no time. Holds have no derivative: their force is zero at their end.
+        """
         assert self.found.contact_time is not None
         period, n = self.orbits.period, self.model.n
         share = self.found.contact_time[:, contact] / period
-        which, states, moved = (each[self.events.contacts_of == contact] for each in self._passed)
+        if self.is_rigid[contact]:
+            slope = np.where(share == 0.0, 0.0, np.nan)[:, None]
+            return share, np.broadcast_to(slope, self.longer.shape)
+        which, states, moved = (each[self._passed_of == contact] for each in self._passed)
         b = self.directions[contact]
         gap, speed = states[:, :n] @ b, states[:, n : 2 * n] @ b
         side, wall = self.walls.nearest(contact, which, gap)
@@ -360,7 +403,12 @@ class _Reading:
     def _largest_force(
         self, contact: int, ends: tuple[tuple[Array, Array], tuple[Array, Array]]
     ) -> tuple[Array, Array]:
-        """Largest force of a contact [N]; without derivatives if the contact is damped."""
+        """Largest force of a contact [N]; without derivatives if the contact is damped.
+
+        Impacts have none.
+        """
+        if self.is_rigid[contact]:
+            return np.full_like(ends[0][0], np.nan), np.full_like(ends[0][1], np.nan)
         if self.found.contact_force is None:
             return self.walls.largest_force(contact, *ends)
         return self.found.contact_force[:, contact], np.full_like(ends[0][1], np.nan)
@@ -386,10 +434,27 @@ class _Reading:
         contact = of - self.first_gap
         its = np.flatnonzero((contact >= 0) & (len(self.directions) > 0))
         which, t, contact = which[its], t[its], contact[its]
-        off = np.abs(self.walls.beyond(contact, which, value[its])[0])
+        off, side = self.walls.beyond(contact, which, value[its])
+        # On rigid walls they are impacts, and away from them no graze follows.
+        off[self.is_rigid[contact] & ((off == 0.0) | (self._heading()[its] != side))] = np.inf
+        off = np.abs(off)
         order = np.lexsort((off, which))
         places = order[np.diff(which[order], prepend=-1) != 0]
+        places = places[np.isfinite(off[places])]
         return which[places], t[places], contact[places]
+
+    def _heading(self) -> Numbers:
+        """1 of turning points that are maxima, 0 of minima, else -1."""
+        which, t, value, of = self._turns
+        order = np.lexsort((t, of, which))
+        key = (which * (of.max(initial=0) + 1) + of)[order]
+        first, last = (np.searchsorted(key, key, side=side) for side in ("left", "right"))
+        place, found = np.arange(len(key)) - first, np.full(len(key), -1)
+        here = value[order]
+        before, after = (here[first + (place + by) % (last - first)] for by in (-1, 1))
+        found[order[(here > before) & (here > after)]] = 1
+        found[order[(here < before) & (here < after)]] = 0
+        return found
 
     def _graze(self) -> tuple[Array, Array]:
         """Distances of these turning points beyond the walls [m], and their derivatives."""
@@ -430,7 +495,7 @@ class _Walls:
     def __init__(self, models: Models, shifts: Shifts) -> None:
         numbers = _numbers_of(models).reshape(len(models), -1, 2, 2)
         self.stiffness, self.place = numbers[: shifts.n].transpose(2, 0, 1, 3)
-        with np.errstate(invalid="ignore"):  # no wall is at infinity
+        with np.errstate(invalid="ignore", over="ignore"):  # no wall is at infinity
             found = shifts.derivatives(numbers).transpose(3, 1, 2, 4, 0)
         self.stiffening, self.moving = np.where(np.isfinite(found), found, 0.0)
 

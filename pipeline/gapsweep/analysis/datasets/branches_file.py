@@ -150,16 +150,21 @@ def cases(study: Study, attractors: xr.Dataset) -> Iterator[_SceneBranches]:
     assert table is not None
     along, axes = table.along, grid.axes
     dims = [name for name in grid.dims if name not in (along, START)]
-    window = Window.of(along, (min(axes[along]), max(axes[along])))
+    followed = [
+        i
+        for i, law in enumerate(axes["representation"])
+        if is_followed(law) and (along not in OF_LABELS or study.model.takes(law, along))
+    ]
     order = [grid.dims.index(name) for name in (*dims, along, START)]
     requested = grid.requested.transpose(order)
+    # Blocks with other laws only have the value of an elastic contact.
+    of_laws = np.moveaxis(requested.take(followed, dims.index("representation")), -2, 0)
+    values = np.array(axes[along])[of_laws.any(axis=tuple(range(1, of_laws.ndim)))]
+    window = Window.of(along, (values.min(), values.max()))
     kind = attractors["response_class"].transpose(*dims, along, ATTRACTOR).values
     for place in np.ndindex(*requested.shape[:-2]):
         at = dict(zip(dims, place, strict=True))
-        law = axes["representation"][at["representation"]]
-        if not is_followed(law) or (along in OF_LABELS and not study.model.takes(law, along)):
-            continue
-        if not requested[place].any():
+        if at["representation"] not in followed or not requested[place].any():
             continue
         cell = at | dict(zip((along, START), np.argwhere(requested[place])[0], strict=True))
         flat = np.ravel_multi_index([cell[name] for name in grid.dims], grid.shape)

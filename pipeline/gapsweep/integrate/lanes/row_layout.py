@@ -47,7 +47,7 @@ _COUNTS = ("harmonics", "cubics", "modulations")
 SOURCES = (
     *("stiffness", "damping", "lag_force", "of_speed", "of_place", "of_lag", "pull"),
     *("lower", "upper", "lower_stiffness", "upper_stiffness", "contact_damping", "chi"),
-    *("lower_rest", "upper_rest"),
+    *("lower_rest", "upper_rest", "restitution"),
     *("cubic", "push"),
 )
 # Names of the blocks of rows and, by the counts of a `RowLayout`, how many rows each has.
@@ -144,7 +144,7 @@ class RowLayout:
         *("n_states", "all_lanes", "n_terms", "n_series", "first_gap", "n_turning", "n_rows"),
         *("first_hold", "has_forces"),
         *("n_rates", "width", "gap_end", "spring_series", "column_size"),
-        *("lower_source", "upper_source"),
+        *("lower_source", "upper_source", "pull_source", "restitution_source"),
     )
 
     @property
@@ -290,6 +290,16 @@ class RowLayout:
         return self.sources["upper"]
 
     @property
+    def pull_source(self) -> int:
+        """First row within a parameter column of the derivatives of M^-1 b of the contacts."""
+        return self.sources["pull"]
+
+    @property
+    def restitution_source(self) -> int:
+        """First row within a parameter column of the derivatives of restitutions."""
+        return self.sources["restitution"]
+
+    @property
     def push_source(self) -> int:
         """First row within a parameter column of the derivatives of loads."""
         return self.sources["push"]
@@ -335,13 +345,13 @@ class RowLayout:
             # rigid walls: whether a contact has them, restitution, contact loss of an impact,
             # inverse of B'M^-1 B of the held contacts, speeds before impacts at the end of a step
             **dict.fromkeys(("rigid", "restitution", "of_impact"), k * self.has_impacts),
-            # height of flights that are left out, over the largest displacement; preload, and the
-            # places of the gap at which the springs of the walls have no force
-            "low": k * self.has_impacts,
+            # height of flights that are left out, over the largest displacement; its least value
+            # [m]; preload, and places of the gap at which the springs of the walls have no force
+            **{"low": k * self.has_impacts, "least_reach": 1 * self.has_impacts},
             **dict.fromkeys(("preload", "lower_rest", "upper_rest"), k * self.has_preload),
             **{"held": k * k * self.has_impacts, "v_in": n * self.has_impacts},
             # of impacts at the end of a step, for single lanes, see `stepping.impacts`
-            **dict.fromkeys(("impact_share", "hold_force"), k * self.has_impacts),
+            **dict.fromkeys(("impact_share", "impulse", "hold_force"), k * self.has_impacts),
             **dict.fromkeys(("acceleration", "unprojected"), n * self.has_impacts),
             "impact_kick": k * (n + m) * self.has_impacts,
             # smoothing: 2 epsilon [1/m], half-width of the layers [m], whether one is near, longest

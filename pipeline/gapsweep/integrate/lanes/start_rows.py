@@ -163,6 +163,8 @@ def _set_floors(at, point, rtol):
     floor, atol = rtol * FLOOR_SHARE * size, point[at.atol]
     floor = min(floor, atol) if atol > 0.0 else floor
     point[at.floor] = floor * scale
+    if at.has_impacts:  # a motion may begin at the origin, with walls there
+        point[at.least_reach] = FLOOR_SHARE * size
     for i in range(at.m):
         point[at.lag_floor + i] *= floor
 

@@ -28,6 +28,9 @@ from .roots import polynomial
 # Flights are summed only if they end within this time, in rad of the fastest frequency.
 _LONGEST_REST = 1e-3
 _STILL = 64.0 * np.finfo(float).eps  # of the speeds that a gap's speed is the sum of
+# Speed of impacts, over the largest displacement per rad, below which rounding errors of the times
+# of impacts are too large for parameter columns.
+_SLOW = 1e-9
 _ACCURATE = 0.1  # of the relative tolerance: last terms of the series of a hold force
 _DEPENDENT = 1e-12  # of b'M^-1 b: with the other contacts held, a smaller remainder is zero
 
@@ -136,7 +139,8 @@ def set_held(at, lanes, k):
 def _project(at, lanes, k, first, is_column):
     """Remove components along held contacts from the vector in rows from `first` on.
 
-    Those of the places of a parameter column become the derivatives of the walls' places.
+    Those of the places of a parameter column become the derivatives of the walls' places. The
+    impulses that stop the motion are added to those of the contacts.
     """
     n = at.contacts
     for i in range(at.n):
@@ -150,6 +154,8 @@ def _project(at, lanes, k, first, is_column):
             if is_column:
                 wall = at.upper_source if lanes[at.mode + i, k] > 0.0 else at.lower_source
                 along -= lanes[at.held + j * n + i, k] * lanes[first + wall + i, k]
+        if first == at.v:
+            lanes[at.impulse + j, k] += along
         for c in range(at.n):
             lanes[first + c, k] -= _pull(at, lanes, k, c, j) * along
     for c in range(at.n):
@@ -169,13 +175,24 @@ def hold_limits(at, lanes, k, contact):
 
 
 @internal
-def release(at, lanes, k, contact, side):
-    """End the hold of a contact that leaves its place upwards or downwards."""
+def _begins(at, lanes, k, step):
+    """Whether a step ends in the initial state."""
+    is_start = lanes[at.cycle, k] == 0.0 and lanes[at.tau, k] == lanes[at.tau_start, k]
+    return is_start and lanes[at.tau_low, k] == 0.0 and step == 0.0
+
+
+@internal
+def release(at, lanes, k, contact, side, step):
+    """End the hold of a contact that leaves its place upwards or downwards, `step` ahead."""
     limits = hold_limits(at, lanes, k, contact)
     new = side if 0.0 < abs(limits[int(side > 0.0)]) < np.inf else 0.0  # beyond a preload
     lanes[at.side + contact, k] = math.copysign(1.0, lanes[at.mode + contact, k])
     lanes[at.mode + contact, k] = new
-    lanes[at.n_contacts, k] += 1.0 if new == 0.0 else 0.0
+    if _begins(at, lanes, k, step):  # others, which are held, move it: there was no contact
+        lanes[at.side + contact, k] = 0.0
+        lanes[at.contact_time + contact, k] = -lanes[at.t_start, k] if new != 0.0 else 0.0
+    elif new == 0.0:
+        lanes[at.n_contacts, k] += 1.0
     set_held(at, lanes, k)
 
 
@@ -183,7 +200,7 @@ def release(at, lanes, k, contact, side):
 def begin_impacts(at, lanes, k, step, coefficients, work):
     """Store speeds and accelerations at the end of a step, before impacts there."""
     for contact in range(at.contacts):
-        lanes[at.impact_share + contact, k] = 0.0
+        lanes[at.impact_share + contact, k] = lanes[at.impulse + contact, k] = 0.0
     for i in range(at.n):
         lanes[at.v_in + i, k] = lanes[at.v + i, k]
         load_series(coefficients, i * at.n_terms, k, work.series)
@@ -202,16 +219,23 @@ def _compliance(at, lanes, k, contact):
 
 
 @internal
+def _reach(at, lanes, k, contact):
+    """Bound of the largest displacement of a gap so far."""
+    if at.is_plain:
+        return lanes[at.reach, k]
+    reach = 0.0
+    for i in range(at.n):
+        reach += abs(lanes[at.direction + contact * at.n + i, k]) * lanes[at.reach + i, k]
+    return reach
+
+
+@internal
 def _is_low(at, lanes, k, contact, speed, pressing):
     """Whether a body that leaves a wall at a speed comes back, from a height below `low`.
 
     `pressing` is its acceleration towards the wall. From a preload it comes back on both sides.
     """
-    reach = lanes[at.reach, k]
-    if not at.is_plain:
-        reach = 0.0
-        for i in range(at.n):
-            reach += abs(lanes[at.direction + contact * at.n + i, k]) * lanes[at.reach + i, k]
+    reach = max(_reach(at, lanes, k, contact), lanes[at.least_reach, k])
     low = lanes[at.low + contact, k]
     if at.has_preload and lanes[at.preload + contact, k] > 0.0:
         change = lanes[at.preload + contact, k] * _compliance(at, lanes, k, contact)
@@ -249,7 +273,7 @@ def _hold(at, lanes, k, contact, side, rest, step, n_begun):
     lanes[at.mode + contact, k] = side * HOLD
     lanes[at.lag, k] = rest
     lanes[at.contact_loss, k] = math.inf
-    if lanes[at.n_steps, k] == 0.0 and step == 0.0:  # the motion begins in the hold
+    if _begins(at, lanes, k, step):
         lanes[at.contact_time + contact, k] = -lanes[at.t_start, k]
     else:
         lanes[at.side + contact, k] = side
@@ -261,7 +285,7 @@ def _hold(at, lanes, k, contact, side, rest, step, n_begun):
 @internal
 def meet(at, lanes, k, contact, side, step, coefficients, work):
     """Reverse the speed of a gap that meets a rigid wall, or begin a hold."""
-    speed, _ = _along(at, lanes, k, contact, at.v)
+    speed, size = _along(at, lanes, k, contact, at.v)
     speed *= side
     series, e = work.series, lanes[at.restitution + contact, k]
     load_series(coefficients, (at.first_gap + contact) * at.n_terms, k, series)
@@ -283,8 +307,15 @@ def meet(at, lanes, k, contact, side, step, coefficients, work):
         lanes[at.side + contact, k] = side
         lanes[at.n_contacts, k] += 2.0
         lanes[at.contact_loss, k] += lanes[at.of_impact + contact, k]
+        if speed <= _SLOW * _reach(at, lanes, k, contact) * lanes[at.rate, k]:
+            lanes[at.impulse + contact, k] = math.nan  # columns become NaN
         return
+    # solutions of the variational equation have the rates that the speeds of the hold have
+    per_speed = side / speed if speed > _STILL * size else 0.0
+    kick = at.impact_kick + contact * (at.n + at.m)
+    _add_rates(at, lanes, k, -per_speed, kick)
     _hold(at, lanes, k, contact, side, rest, step, 1.0)
+    _add_rates(at, lanes, k, per_speed, kick)
 
 
 @internal
@@ -317,9 +348,9 @@ def _rebound(at, lanes, k, contact, speed, step, coefficients, work):
         before = lanes[at.v + i, k]
         after = before - share * speed * _pull(at, lanes, k, i, contact)
         lanes[at.v + i, k] = 0.0 if abs(after) <= _STILL * abs(before) else after
-    _change_others(at, lanes, k, contact)
+    _change_others(at, lanes, k, contact, step)
     _add_rates(at, lanes, k, 1.0, kick)
-    lanes[at.impact_share + contact, k] = share
+    lanes[at.impact_share + contact, k], lanes[at.impulse + contact, k] = share, share * speed
     _hold_rates(at, lanes, k, kick)
     for i in range(n):
         change, pull = lanes[kick + i, k], _pull(at, lanes, k, i, contact)
@@ -385,7 +416,7 @@ def _force(at, lanes, k, contact, mode):
 
 
 @internal
-def _change_others(at, lanes, k, contact):
+def _change_others(at, lanes, k, contact, step):
     """Change the modes of the other contacts that an impact ends: holds, and on and slack."""
     is_disturbed = False
     for j in range(at.contacts):
@@ -402,7 +433,7 @@ def _change_others(at, lanes, k, contact):
             if _is_low(at, lanes, k, j, speed, pressing):
                 is_disturbed = True
             else:
-                release(at, lanes, k, j, math.copysign(1.0, speed))
+                release(at, lanes, k, j, math.copysign(1.0, speed), step)
         elif at.has_slack and lanes[at.slack_damping + j, k] > 0.0:
             side = math.copysign(1.0, mode)
             new = side * (ON if side * _force(at, lanes, k, j, mode) >= 0.0 else SLACK)
@@ -416,7 +447,10 @@ def _change_others(at, lanes, k, contact):
 
 @internal
 def turn_tangent(at, lanes, k, first, is_column):
-    """Apply the impacts of a step to a solution of the variational equation, rows from `first`."""
+    """Apply the impacts of a step to a solution of the variational equation, rows from `first`.
+
+    A parameter column has the place of the gap less the derivative of the wall's place.
+    """
     is_held = False
     for contact in range(at.contacts):
         share = lanes[at.impact_share + contact, k]
@@ -424,6 +458,10 @@ def turn_tangent(at, lanes, k, first, is_column):
         if share != 0.0:
             place, _ = _along(at, lanes, k, contact, first)
             speed, _ = _along(at, lanes, k, contact, first + at.n)
+            if is_column:
+                is_above = lanes[at.impulse + contact, k] > 0.0
+                wall = at.upper_source if is_above else at.lower_source
+                place -= lanes[first + wall + contact, k]
             for i in range(at.n):
                 pull = share * _pull(at, lanes, k, i, contact)
                 lanes[first + i, k] -= pull * place
@@ -431,6 +469,33 @@ def turn_tangent(at, lanes, k, first, is_column):
             kick = at.impact_kick + contact * (at.n + at.m)
             for i in range(at.n + at.m):
                 lanes[first + at.n + i, k] += lanes[kick + i, k] * place
+        if is_column:
+            _rebound_of_column(at, lanes, k, contact, first)
     if is_held:  # also of what the damping of other contacts adds
         _project(at, lanes, k, first, is_column)
         _project(at, lanes, k, first + at.n, False)
+
+
+@internal
+def _rebound_of_column(at, lanes, k, contact, first):
+    """Change the speeds of a parameter column by the impulse of a contact, as `Source.rebound`.
+
+    The derivative of the impulse of a hold is along held contacts, and hence not needed.
+    """
+    impulse, share = lanes[at.impulse + contact, k], lanes[at.impact_share + contact, k]
+    if impulse == 0.0:
+        return
+    more = 0.0
+    if share != 0.0:
+        more = lanes[first + at.restitution_source + contact, k] * impulse / share
+    moved = first + at.pull_source + contact
+    if not at.is_plain:
+        for i in range(at.n):
+            along = lanes[at.direction + contact * at.n + i, k]
+            more -= impulse * along * lanes[moved + i * at.contacts, k]
+    more /= _compliance(at, lanes, k, contact)
+    for i in range(at.n):
+        change = more * _pull(at, lanes, k, i, contact)
+        if not at.is_plain:
+            change += impulse * lanes[moved + i * at.contacts, k]
+        lanes[first + at.n + i, k] -= change

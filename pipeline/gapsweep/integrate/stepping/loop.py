@@ -124,7 +124,7 @@ def _pass_zero(at, lanes, k, contact, side, when):
     """Change the mode of a contact where its force passes zero, and count it."""
     mode = lanes[at.mode + contact, k]
     if abs(mode) == HOLD:
-        release(at, lanes, k, contact, side)
+        release(at, lanes, k, contact, side, when)
         # at once: another contact changed the force, and the gap's acceleration is not zero
         lanes[at.switched + contact, k] = -1.0 if when > 0.0 else 0.0
     else:

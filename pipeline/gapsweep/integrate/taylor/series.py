@@ -34,7 +34,7 @@ from gapsweep.integrate.vectors import (
     sqrt,
     where,
 )
-from gapsweep.model.contact_modes import HOLD, ON
+from gapsweep.model.contact_modes import HOLD, ON, SLACK
 
 from .law_series import contact_forces
 from .terms import product_term, square_term
@@ -283,9 +283,10 @@ class Pressure:
     def __init__(self, lanes, contact, mode, walls, stiffness):
         layout = lanes.layout
         damping = lanes[layout.slack_damping + contact]
-        is_watched = (damping > 0.0) & (absolute(mode) > 0.0)
         above = mode > 0.0
-        is_on = is_watched & absolute(mode).equals(ON)
+        is_on = (damping > 0.0) & absolute(mode).equals(ON)
+        self.is_slack = (damping > 0.0) & absolute(mode).equals(SLACK)
+        is_watched = is_on | self.is_slack
         self._wall = self._rest = where(above, walls[1], walls[0])
         self.decides, self.may_decide = is_on, None
         if layout.has_preload:
@@ -296,7 +297,6 @@ class Pressure:
         self._stiffness = where(is_watched, where(above, stiffness[1], stiffness[0]), 0.0)
         self._damping = where(is_watched, damping, 0.0)
         self._switched = lanes[layout.switched + contact] > 0.0
-        self.is_slack = is_watched & ~is_on
         pushes_up = (is_on & above) | (self.is_slack & ~above)
         self.lo = where(pushes_up, 0.0, mode.constant(-math.inf))
         self.hi = where(is_watched & ~pushes_up, 0.0, mode.constant(math.inf))

@@ -115,6 +115,20 @@ class Source:
         lower, upper = self._moving
         return where(above, upper[contact], lower[contact])
 
+    def rebound(self, contact, speed, share, compliance):
+        """Change of the column's speeds by the derivative of an impact at unchanged speeds.
+
+        It is that of ``-share u M^-1 b`` with ``share = (1 + e) / (b'M^-1 b)`` and the speed u of
+        the gap before the impact.
+        """
+        one, impulse, zero = self._one, share * speed, self._one.zero
+        more = where(impulse.equals(0.0), 0.0, self._rows("restitution")[contact] * speed)
+        if one.is_plain:
+            return [-more]
+        pull, moved = ([row[contact] for row in each] for each in (one.pull, self._pull))
+        more = (more - impulse * dot(one.direction[contact], moved, zero)) / compliance
+        return [-fma(a, impulse, b * more) for a, b in zip(moved, pull, strict=True)]
+
     def accelerations(self, n):
         """Coefficient n of the source of every coordinate's acceleration."""
         layout, one = self._lanes.layout, self._one
@@ -136,6 +150,9 @@ class Source:
             pressed = product_term([gap[0] - rest, *gap[1:]], speeds(gap), n)
             forces[k] = fma(change, pressed, forces[k] - chi * moved * speeds(gap)[n])
             depths[k] = fma(chi, pressed, depths[k])
+        if layout.has_impacts and not one.is_plain:
+            holding = self._terms(layout.first_hold, layout.contacts, n)
+            depths = [a + b for a, b in zip(depths, holding, strict=True)]
         totals = []
         for i, push in enumerate(self._push):
             total = dot(self._stiffness[i], places, one.zero)

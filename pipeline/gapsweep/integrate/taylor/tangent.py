@@ -207,6 +207,8 @@ def _impacts(lanes, coefficients, one, depths):
     With ``beta = M^-1 b / (b'M^-1 b)`` and R, which takes ``(1 + e) beta (b.v)`` from the speed,
     the state is multiplied by ``R + (f_after - R f_before) n' / (n'f_before)``. The rate of the
     state is f, and n'f_before the speed of the gap: the time of the impact depends on the state.
+    A parameter column, with a `Source`, has the place of the gap less the derivative of the wall's,
+    and the derivative of R.
     """
     layout, step = lanes.layout, lanes["step"]
     n, n_terms, none = layout.n, layout.n_terms, one.zero
@@ -233,13 +235,18 @@ def _impacts(lanes, coefficients, one, depths):
         rates = [a + b for a, b in zip(rates, kick, strict=True)]
         kick = [(a + towards * each) * per_speed for a, each in zip(kick, pull, strict=True)]
         kick += [dot(row[:n], change, none) * per_speed for row in one.lags]
-        meetings.append((direction, [share * each for each in pull], kick))
+        about = k, speed, share, compliance
+        meetings.append((direction, [share * each for each in pull], kick, side > 0.0, about))
         v = [a + b for a, b in zip(v, change, strict=True)]
 
-    def after(*state):
+    def after(state, source=None):
         ends = list(state)
-        for direction, beta, kick in meetings:
+        for direction, beta, kick, is_above, about in meetings:
             place, speed = dot(direction, ends[:n], none), dot(direction, ends[n : 2 * n], none)
+            if source:
+                place = place - source.moving(about[0], is_above)
+                for i, each in enumerate(source.rebound(*about)):
+                    ends[n + i] = ends[n + i] + each
             for i, each in enumerate(beta):
                 ends[i] = fma(-each, place, ends[i])
                 ends[n + i] = fma(-each, speed, ends[n + i])
@@ -274,12 +281,18 @@ def _tangent_step(typingctx, at, lanes, coefficients, rtol, unclear):
         square, step = _square(series, one) if layout.is_plain else [], rows["step"]
         slopes, depths = _slopes(rows, series, one), _depths(rows, series, modes)
         keeps = mask_of(builder, args[4], layout.width)
-        jump = _jump(rows, one) if layout.is_damped else None
-        if layout.has_impacts:
-            impacts, damping = _impacts(rows, series, one, depths), jump
+        impacts = _impacts(rows, series, one, depths) if layout.has_impacts else None
+
+        def jump_of(source=None):
+            damping = _jump(rows, one, source) if layout.is_damped else None
 
             def jump(*state):
-                return impacts(*(damping(*state) if damping else state))
+                state = damping(*state) if damping else state
+                return impacts(state, source) if impacts else state
+
+            return jump
+
+        jump = jump_of()
 
         def advance(number):
             solution, kept = solution_rows(rows, series, number)
@@ -297,8 +310,7 @@ def _tangent_step(typingctx, at, lanes, coefficients, rtol, unclear):
                 column, kept = column_rows(rows, series, loop.index)
                 source = Source(rows, series, one, modes, square, column)
                 found = _variation(column, one, square, slopes, depths, source)
-                jump = _jump(rows, one, source) if layout.is_damped else None
-                commit_solution(column, kept, found, step, keeps, jump)
+                commit_solution(column, kept, found, step, keeps, jump_of(source))
         return context.get_dummy_value()
 
     return signature, codegen

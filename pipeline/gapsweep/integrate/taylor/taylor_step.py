@@ -269,6 +269,7 @@ def _low_bounces(lanes, equation, found):
             change = change * lanes[layout.compliance + k]
             along = [absolute(b) for b in equation.direction[k]]
             reach = dot(along, lanes.rows("reach"), 0.0 * change)
+        reach = maximum(reach, lanes["least_reach"])
         yield crosses & (speed * speed <= change * lanes[layout.low + k] * reach)
 
 
