@@ -50,6 +50,7 @@ from gapsweep.run_folder import (
 from gapsweep.stages import (
     POINTS,
     RunContext,
+    load_report,
     make_file,
     make_files,
     meanwhile,
@@ -195,7 +196,7 @@ def carry_out(
     if planned.n_missing:
         check_modules(study)  # before the computation, although their files come last
     say = partial(tell, on_progress, planned.progress)
-    how: dict[str, Any] = {"workers": workers, "dashboard": dashboard}
+    how: dict[str, Any] = {"workers": workers, "dashboard": dashboard, "meanwhile": load_report}
     with (
         Recorder(folder, study, path, planned, on_progress) as recorder,
         _connection(client, say, scheduler, **how) as connect,

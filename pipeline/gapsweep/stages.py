@@ -8,6 +8,7 @@ up to date ends before they would be loaded.
 import gc
 import hashlib
 import warnings
+from collections import deque
 from collections.abc import Callable, Generator, Iterable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, field, replace
@@ -89,6 +90,8 @@ class RunContext:
     cache: Path = Path()  # folder of the cache
     # Returns the client of a cluster, for branches that are not stored.
     connect: Callable[[], Any] | None = None
+    # Makes files that do not need the present one, one in each step.
+    others: Iterable[bool] = ()
     timeout: float = DEFAULT_TIMEOUT  # time [s] that a motion with a user's law may take
     say: Callable[[str], None] = _ignore  # called with a text before each stage
     inputs: tuple[str, ...] = ()  # files of the run that the present stage is made from
@@ -162,22 +165,34 @@ def make_files(
 ) -> None:
     """Make those files of some stages that are not up to date.
 
+    While workers compute branches, this process makes the next files that need none.
+
     `n_points`: sweep points of the study.
     `retry_failed`: whether to rewrite files with failed motions.
     """
-    for stage in stages:
+    left = deque(stages)
+
+    def others(file: str) -> Iterator[bool]:
+        while left and file not in left[0].inputs:
+            make(left.popleft())
+            yield True
+
+    def make(stage: Stage) -> None:
         path, now = run.folder / stage.file, stage.made_from(run.folder, run)
         reason = reason_to_make(path, now)
         if reason == DAMAGED:
             warnings.warn(
                 f"{path}: damaged or changed since it was written; gapsweep rewrites it",
-                stacklevel=3,
+                stacklevel=4,
             )
         if reason or (retry_failed and stage.failed_motions(run.folder)):
             run.say(f"making {stage.file}")
-            make_file(stage, run)
+            make_file(stage, replace(run, others=others(stage.file)))
             if n_points > _MANY:
                 gc.collect()  # reference cycles would keep their memory during the next stage
+
+    while left:
+        make(left.popleft())
 
 
 def make_file(stage: Stage, run: RunContext) -> None:
@@ -289,14 +304,19 @@ CLAIMS_MODULE = Source("claims module", lambda run: _code_key(run.study.claims_c
 REPORT_MODULE = Source("report module", lambda run: _code_key(run.study.report_code))
 
 
+def load_report() -> bool:
+    """Load the code of the report, which takes a second."""
+    from gapsweep.report import html
+
+    return bool(html)
+
+
 def meanwhile(run: RunContext) -> Generator[bool, None, None]:
     """Load the code of the report, and write ``responses.nc`` and ``attractors.nc``, in steps.
 
     A run takes these steps while it waits for points; see `export`.
     """
-    from gapsweep.report import html
-
-    yield bool(html)
+    yield load_report()
     yield from _export(run)
 
 
@@ -360,7 +380,7 @@ def _branches(run: RunContext) -> "xr.Dataset":
     from gapsweep.analysis.datasets.branches_file import branches
 
     assert run.connect is not None
-    how = run.cache, run.connect, run.timeout, run.say
+    how = run.cache, run.connect, run.timeout, run.say, run.others
     with run.datasets() as found:
         return branches(run.study, found["attractors"], *how, found.get("branches"))
 
@@ -447,6 +467,15 @@ PAGE = Stage(
 STAGES = (
     Stage(RESPONSES, (), (SETTINGS, POINTS), _responses),
     Stage(ATTRACTORS, (), (SETTINGS, POINTS), _responses),
+    Stage(
+        BRANCHES,
+        (ATTRACTORS,),
+        (SETTINGS,),
+        _branches,
+        lambda study: study.spec.branches is not None,
+        failures=("attractor_status", Status.DIVERGED),
+    ),
+    # Made while workers compute the branches, down to the first stage that needs them.
     Stage(STATIC, (RESPONSES,), (SETTINGS,), _static, _has_contacts_to_fit),
     Stage(AGREEMENT, (RESPONSES, ATTRACTORS), (), _agreement, _compares),
     Stage(TIMING, (RESPONSES,), (), _timing),
@@ -459,14 +488,6 @@ STAGES = (
         failures=("status", Status.DIVERGED),
     ),
     Stage(ADVICE, (), (SETTINGS,), _advice, lambda study: AUTO in study.grid.representations),
-    Stage(
-        BRANCHES,
-        (ATTRACTORS,),
-        (SETTINGS,),
-        _branches,
-        lambda study: study.spec.branches is not None,
-        failures=("attractor_status", Status.DIVERGED),
-    ),
     Stage(
         CURVES,
         (ATTRACTORS, BRANCHES),

@@ -419,3 +419,24 @@ def test_status_names_files_that_are_not_as_written(tmp_path):
     assert checked(tmp_path, most=1) == (
         ["report/figures/peaks.svg", "report/index.html"], ["responses.nc"]
     )  # fmt: skip
+
+
+def test_files_that_need_no_branches_are_made_while_these_are_computed(tmp_path):
+    """`first` stands for branches.nc, with two steps of other work while its tasks run."""
+    order = []
+
+    def made(name):
+        def make(run):
+            order.append(f"{name} begins")
+            for _ in run.others if name == "first" else ():
+                order.append("step")
+            order.append(f"{name} ends")
+
+        return make
+
+    inputs = {"first": (), "apart": (), "alike": ("apart",), "after": ("first",), "last": ()}
+    several = [stages.Stage(name, needs, (), made(name)) for name, needs in inputs.items()]
+    stages.make_files(several, stages.RunContext(tmp_path, None))
+    inside = ["apart begins", "apart ends", "step", "alike begins", "alike ends", "step"]
+    outside = [f"{name} {what}" for name in ("after", "last") for what in ("begins", "ends")]
+    assert order == ["first begins", *inside, "first ends", *outside]

@@ -6,7 +6,7 @@ an isolated process; the failure of that process is the status of the parameter 
 
 import hashlib
 import json
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
 from typing import Any
@@ -129,7 +129,11 @@ def _task(scene: BranchScene, timeout: float | None) -> Followed:
 
 
 def followed(
-    scenes: Sequence[BranchScene], client: Client, timeout: float, waiting: Callable[[], None]
+    scenes: Sequence[BranchScene],
+    client: Client,
+    timeout: float,
+    waiting: Callable[[], None],
+    others: Iterable[bool] = (),
 ) -> Iterator[tuple[int, Followed]]:
     """Branches of parameter sets in the order of completion, each with its position in `scenes`.
 
@@ -137,11 +141,12 @@ def followed(
 
     `timeout`: CPU time limit [s] of a parameter set in an isolated process.
     `waiting`: called until there is a worker.
+    `others`: other work of this process, a step each while no result has arrived.
     """
     check_workers(client, waiting)
     left = [(i, bool(each.point.kind.own or each.system)) for i, each in enumerate(scenes)][::-1]
     in_flight: dict[Any, tuple[int, bool]] = {}
-    completed = as_completed(loop=client.loop)
+    completed, steps = as_completed(loop=client.loop), iter(others)
     try:
         while left or in_flight:
             # One task for each thread: a worker that dies loses no other task.
@@ -151,6 +156,8 @@ def followed(
                 future = client.submit(_task, scenes[number], limit, pure=False)
                 in_flight[future] = number, alone
                 completed.add(future)
+            while not completed.has_ready() and next(steps, False):
+                pass
             future = next(completed)
             number, alone = in_flight.pop(future)
             one = Followed(Status.KILLED, "its worker process died")

@@ -41,7 +41,11 @@ _ROUTES = "distributed.scheduler.http.routes", "distributed.worker.http.routes"
 
 @contextmanager
 def cluster(
-    workers: int, scheduler: str | None = None, *, dashboard: bool = False
+    workers: int,
+    scheduler: str | None = None,
+    *,
+    dashboard: bool = False,
+    meanwhile: Callable[[], object] = lambda: None,
 ) -> Iterator[Client]:
     """A client of a local cluster of worker processes, or of a running scheduler.
 
@@ -51,10 +55,11 @@ def cluster(
     `scheduler`: address of a running scheduler, as ``tcp://127.0.0.1:8786``; for ``tls://`` the
     keys are those of Dask's configuration.
     `dashboard`: whether a local cluster serves Dask's dashboard.
+    `meanwhile`: called while the processes of a local cluster start.
     """
     if scheduler is None:
         settings = _LOCAL_SETTINGS | ({} if dashboard else dict.fromkeys(_ROUTES, ()))
-        with dask.config.set(settings), local_cluster(workers, dashboard) as client:
+        with dask.config.set(settings), local_cluster(workers, dashboard, meanwhile) as client:
             yield client
         return
     try:
@@ -70,7 +75,9 @@ def cluster(
 
 
 @contextmanager
-def local_cluster(workers: int, dashboard: bool) -> Iterator[Client]:
+def local_cluster(
+    workers: int, dashboard: bool, meanwhile: Callable[[], object]
+) -> Iterator[Client]:
     """Client of a cluster of worker processes on this machine, which ends with the block."""
     place = tempfile.gettempdir()
     if os.name == "posix" and len(os.fsencode(place)) > _LONGEST_PLACE:
@@ -94,6 +101,7 @@ def local_cluster(workers: int, dashboard: bool) -> Iterator[Client]:
         options |= {"security": local.security, "nthreads": 1, "memory_limit": memory}
         start_workers(process, local.scheduler_address, workers, options)
         try:
+            meanwhile()
             with Client(local) as client:
                 if not workers_run(process):
                     raise ClusterError(

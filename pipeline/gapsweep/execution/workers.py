@@ -26,7 +26,7 @@ from gapsweep.user_code.load import TEMPORARY
 _CODE = "from gapsweep.execution.workers import serve; serve()"
 _RUNNING = b"."
 _LEAVE_SECONDS = 2.0
-_PRELOADED = ["distributed.worker", "gapsweep.execution.task"]
+_PRELOADED = ["distributed.worker", "gapsweep.execution.task", "gapsweep.integrate.compiled"]
 
 
 @contextmanager

@@ -6,7 +6,7 @@ at the special points of its branches. Each case has a file next to the cache, b
 that an interrupted run computes only the missing cases.
 """
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
@@ -77,6 +77,7 @@ def branches(
     connect: Callable[[], Any],
     timeout: float,
     say: Callable[[str], None],
+    others: Iterable[bool],
     followed_branches: xr.Dataset | None = None,
 ) -> xr.Dataset:
     """Branches of all cases of a study, or the curves of their special points.
@@ -95,6 +96,8 @@ def branches(
         CPU time limit of a case with user code [s].
     say : callable
         Called with the progress.
+    others : iterable of bool
+        Other work of this process, a step each while no case has arrived; False: there is none.
     followed_branches : Dataset, optional
         ``branches.nc`` of the study, to return the curves of its special points. Cases that failed
         in it have none; branches missing in the cache are recomputed.
@@ -120,7 +123,8 @@ def branches(
         if missing:
             paths = [*missing]
             tasks = [several[0].scene for several in missing.values()]
-            arriving = followed(tasks, connect(), timeout, lambda: say("waiting for workers"))
+            waiting = partial(say, "waiting for workers")
+            arriving = followed(tasks, connect(), timeout, waiting, others)
             for n_done, (number, found) in enumerate(arriving, len(parts) - len(missing) + 1):
                 path = paths[number]
                 for part in missing[path]:
