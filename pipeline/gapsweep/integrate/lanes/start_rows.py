@@ -19,6 +19,8 @@ from .pieces import set_first_piece
 # would only spoil motions much smaller than a metre. It is never zero in motion, so that a
 # start at rest, without an amplitude, gets a finite step.
 FLOOR_SHARE = 1e-3
+# Least reach of a motion, as a share of its expected size: at the origin there is none so far.
+LEAST_REACH = 1e-6
 READY, ON_WALL, NOT_FINITE, BACKWARD = range(4)
 MOST_PLACED = 1 << 22  # section points for which rows are reserved before the motions begin
 CLOCK_ROUNDING = 4.0 * np.finfo(float).eps
@@ -164,7 +166,7 @@ def _set_floors(at, point, rtol):
     floor = min(floor, atol) if atol > 0.0 else floor
     point[at.floor] = floor * scale
     if at.has_impacts:  # a motion may begin at the origin, with walls there
-        point[at.least_reach] = FLOOR_SHARE * size
+        point[at.least_reach] = LEAST_REACH * size
     for i in range(at.m):
         point[at.lag_floor + i] *= floor
 
