@@ -101,6 +101,12 @@ def rational_fit(
     """
     for name, degree in (("numerator", numerator), ("denominator", denominator)):
         whole(f"{name} degree", degree, 1, MAX_RATIONAL_DEGREE)
+    if K_ratio and (gap.j_1, K_ratio) > (gap.j_2, 1.0):
+        # Optima are found to 1e-8 only: mirror images have the coefficients of one search.
+        other = rational_fit(
+            Gap(gap.j_2, gap.j_1), numerator, denominator, fit_range, 1.0 / K_ratio
+        )
+        return _mirrored(other, K_ratio)
     name = f"ratpoly-{numerator}/{denominator} for gap {gap.label} mm"
     name += f", K_ratio = {K_ratio:g}" if K_ratio != 1.0 else ""
     candidates = rational_candidates(gap, numerator, denominator, fit_range, K_ratio)
@@ -109,6 +115,15 @@ def rational_fit(
         odd = rational_candidates(gap, numerator, denominator, fit_range, odd=True)
         candidates = odd + candidates
     return best_pole_free(candidates, fit_range, name)
+
+
+def _mirrored(fit: Fit, scale: float) -> Fit:
+    """Return the fit of ``-scale f(-x)``."""
+    top, bottom = (np.array(each) for each in (fit.numerator, fit.denominator))
+    top[::2] *= -1.0
+    bottom[1::2] *= -1.0
+    numerator = tuple((scale * top).tolist())
+    return Fit(numerator, tuple(bottom.tolist()), scale * fit.rmse, fit.r_squared)
 
 
 def best_pole_free(candidates: Sequence[Fit], fit_range: float, name: str) -> Fit:
