@@ -242,10 +242,9 @@ def test_damaged_settings_of_a_dataset_are_made_again(gapsweep, finished, tmp_pa
 def test_one_lost_row_of_a_sweep_is_one_point_to_compute(gapsweep, finished):
     path = finished / "c-cache"
     n_lost = 2 * damaged_row(path)
-    # While costs are unknown, a part has room for both directions of a sweep; this has only one.
-    assert 0 < n_lost <= 2 * 2 * SWEEP_PART
+    assert 0 < n_lost <= 2 * SWEEP_PART
     done = gapsweep(finished, "run", "tiny.toml", "--out", "out")
-    # One part of the sweep, for each label.
+    # One part of the sweep of twenty, for each label, and none that comes behind it.
     said = f"40 points: {40 - n_lost} from the cache, {n_lost} computed\n"
     assert done.stdout.startswith(said)
     assert ".seg: damaged, " in done.stderr

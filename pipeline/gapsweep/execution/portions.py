@@ -40,7 +40,9 @@ def cut(rows: Rows, follows: NDArray[np.bool_], room: int) -> tuple[Rows, Rows, 
     is_first = is_first_of_sweep(rows, follows)
     sweep = np.cumsum(is_first) - 1
     firsts = np.flatnonzero(is_first)
-    is_late = np.arange(len(rows)) - firsts[sweep] >= max(SWEEP_PART, room // len(firsts))
+    # The part of a sweep leaves room for the other direction, which is computed with it.
+    part = max(SWEEP_PART, room // max(len(firsts), 2))
+    is_late = np.arange(len(rows)) - firsts[sweep] >= part
     size = np.cumsum(np.bincount(sweep[~is_late]))
     n_sweeps = max(int(np.searchsorted(size, room, side="right")), 1)
     is_drawn = sweep < n_sweeps
