@@ -266,7 +266,7 @@ class BruteForce:
         return amplitudes[-2] > limit >= amplitudes[-1]
 
 
-@pytest.mark.parametrize("is_rigid", [False, True])
+@pytest.mark.parametrize("is_rigid", [False, pytest.param(True, marks=pytest.mark.extended)])
 @pytest.mark.parametrize(
     ("n", "n_gaps"),
     [(1, 200), pytest.param(20, 2000, marks=[pytest.mark.extended, pytest.mark.slow])],
