@@ -85,13 +85,13 @@ class RunContext:
     study: Study
     # The sweep points and where they are stored, for stages that read them.
     plan: Plan | None = None
-    # As of `meanwhile`, begun while points were computed; None if none was.
-    meanwhile: Iterator[bool] | None = None
+    # Steps of `meanwhile` that a run has begun while points were computed.
+    exporting: Iterator[bool] | None = None
     cache: Path = Path()  # folder of the cache
     # Returns the client of a cluster, for branches that are not stored.
     connect: Callable[[], Any] | None = None
     # Makes files that do not need the present one, one in each step.
-    others: Iterable[bool] = ()
+    meanwhile: Iterable[bool] = ()
     timeout: float = DEFAULT_TIMEOUT  # time [s] that a motion with a user's law may take
     say: Callable[[str], None] = _ignore  # called with a text before each stage
     inputs: tuple[str, ...] = ()  # files of the run that the present stage is made from
@@ -173,7 +173,7 @@ def make_files(
     """
     left, failed = deque(stages), list[Exception]()
 
-    def others(file: str) -> Iterator[bool]:
+    def next_files(file: str) -> Iterator[bool]:
         while left and file not in left[0].inputs and not failed:
             try:
                 make(left.popleft())
@@ -191,7 +191,7 @@ def make_files(
             )
         if reason or (retry_failed and stage.failed_motions(run.folder)):
             run.say(f"making {stage.file}")
-            make_file(stage, replace(run, others=others(stage.file)))
+            make_file(stage, replace(run, meanwhile=next_files(stage.file)))
             if n_points > _MANY:
                 gc.collect()  # reference cycles would keep their memory during the next stage
 
@@ -345,7 +345,7 @@ def _on_workers(run: RunContext, tables: "list[Points]") -> "list[Responses]":
 
 def _responses(run: RunContext) -> None:
     """Write ``responses.nc`` and ``attractors.nc`` from the cache, both in one pass."""
-    for _ in run.meanwhile or _export(run):
+    for _ in run.exporting or _export(run):
         pass
 
 
@@ -386,7 +386,7 @@ def _branches(run: RunContext) -> "xr.Dataset":
     from gapsweep.analysis.datasets.branches_file import branches
 
     assert run.connect is not None
-    how = run.cache, run.connect, run.timeout, run.say, run.others
+    how = run.cache, run.connect, run.timeout, run.say, run.meanwhile
     with run.datasets() as found:
         return branches(run.study, found["attractors"], *how, found.get("branches"))
 

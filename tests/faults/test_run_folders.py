@@ -429,7 +429,7 @@ def test_files_that_need_no_branches_are_made_while_these_are_computed(tmp_path)
     def made(name):
         def make(run):
             order.append(f"{name} begins")
-            for _ in run.others if name == "first" else ():
+            for _ in run.meanwhile if name == "first" else ():
                 order.append("step")
             order.append(f"{name} ends")
 

@@ -133,7 +133,7 @@ def followed(
     client: Client,
     timeout: float,
     waiting: Callable[[], None],
-    others: Iterable[bool] = (),
+    meanwhile: Iterable[bool],
 ) -> Iterator[tuple[int, Followed]]:
     """Branches of parameter sets in the order of completion, each with its position in `scenes`.
 
@@ -141,12 +141,12 @@ def followed(
 
     `timeout`: CPU time limit [s] of a parameter set in an isolated process.
     `waiting`: called until there is a worker.
-    `others`: other work of this process, a step each while no result has arrived.
+    `meanwhile`: other work of this process, a step each while no result has arrived.
     """
     check_workers(client, waiting)
     left = [(i, bool(each.point.kind.own or each.system)) for i, each in enumerate(scenes)][::-1]
     in_flight: dict[Any, tuple[int, bool]] = {}
-    completed, steps = as_completed(loop=client.loop), iter(others)
+    completed, steps = as_completed(loop=client.loop), iter(meanwhile)
     try:
         while left or in_flight:
             # One task for each thread: a worker that dies loses no other task.
