@@ -447,7 +447,7 @@ def test_branches_are_written_before_the_error_of_a_file_that_was_made_meanwhile
     """`first` stands for branches.nc, with two steps of other work while its tasks run."""
 
     def branches(run):
-        return {"steps": len(list(run.others))}
+        return {"steps": len(list(run.meanwhile))}
 
     def fails(run):
         raise StoreError("the first error")
