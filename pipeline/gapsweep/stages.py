@@ -165,16 +165,20 @@ def make_files(
 ) -> None:
     """Make those files of some stages that are not up to date.
 
-    While workers compute branches, this process makes the next files that need none.
+    While workers compute branches, this process makes the next files that need none. If one of
+    these fails, its error is raised after the branches are written.
 
     `n_points`: sweep points of the study.
     `retry_failed`: whether to rewrite files with failed motions.
     """
-    left = deque(stages)
+    left, failed = deque(stages), list[Exception]()
 
     def next_files(file: str) -> Iterator[bool]:
-        while left and file not in left[0].inputs:
-            make(left.popleft())
+        while left and file not in left[0].inputs and not failed:
+            try:
+                make(left.popleft())
+            except Exception as error:  # raised after the file that was being made
+                failed.append(error)
             yield True
 
     def make(stage: Stage) -> None:
@@ -193,6 +197,8 @@ def make_files(
 
     while left:
         make(left.popleft())
+        if failed:
+            raise failed[0]
 
 
 def make_file(stage: Stage, run: RunContext) -> None:
@@ -467,6 +473,24 @@ PAGE = Stage(
 STAGES = (
     Stage(RESPONSES, (), (SETTINGS, POINTS), _responses),
     Stage(ATTRACTORS, (), (SETTINGS, POINTS), _responses),
+    # Costs are measured while no worker computes branches.
+    # Failures of methods are results; only a status of user code counts as a failure.
+    Stage(
+        WORK_PRECISION,
+        (),
+        (SETTINGS,),
+        _work_precision,
+        lambda study: not all(_bench_scenes(study)),
+        failures=("status", Status.TIMED_OUT),
+    ),
+    Stage(
+        STABILITY,
+        (),
+        (SETTINGS,),
+        _stability,
+        lambda study: any(_bench_scenes(study)),
+        failures=("status", Status.TIMED_OUT),
+    ),
     Stage(
         BRANCHES,
         (ATTRACTORS,),
@@ -518,23 +542,6 @@ STAGES = (
         (CLAIMS_MODULE,),
         _claims,
         lambda study: study.spec.claims is not None,
-    ),
-    # Failures of methods are results; only a status of user code counts as a failure.
-    Stage(
-        WORK_PRECISION,
-        (),
-        (SETTINGS,),
-        _work_precision,
-        lambda study: not all(_bench_scenes(study)),
-        failures=("status", Status.TIMED_OUT),
-    ),
-    Stage(
-        STABILITY,
-        (),
-        (SETTINGS,),
-        _stability,
-        lambda study: any(_bench_scenes(study)),
-        failures=("status", Status.TIMED_OUT),
     ),
     Stage(
         SECTIONS,
