@@ -6,7 +6,7 @@ an isolated process; the failure of that process is the status of the parameter 
 
 import hashlib
 import json
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Generator, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
 from typing import Any
@@ -134,10 +134,11 @@ def followed(
     timeout: float,
     waiting: Callable[[], None],
     meanwhile: Iterable[bool],
-) -> Iterator[tuple[int, Followed]]:
+) -> Generator[tuple[int, Followed], None, None]:
     """Branches of parameter sets in the order of completion, each with its position in `scenes`.
 
-    Raises `ClusterError` if all workers run other code, or the cluster is lost.
+    Raises `ClusterError` if all workers run other code, or the cluster is lost. A caller that
+    leaves before the end closes the generator, which cancels its tasks.
 
     `timeout`: CPU time limit [s] of a parameter set in an isolated process.
     `waiting`: called until there is a worker.

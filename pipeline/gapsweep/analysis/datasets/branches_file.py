@@ -7,7 +7,7 @@ that an interrupted run computes only the missing cases.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from contextlib import suppress
+from contextlib import closing, suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -123,15 +123,17 @@ def branches(
             paths = [*missing]
             tasks = [several[0].scene for several in missing.values()]
             waiting = partial(say, "waiting for workers")
-            arriving = followed(tasks, connect(), timeout, waiting, meanwhile)
-            for n_done, (number, found) in enumerate(arriving, len(parts) - len(missing) + 1):
-                path = paths[number]
-                for part in missing[path]:
-                    own = found.branches and found.branches.copy(deep=True)
-                    part.found = replace(found, branches=own)
-                if found.branches is not None:
-                    netcdf.write(found.branches, path, {})
-                say(f"making {file}, {n_done} of {len(parts)} cases")
+            n_stored = len(parts) - len(missing)
+            # Closed here, also by an error: once the cluster has ended, nothing can be cancelled.
+            with closing(followed(tasks, connect(), timeout, waiting, meanwhile)) as arriving:
+                for n_done, (number, found) in enumerate(arriving, n_stored + 1):
+                    path = paths[number]
+                    for part in missing[path]:
+                        own = found.branches and found.branches.copy(deep=True)
+                        part.found = replace(found, branches=own)
+                    if found.branches is not None:
+                        netcdf.write(found.branches, path, {})
+                    say(f"making {file}, {n_done} of {len(parts)} cases")
     return _assembled(study, parts, is_curves=is_curves)
 
 
