@@ -232,7 +232,7 @@ def carry_out(
         with alone_in(folder):
             check_owner(study, folder)
             exports = [stage for stage in stages if POINTS in stage.sources]
-            make(exports, replace(of_points, say=say, meanwhile=steps))
+            make(exports, replace(of_points, say=say, exporting=steps))
             failures = _failures(planned)
             n_failed, why = sum(failures.values()), _reasons(planned)
             recorder.state = replace(recorder.state, failed=n_failed, message=why)

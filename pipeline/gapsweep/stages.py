@@ -85,13 +85,13 @@ class RunContext:
     study: Study
     # The sweep points and where they are stored, for stages that read them.
     plan: Plan | None = None
-    # As of `meanwhile`, begun while points were computed; None if none was.
-    meanwhile: Iterator[bool] | None = None
+    # Steps of `meanwhile` that a run has begun while points were computed.
+    exporting: Iterator[bool] | None = None
     cache: Path = Path()  # folder of the cache
     # Returns the client of a cluster, for branches that are not stored.
     connect: Callable[[], Any] | None = None
     # Makes files that do not need the present one, one in each step.
-    others: Iterable[bool] = ()
+    meanwhile: Iterable[bool] = ()
     timeout: float = DEFAULT_TIMEOUT  # time [s] that a motion with a user's law may take
     say: Callable[[str], None] = _ignore  # called with a text before each stage
     inputs: tuple[str, ...] = ()  # files of the run that the present stage is made from
@@ -165,16 +165,20 @@ def make_files(
 ) -> None:
     """Make those files of some stages that are not up to date.
 
-    While workers compute branches, this process makes the next files that need none.
+    While workers compute branches, this process makes the next files that need none. If one of
+    these fails, its error is raised after the branches are written.
 
     `n_points`: sweep points of the study.
     `retry_failed`: whether to rewrite files with failed motions.
     """
-    left = deque(stages)
+    left, failed = deque(stages), list[Exception]()
 
-    def others(file: str) -> Iterator[bool]:
-        while left and file not in left[0].inputs:
-            make(left.popleft())
+    def next_files(file: str) -> Iterator[bool]:
+        while left and file not in left[0].inputs and not failed:
+            try:
+                make(left.popleft())
+            except Exception as error:  # raised after the file that was being made
+                failed.append(error)
             yield True
 
     def make(stage: Stage) -> None:
@@ -187,12 +191,14 @@ def make_files(
             )
         if reason or (retry_failed and stage.failed_motions(run.folder)):
             run.say(f"making {stage.file}")
-            make_file(stage, replace(run, others=others(stage.file)))
+            make_file(stage, replace(run, meanwhile=next_files(stage.file)))
             if n_points > _MANY:
                 gc.collect()  # reference cycles would keep their memory during the next stage
 
     while left:
         make(left.popleft())
+        if failed:
+            raise failed[0]
 
 
 def make_file(stage: Stage, run: RunContext) -> None:
@@ -339,7 +345,7 @@ def _on_workers(run: RunContext, tables: "list[Points]") -> "list[Responses]":
 
 def _responses(run: RunContext) -> None:
     """Write ``responses.nc`` and ``attractors.nc`` from the cache, both in one pass."""
-    for _ in run.meanwhile or _export(run):
+    for _ in run.exporting or _export(run):
         pass
 
 
@@ -380,7 +386,7 @@ def _branches(run: RunContext) -> "xr.Dataset":
     from gapsweep.analysis.datasets.branches_file import branches
 
     assert run.connect is not None
-    how = run.cache, run.connect, run.timeout, run.say, run.others
+    how = run.cache, run.connect, run.timeout, run.say, run.meanwhile
     with run.datasets() as found:
         return branches(run.study, found["attractors"], *how, found.get("branches"))
 
@@ -467,6 +473,24 @@ PAGE = Stage(
 STAGES = (
     Stage(RESPONSES, (), (SETTINGS, POINTS), _responses),
     Stage(ATTRACTORS, (), (SETTINGS, POINTS), _responses),
+    # Costs are measured while no worker computes branches.
+    # Failures of methods are results; only a status of user code counts as a failure.
+    Stage(
+        WORK_PRECISION,
+        (),
+        (SETTINGS,),
+        _work_precision,
+        lambda study: not all(_bench_scenes(study)),
+        failures=("status", Status.TIMED_OUT),
+    ),
+    Stage(
+        STABILITY,
+        (),
+        (SETTINGS,),
+        _stability,
+        lambda study: any(_bench_scenes(study)),
+        failures=("status", Status.TIMED_OUT),
+    ),
     Stage(
         BRANCHES,
         (ATTRACTORS,),
@@ -518,23 +542,6 @@ STAGES = (
         (CLAIMS_MODULE,),
         _claims,
         lambda study: study.spec.claims is not None,
-    ),
-    # Failures of methods are results; only a status of user code counts as a failure.
-    Stage(
-        WORK_PRECISION,
-        (),
-        (SETTINGS,),
-        _work_precision,
-        lambda study: not all(_bench_scenes(study)),
-        failures=("status", Status.TIMED_OUT),
-    ),
-    Stage(
-        STABILITY,
-        (),
-        (SETTINGS,),
-        _stability,
-        lambda study: any(_bench_scenes(study)),
-        failures=("status", Status.TIMED_OUT),
     ),
     Stage(
         SECTIONS,

@@ -371,7 +371,7 @@ def test_what_becomes_of_a_scene_whose_process_ends_or_hangs_is_its_status(
         sound.point, kind=replace(sound.point.kind, contacts=(Representation(own.label),), own=own)
     )
     scenes = [Deadly(), replace(sound, point=point), sound]
-    found = dict(branch_tasks.followed(scenes, client, 3.0, lambda: None))
+    found = dict(branch_tasks.followed(scenes, client, 3.0, lambda: None, ()))
     assert found[0].status == gs.Status.KILLED
     assert found[0].message == "its process ended with exit code 7"
     assert found[1].status == gs.Status.TIMED_OUT
@@ -384,7 +384,7 @@ def test_failed_scenes_are_in_the_file_and_are_tried_again_if_asked(client, tmp_
     failing = branch_tasks.Followed(gs.Status.ERROR, "lost")
 
     def fails(scenes, *_):
-        sound = branch_tasks.followed(scenes[:1], client, 60.0, lambda: None)
+        sound = branch_tasks.followed(scenes[:1], client, 60.0, lambda: None, ())
         yield from ((number, one) for number, one in sound)
         yield from ((number, failing) for number in range(1, len(scenes)))
 
@@ -402,6 +402,33 @@ def test_failed_scenes_are_in_the_file_and_are_tried_again_if_asked(client, tmp_
     found = gs.open(tmp_path / "out" / "branches.nc")
     assert (found["attractor_status"] == 0).all()
     assert (found["attractor_on_branch"] >= 0).all()
+
+
+def test_an_interrupt_between_two_cases_cancels_the_others_at_once(
+    branches, folder, tmp_path, monkeypatch
+):
+    """When the error is handled, the cluster has ended: to cancel a task then takes for ever."""
+    ended = []
+
+    def one_of_several(*_):
+        try:
+            yield 0, branch_tasks.Followed(gs.Status.ERROR, "lost")
+        finally:
+            ended.append(True)
+
+    def interrupted(_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(branches_of_study, "followed", one_of_several)
+    study = gs.Study.from_dict(tables())
+    how = (tmp_path, lambda: None, 1.0, interrupted, ())
+    # The interrupt keeps the frames that it passed, and what these refer to.
+    with (
+        gs.open(folder / "out" / "attractors.nc") as attractors,
+        pytest.raises(KeyboardInterrupt) as _kept,
+    ):
+        branches_of_study.branches(study, attractors, *how)
+    assert ended
 
 
 @pytest.mark.extended

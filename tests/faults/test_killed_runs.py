@@ -203,3 +203,25 @@ def test_the_folder_of_a_run_killed_while_it_starts_is_removed(tmp_path):
         process.stdin.close()  # as the end of the process that started it
         process.wait(60)
     assert not folder.exists()
+
+
+@pytest.mark.extended
+@pytest.mark.skipif(os.name != "posix", reason="workers are forks of one process")
+def test_no_worker_outlives_a_run_that_is_killed_while_its_workers_connect(tmp_path):
+    """Workers try to reach their scheduler until there is one."""
+    (tmp_path / "storm.toml").write_text(storm(4))
+    process = start(tmp_path, "cache", "out")
+
+    def several():
+        return psutil.Process(process.pid).children(recursive=True)
+
+    def is_worker(child):
+        with suppress(psutil.NoSuchProcess):
+            return "forkserver" in " ".join(child.parent().cmdline())
+        return False
+
+    wait_until(lambda: any(map(is_worker, several())), seconds=60)
+    family = several()
+    process.kill()
+    process.communicate()
+    assert not psutil.wait_procs(family, timeout=15.0)[1]

@@ -20,6 +20,7 @@ from tests.builders.studies import study_text
 import gapsweep as gs
 from gapsweep import pipeline, stages
 from gapsweep.cli.main import commands
+from gapsweep.errors import StoreError
 from gapsweep.execution.portions import SWEEP_PART
 from gapsweep.explorer.widget import explore_path
 from gapsweep.store import netcdf
@@ -428,7 +429,7 @@ def test_files_that_need_no_branches_are_made_while_these_are_computed(tmp_path)
     def made(name):
         def make(run):
             order.append(f"{name} begins")
-            for _ in run.others if name == "first" else ():
+            for _ in run.meanwhile if name == "first" else ():
                 order.append("step")
             order.append(f"{name} ends")
 
@@ -440,3 +441,27 @@ def test_files_that_need_no_branches_are_made_while_these_are_computed(tmp_path)
     inside = ["apart begins", "apart ends", "step", "alike begins", "alike ends", "step"]
     outside = [f"{name} {what}" for name in ("after", "last") for what in ("begins", "ends")]
     assert order == ["first begins", *inside, "first ends", *outside]
+
+
+def test_branches_are_written_before_the_error_of_a_file_that_was_made_meanwhile(tmp_path):
+    """`first` stands for branches.nc, with two steps of other work while its tasks run."""
+
+    def branches(run):
+        return {"steps": len(list(run.meanwhile))}
+
+    def fails(run):
+        raise StoreError("the first error")
+
+    several = [
+        stages.Stage("first", (), (), branches),
+        *(stages.Stage(name, (), (), fails) for name in ("apart", "later")),
+    ]
+    with pytest.raises(StoreError, match="the first error"):
+        stages.make_files(several, stages.RunContext(tmp_path, None))
+    assert json.loads((tmp_path / "first").read_text())["steps"] == 1, "none after the error"
+
+
+def test_costs_are_measured_while_no_worker_computes():
+    """Files of benchmarks are made before branches, hence not while these are computed."""
+    files = [stage.file for stage in stages.STAGES]
+    assert max(map(files.index, ("work_precision.nc", "stability.nc"))) < files.index("branches.nc")

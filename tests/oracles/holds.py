@@ -18,24 +18,13 @@ from typing import Any
 import numpy as np
 from numpy.polynomial.polynomial import polyder, polyval
 
+from tests.oracles.lossy_contacts import HOLD, OFF, ON, Wall
+
 Real = np.longdouble
-OFF, ON, HOLD = range(3)
 N_TERMS = 26  # of a series; a step is at most the inverse of the fastest rate
 SLOW = 1e-11  # m/s: slower bodies rest on a wall
 ZERO = 1e-11  # of the largest term: a derivative that is zero
 _SAMPLES = np.linspace(0.0, 1.0, 65)
-
-
-@dataclass(frozen=True)
-class Wall:
-    """A wall on one side of b; N = preload + k d + c u beyond it, or rigid with a restitution e."""
-
-    b: Sequence[float]
-    place: float
-    k: float = 0.0
-    c: float = 0.0
-    preload: float = 0.0
-    e: float | None = None
 
 
 @dataclass
@@ -59,7 +48,7 @@ class Motion:
 
 @dataclass
 class Held:
-    """A system with walls that hold."""
+    """A system with walls that hold: rigid ones, and others with a preload that may pull."""
 
     M: Any
     C: Any

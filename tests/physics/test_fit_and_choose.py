@@ -3,10 +3,12 @@
 import json
 import math
 import re
+from dataclasses import replace
 
 import numpy as np
 import pandas as pd
 import pytest
+import scipy.linalg
 import scipy.stats
 from scipy.io import savemat
 
@@ -60,6 +62,24 @@ def test_no_contact_ends_where_the_linear_response_reaches_the_wall():
         omega=0.8 / (2 * math.pi), starts=[[0.0, 0.0]],
     )  # fmt: skip
     assert [each.low for each in found] == [pytest.approx(amplitude, rel=1e-8)]
+
+
+def test_no_contact_with_a_rigid_wall_ends_at_the_fold_of_orbits_with_an_impact():
+    """Such an orbit (impact at speed u, free part u d before it) is periodic up to a fold.
+
+    The forced part before the impact is (gap, u) - u d. Its amplitude, of the linear response, is
+    least for a gap at the fold.
+    """
+    rate, zeta, e = 0.2 * math.pi, 0.3, 0.3
+    machine = gs.Oscillator(mass=1.0, omega_n=1 / (2 * math.pi), zeta=zeta, forcing=0.03)
+    flow = scipy.linalg.expm(2.0 * math.pi / rate * np.array([[0.0, 1.0], [-1.0, -2.0 * zeta]]))
+    d = flow @ np.linalg.solve(np.eye(2) - flow, [0.0, -1.0 - e])
+    fold = math.hypot(d[0] * rate / (1.0 - d[1]), 1.0)
+    fold *= 0.03 / math.hypot(1.0 - rate**2, 2.0 * zeta * rate)
+    law = gs.Rigid(gs.Gap(None, 0.1), restitution=e)
+    (only,) = gs.choose("j_2", (0.01, 0.3), machine, law, so_that=gs.no_contact(), omega=0.1)
+    assert only.low == pytest.approx(fold, rel=1e-9)
+    assert "fold" in only.low_limit
 
 
 @pytest.mark.parametrize("at_most", [0.02, 0.2])
@@ -163,7 +183,7 @@ def test_a_band_has_units():
     assert [each.low for each in found] == pytest.approx([each.low for each in plain], rel=1e-8)
 
 
-def drawn_machines(n, seed):
+def drawn_machines(n, seed, *, is_rigid=False):
     """Oscillators with the range of a gap, a frequency [Hz] and the limit of an amplitude [m]."""
     random = np.random.default_rng(seed)
     for _ in range(n):
@@ -172,6 +192,8 @@ def drawn_machines(n, seed):
         zeta = random.uniform(0.01, 0.08)
         machine = gs.Oscillator(mass=mass, omega_n=omega_n, zeta=zeta, forcing=static * stiffness)
         law = gs.Piecewise(random.uniform(0.5, 10.0) * stiffness, gs.Gap(static, static))
+        if is_rigid:
+            law = gs.Rigid(law.gap, restitution=random.uniform(0.3, 0.9))
         between = (random.uniform(0.2, 1.0) * static, random.uniform(5.0, 15.0) * static)
         limit = random.uniform(1.0, 8.0) * static
         yield machine, law, between, omega_n * random.uniform(0.5, 1.8), limit
@@ -197,6 +219,7 @@ class BruteForce:
                 self.keep(k, *self.respond(self.gaps[k], self.states[k - step]))
 
     def from_displacement(self, displaced):
+        """Rigid walls stop the displacement."""
         states = (displaced * self.gaps)[..., None] * [1.0, 0.0]
         found = [self.respond(*each) for each in zip(self.gaps, states, strict=True)]
         return tuple(map(np.array, zip(*found, strict=True)))
@@ -208,9 +231,11 @@ class BruteForce:
 
     def respond(self, gaps, states):
         laws = [
-            (gs.Piecewise(law.K_c, gs.Gap(gap, gap)),)
+            (replace(law, gap=gs.Gap(gap, gap)),)
             for (_, law, *_), gap in zip(self.machines, gaps.tolist(), strict=True)
         ]
+        walls = np.where([law.losses.is_rigid for (law,) in laws], gaps, np.inf)
+        states = np.column_stack([np.clip(states[:, 0], -walls, walls), states[:, 1]])
         models = Models.of([each[0] for each in self.machines], laws, self.omega)
         found = respond_models(models, Solver.of(), states, gs.Steady())
         # Just beyond a fold a slow transient is unresolved: no attractor.
@@ -232,27 +257,35 @@ class BruteForce:
         (x, v), amplitudes = self.states[near, i], []
         steps = [*np.geomspace(abs(gaps[near] - end), within, 40), -within]
         for step in steps:
-            wall = gs.Gap(end + side * step, end + side * step)
-            found = gs.respond(machine, gs.Piecewise(law.K_c, wall), omega=omega, x_0=x, v_0=v)
+            gap = end + side * step
+            x = np.clip(x, -gap, gap) if law.losses.is_rigid else x
+            moved = replace(law, gap=gs.Gap(gap, gap))
+            found = gs.respond(machine, moved, omega=omega, x_0=x, v_0=v)
             x, v = found.x_end, found.v_end
             amplitudes.append(found.amplitude if found.status == gs.Status.OK else 0.0)
         return amplitudes[-2] > limit >= amplitudes[-1]
 
 
+@pytest.mark.parametrize("is_rigid", [False, pytest.param(True, marks=pytest.mark.extended)])
 @pytest.mark.parametrize(
     ("n", "n_gaps"),
     [(1, 200), pytest.param(20, 2000, marks=[pytest.mark.extended, pytest.mark.slow])],
 )
-def test_intervals_are_those_of_a_grid_of_gaps(n, n_gaps):
-    machines = list(drawn_machines(n, seed=1))
+def test_intervals_are_those_of_a_grid_of_gaps(n, n_gaps, is_rigid):
+    machines = list(drawn_machines(n, seed=1, is_rigid=is_rigid))
     brute = BruteForce(machines, n_gaps)
     for i, (machine, law, between, omega, limit) in enumerate(machines):
         demand = gs.at_most("amplitude", limit)
         found = gs.choose("gap", between, machine, law, so_that=demand, omega=omega)
-        np.testing.assert_array_equal(
-            [gap in found for gap in brute.gaps[:, i].tolist()], brute.holds()[i]
-        )
-        ends = [end for each in found for end in (each.low, each.high) if end not in between]
+        limits = {each.low: each.low_limit for each in found}
+        limits |= {each.high: each.high_limit for each in found}
+        # Responses that are unresolved, as weak chaos may be, violate the demand: not in the grid.
+        undecided = [end for end, limit in limits.items() if limit.startswith("unresolved")]
+        gaps, holds = brute.gaps[:, i], brute.holds()[i]
+        apart = (gaps < min(undecided, default=np.inf)) | (gaps > max(undecided, default=-np.inf))
+        assert np.array_equal(holds[apart], [gap in found for gap in gaps[apart].tolist()])
+        assert not undecided or apart.mean() > 0.99
+        ends = {*limits} - {*undecided, *between}
         assert all(brute.changes_at(i, end, 1e-6 * between[1]) for end in ends)
 
 
@@ -504,7 +537,13 @@ def test_bad_arguments_of_a_fit_are_refused_in_one_line(tmp_path, arguments, wor
         ({"parameter": "gapp"}, "gapp"),
         ({"starts": [[0.0, 0.0, 0.0]]}, "starts"),
         ({"parameter": "K_c", "between": (-0.1, 0.1)}, "K_c"),
-        ({"law": gs.Rigid(gs.Gap(0.2, 0.2), restitution=0.8)}, "rigid walls are not covered"),
+        (
+            {
+                "law": gs.Rigid(gs.Gap(0.2, 0.2), restitution=0.8),
+                "so_that": gs.at_most("force_max", 1.0),
+            },
+            "force",
+        ),
     ],
 )
 def test_bad_arguments_of_choose_are_refused_in_one_line(arguments, word):

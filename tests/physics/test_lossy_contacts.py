@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.optimize import brentq
-from tests.oracles import holds
+from tests.oracles.holds import Held
 from tests.oracles.lossy_contacts import HOLD, Lossy, SmoothWall, Wall
 
 import gapsweep as gs
@@ -1223,7 +1223,7 @@ def test_a_branch_passes_the_graze_of_a_preload_from_beyond_the_wall():
     assert forcing[row] == pytest.approx(graze, rel=1e-9)
     assert sorted(n_contacts[[row - 1, row + 1]]) == [0, 2]
     assert sorted(forcing[[0, -1]]) == pytest.approx([0.02, 2.0 * graze], rel=1e-12)
-    # of the coordinate without the mean load, beside a wall that is so much closer
+    # of the coordinate without the mean load, with a wall that is so much closer
     one, walls = np.eye(1), [Wall([1.0], place - load, 3.0, preload=preload)]
     for i in (0, -1):
         oracle = Lossy(one, 0.1 * one, one, [forcing[i]], rate, walls)
@@ -1744,18 +1744,18 @@ def drawn_holds(kind, seed):
         if kind == "rigid":
             place, e = float(row @ q + rng.uniform(0.01, 0.2)), float(rng.uniform(0.0, 0.8))
             e *= rng.random() < 0.7
-            walls.append(holds.Wall(row, place, e=e))
+            walls.append(Wall(row, place, 0.0, e=e))
             laws.append(gs.Rigid(gs.Gap(None, place), restitution=e))
             load += row * rng.uniform(0.2, 1.0)
         else:
             most, spring = float(rng.uniform(0.1, 1.0)), float(10.0 ** rng.uniform(0.0, 2.0))
             c = float(damped * rng.uniform(0.05, 2.0))
-            walls.append(holds.Wall(row, float(row @ q), spring, c, most))
+            walls.append(Wall(row, float(row @ q), spring, c, preload=most))
             named = {"damping": c, "pulls": True} if damped else {}
             laws.append(gs.Piecewise(spring, gs.Gap(None, float(row @ q)), preload=most, **named))
             load += row * rng.uniform(-0.1, 1.1) * most
     omega, names = float(rng.uniform(0.3, 1.5)), [str(i) for i in range(n_walls)]
-    oracle = holds.Held(mass, damping, stiffness, load, push, omega, walls)
+    oracle = Held(mass, damping, stiffness, load, push, omega, walls)
     system = gs.System(
         mass=mass, damping=damping, stiffness=stiffness, contacts=dict(zip(names, b, strict=True)),
         forcing=[gs.Harmonic(k=0, amplitude=load), gs.Harmonic(amplitude=push)],

@@ -683,6 +683,15 @@ def test_branches_without_a_range_or_a_law_that_can_be_followed_are_refused(tabl
     assert "no representation of the study can be continued" in second
 
 
+def test_branches_along_a_parameter_that_only_laws_with_a_protocol_have_are_refused(tables):
+    (block,) = tables["sweep"]
+    swept = block | {"representation": "huntcrossley@loose", "chi": [0.1, 1.0]}
+    tables |= {"sweep": [block, swept], "protocol": {"loose": {"rtol": 1e-6}}}
+    gs.Study.from_dict(tables)
+    with pytest.raises(gs.StudyError, match=r"no representation .* continued along chi"):
+        gs.Study.from_dict(tables | {"branches": {"along": "chi"}})
+
+
 def test_branches_along_what_a_contact_has_of_its_own_are_refused():
     tables = {
         "study": {"name": "two"},

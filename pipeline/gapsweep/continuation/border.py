@@ -32,7 +32,7 @@ is u² / 2 r of the motion without the contact: at a weak preload it is large at
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from itertools import chain, combinations
+from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
@@ -133,7 +133,7 @@ def _touched(
             continue
         near, b = on_wall(orbit, contact), np.reshape(system.directions[contact], -1)
         push = np.linalg.solve(np.atleast_2d(system.mass), b)
-        jump, kick = np.eye(equations.n_states), np.zeros(equations.n_states)
+        jump = np.eye(equations.n_states)
         jump[n : 2 * n, :n] -= losses.damping * np.outer(push, b)
         for side, wall in walls(equations, orbit, contact).items():
             if wall is None:
@@ -151,8 +151,9 @@ def _touched(
                 back = float(speed) / (limit.EARLIER * orbit.period)
                 share = losses.preload / (losses.preload + back / (b @ push))
                 ratio = 1.0 + losses.restitution if losses.is_rigid else 2.0 * share
+                kick = np.zeros(equations.n_states)
                 kick[n : 2 * n] = -past * ratio * push / (b @ push)
-                found.append(_Touch(t, x, past * b, jump, kick.copy(), back, is_outer))
+                found.append(_Touch(t, x, past * b, jump, kick, back, is_outer))
     return begin, state, sorted(found, key=lambda touch: touch.t)
 
 
@@ -418,7 +419,8 @@ def _grazes(corrector: Corrector, free: Orbit, reference: Reference) -> list[_Gr
     turned = np.column_stack([turned[:, :states] @ start + turned[:, states:], np.full(m, slope)])
     back = np.array([touch.back for touch in touched])
     orbit, found = replace(graze, special=int(Special.GRAZING), branching=0.0), []
-    for some in map(list, _subsets(m)):
+    subsets = ([*some] for k in range(m, 0, -1) for some in combinations(range(m), k))
+    for some in subsets:
         others = np.delete(np.arange(m), some)
         null = np.linalg.svd(turned[some][:, [*some, m]])[2][-1]
         speeds = np.zeros(m + 1)
@@ -432,11 +434,6 @@ def _grazes(corrector: Corrector, free: Orbit, reference: Reference) -> list[_Gr
             deeper[:states] = way / (way @ way)
             found.append(_Graze(orbit, tangent, past / np.sqrt(past @ past), deep, deeper))
     return found
-
-
-def _subsets(m: int) -> Iterator[tuple[int, ...]]:
-    """Subsets of m items, the largest first; the empty one is left out."""
-    return chain.from_iterable(combinations(range(m), k) for k in range(m, 0, -1))
 
 
 def _flow(equations: OrbitEquations, graze: Orbit) -> tuple[list[_Touch], Array]:

@@ -26,10 +26,9 @@ from gapsweep.design.chance import Chance, ChanceSurvey
 from gapsweep.design.demands import Demand, margins, quantity
 from gapsweep.design.machine import Machine
 from gapsweep.errors import ModelError
-from gapsweep.integrate.problem import Model
+from gapsweep.integrate.problem import Laws, Model
 from gapsweep.integrate.simulate import AnyLaw
 from gapsweep.model.arrays import numbers
-from gapsweep.model.contact import Rigid
 from gapsweep.model.oscillator import called_as, checked
 from gapsweep.quantities import UNITS, without_units, written
 from gapsweep.response.result import Response, Responses
@@ -215,9 +214,12 @@ class _Survey:
     ) -> tuple[Responses, Array, NDArray[np.intp]]:
         """Return responses, their margins and the demands with these."""
         values = self.window.value(places)[:, None]
-        found = self.machine.respond(values, omega, states)
-        _, laws, which = self.machine.parts(values)
+        models, laws, which = self.machine.parts(values)
         of_rows = [laws[i] for i in which.tolist()]
+        if self.follows:
+            for i, parts in enumerate(zip(models, laws, strict=True)):
+                states = np.where((which == i)[:, None], _inside(*parts, states), states)
+        found = self.machine.respond(values, omega, states)
         return found, *margins(self.demands, found, self.machine.family.example, of_rows)
 
     def worst(
@@ -419,6 +421,21 @@ class _Survey:
         return float(values[nearest]), ENDS[Special(int(kinds[ends][nearest]))]
 
 
+def _inside(model: Model, laws: Laws, states: Array) -> Array:
+    """Return states with displacements that are scaled down to the rigid walls if beyond them.
+
+    Displacements of a response at another value of the parameter may be beyond a rigid wall.
+    """
+    share = np.ones(len(states))
+    for b, law in zip(np.reshape(model.directions, (-1, model.n)), laws, strict=True):
+        if law.losses.is_rigid:
+            gap = states[:, : model.n] @ b
+            walls = np.where(gap > 0.0, law.walls[1], law.walls[0])
+            is_beyond = np.abs(gap) > np.abs(walls)
+            share = np.minimum(share, np.divide(walls, gap, out=np.ones(len(gap)), where=is_beyond))
+    return np.hstack([share[:, None] * states[:, : model.n], states[:, model.n :]])
+
+
 @called_as("gs.choose('gap', (1e-4, 1e-3), oscillator, law, so_that=gs.at_most('amplitude', 5e-4), "
            "omega=(6.0, 12.0))")  # fmt: skip
 def choose(
@@ -505,10 +522,13 @@ def choose(
             raise ModelError("starts, rtol: leave them out; gs.probability has the initial state")
         return _by_chance(machine, window, demands[0], band, omega)
     laws = machine.family.laws_at({window.name: window.value(0.5)})
-    if any(isinstance(each, Rigid) for each in laws):
-        # The largest force is no number, and the depth beyond a wall is 0 with and without impacts.
-        said = "rigid walls are not covered; write gs.probability, or gs.Piecewise with a large K_c"
-        raise ModelError(f"law: {said}")
+    of_contacts = zip(machine.family.example.contacts, laws, strict=True)
+    rigid = {name for name, each in of_contacts if each.losses.is_rigid}
+    for demand in demands:
+        name, _, label = demand.quantity.rstrip("]").partition("[")
+        if name == "force_max" and (label in rigid or (rigid and not label)):
+            said = "a rigid wall has no largest force; write gs.Piecewise with a large K_c"
+            raise ModelError(f"so_that = {demand.words!r}: {said}")
     survey = _Survey(
         machine, window, demands, band, _states(machine, window, starts), follows=starts is None
     )

@@ -20,6 +20,8 @@ from gapsweep.variables import CONTACT, COORDINATE
 
 Array = NDArray[np.float64]
 
+# A gap so close to a rigid wall, as a share of its distance, touches it: no gap is beyond it.
+AT_WALL = 1e-10
 _NAME = re.compile(r"(\w+)(?:\[(.+)\])?")
 # Numbers of a response that are no physical quantity.
 _NOT = {
@@ -116,6 +118,8 @@ def _beyond(found: Responses, laws: Sequence[Laws]) -> Array:
     size = np.abs(walls).min(axis=2)
     size = np.where(size > 0.0, size, 1.0)
     beyond = np.maximum(high - walls[:, :, 1], walls[:, :, 0] - low) / size
+    is_rigid = np.array([[law.losses.is_rigid for law in each] for each in laws])
+    beyond += AT_WALL * is_rigid.reshape(len(found), -1)
     return np.asarray(beyond.max(axis=1, initial=-np.inf))
 
 

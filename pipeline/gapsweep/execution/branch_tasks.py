@@ -6,7 +6,7 @@ an isolated process; the failure of that process is the status of the parameter 
 
 import hashlib
 import json
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Generator, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
 from typing import Any
@@ -133,20 +133,21 @@ def followed(
     client: Client,
     timeout: float,
     waiting: Callable[[], None],
-    others: Iterable[bool] = (),
-) -> Iterator[tuple[int, Followed]]:
+    meanwhile: Iterable[bool],
+) -> Generator[tuple[int, Followed], None, None]:
     """Branches of parameter sets in the order of completion, each with its position in `scenes`.
 
-    Raises `ClusterError` if all workers run other code, or the cluster is lost.
+    Raises `ClusterError` if all workers run other code, or the cluster is lost. A caller that
+    leaves before the end closes the generator, which cancels its tasks.
 
     `timeout`: CPU time limit [s] of a parameter set in an isolated process.
     `waiting`: called until there is a worker.
-    `others`: other work of this process, a step each while no result has arrived.
+    `meanwhile`: other work of this process, a step each while no result has arrived.
     """
     check_workers(client, waiting)
     left = [(i, bool(each.point.kind.own or each.system)) for i, each in enumerate(scenes)][::-1]
     in_flight: dict[Any, tuple[int, bool]] = {}
-    completed, steps = as_completed(loop=client.loop), iter(others)
+    completed, steps = as_completed(loop=client.loop), iter(meanwhile)
     try:
         while left or in_flight:
             # One task for each thread: a worker that dies loses no other task.

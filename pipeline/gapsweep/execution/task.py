@@ -147,9 +147,8 @@ def _both_directions(tiles: Iterable[Tile]) -> list[list[Tile]]:
     groups: dict[Kind, list[Tile]] = {}
     for tile in tiles:
         kind = tile.points.kind
-        groups.setdefault(replace(kind, start=SWEEPS[0]) if kind.is_sweep else kind, []).append(
-            tile
-        )
+        kind = replace(kind, start=SWEEPS[0]) if kind.is_sweep else kind
+        groups.setdefault(kind, []).append(tile)
     return [*groups.values()]
 
 

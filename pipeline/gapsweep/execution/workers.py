@@ -16,15 +16,16 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from io import RawIOBase
 from multiprocessing.util import get_temp_dir
-from typing import Any, BinaryIO
+from typing import Any
 
 import psutil
 
 from gapsweep.user_code.load import TEMPORARY
 
 _CODE = "from gapsweep.execution.workers import serve; serve()"
-_RUNNING = b"."
+_RUNNING, _FAILED = b".", b"!"
 _LEAVE_SECONDS = 2.0
 _PRELOADED = ["distributed.worker", "gapsweep.execution.task", "gapsweep.integrate.compiled"]
 
@@ -110,13 +111,13 @@ def search_path() -> str:
 def serve() -> None:
     """Main of the worker process: run workers while stdin is open, then remove their files."""
     # Only this process writes to stdout; what workers print is dropped.
-    with os.fdopen(os.dup(1), "wb") as stdout, open(os.devnull, "wb") as nowhere:
+    with os.fdopen(os.dup(1), "wb", 0) as stdout, open(os.devnull, "wb") as nowhere:
         os.dup2(nowhere.fileno(), 1)
         _serve(stdout)
     end_group(os.getpid())  # this process and its remaining workers
 
 
-def _serve(stdout: BinaryIO) -> None:
+def _serve(stdout: RawIOBase) -> None:
     method = "forkserver" if "forkserver" in multiprocessing.get_all_start_methods() else "spawn"
     if method == "forkserver":
         from multiprocessing import forkserver
@@ -127,15 +128,18 @@ def _serve(stdout: BinaryIO) -> None:
     from distributed import Nanny, Status
 
     async def run(address: str, n: int, options: Any) -> None:
-        nannies = await asyncio.gather(*(Nanny(address, **options) for _ in range(n)))
+        nannies = [Nanny(address, **options) for _ in range(n)]
+        started = asyncio.gather(*nannies, return_exceptions=True)
+        # The caller may end, or end the workers, while they start.
+        caller_left = asyncio.create_task(asyncio.to_thread(sys.stdin.buffer.read))
+        await asyncio.wait({started, caller_left}, return_when=asyncio.FIRST_COMPLETED)
         # A nanny gives up a worker that dies before the nanny knows that it runs.
-        if {nanny.status for nanny in nannies} != {Status.running}:
-            return
-        stdout.write(_RUNNING)
-        stdout.flush()
-        await asyncio.to_thread(sys.stdin.buffer.read)
-        closing = (nanny.close(timeout=_LEAVE_SECONDS / 2) for nanny in nannies)
-        await asyncio.gather(*closing, return_exceptions=True)  # they remove their folders
+        all_run = {nanny.status for nanny in nannies} == {Status.running}
+        with suppress(BrokenPipeError):  # the caller was killed
+            stdout.write(_RUNNING if all_run else _FAILED)
+        await caller_left
+        closing = [asyncio.create_task(each.close(timeout=_LEAVE_SECONDS / 2)) for each in nannies]
+        await asyncio.wait(closing, timeout=_LEAVE_SECONDS / 2)  # they remove their folders
 
     with suppress(EOFError):  # the starting process was killed before it asked for workers
         config, *asked = pickle.load(sys.stdin.buffer)  # of the starting process

@@ -380,7 +380,7 @@ def _located(
         run.pieces.append(resting(t, np.array(y)))
         return t, y
     run.reach = np.maximum(run.reach, np.abs(y[: scene.n]))
-    on = dict(on_walls(scene, y))
+    on = on_walls(scene, y)
     for contact, side in on.items():
         if scene.laws[contact].losses.is_rigid:
             y = _on_wall(scene, y, Watched(contact, side, False, scene.wall(contact, side)))
@@ -405,21 +405,23 @@ def _located(
         passed, contact, previous = segment.hit, segment.hit.contact, modes
         on = {k: 1 if mode > 0 else -1 for k, mode in enumerate(modes) if abs(mode) == HOLD}
         run.reach = np.maximum(run.reach, np.abs(y[: scene.n]))
-        if passed.force is None and not passed.hold:
+        is_at_wall = passed.force is None and not passed.hold
+        if is_at_wall:
             on[contact] = 1 if (modes[contact] or passed.side) > 0 else -1
+        if is_at_wall and scene.laws[contact].losses.is_rigid:
             y, modes = _impacts(scene, run, t, y, modes, on)
-            y, modes = _caught(scene, run, t, y, modes, contact, on[contact])
-        is_met = passed.force is None and scene.laws[contact].losses.is_rigid and not passed.hold
-        if modes is previous and not is_met:
-            modes = scene.passed(t, y, modes, passed)
-        if passed.force is None and not is_met:
-            y = held_tangent(scene, scene.jumped(y, previous, modes), modes)
-        if not is_met:
+        else:
+            if is_at_wall:
+                y, modes = _caught(scene, run, t, y, modes, contact, on[contact])
+            if modes is previous:
+                modes = scene.passed(t, y, modes, passed)
+            if passed.force is None:
+                y = held_tangent(scene, scene.jumped(y, previous, modes), modes)
             run.contacts += changed(t, previous, modes)
         moved = modes
         undecided = {k: side for k, side in on.items() if not (passed.hold and k == contact)}
         y, modes = _with_holds(scene, run, t, y, modes, undecided)
-        if modes != moved and passed.force is None and not (is_met or passed.hold):
+        if modes != moved and is_at_wall and not scene.laws[contact].losses.is_rigid:
             y = turned(scene, t, y, moved, modes, contact)
         run.contacts += changed(t, moved, modes)
     return t, y
@@ -434,6 +436,7 @@ def _impacts(
     on: dict[int, int],
 ) -> tuple[State, tuple[int, ...]]:
     """Return state and modes after impacts of contacts on rigid walls, one after the other."""
+    # Speeds of plastic walls that are met at one time fall in a geometric series.
     slow = {contact: still(scene, contact, y) for contact in on}
     for _ in range(_MAX_IMPACTS):
         meeting = [

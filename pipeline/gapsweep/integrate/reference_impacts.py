@@ -178,17 +178,17 @@ def _near(scene: ReferenceScene, contact: int, y: State) -> tuple[float, float]:
     return slack, max(slack, scene.atol)
 
 
-def still(scene: ReferenceScene, contact: int, y: State) -> float:
+def still(scene: ReferenceScene, contact: int, y: State | Array) -> float:
     """Speed of a gap [m/s] that may be rounding."""
     return _STILL * float(np.abs(scene.directions[contact]) @ np.abs(y[scene.n : 2 * scene.n]))
 
 
-def on_walls(scene: ReferenceScene, y: State) -> list[tuple[int, int]]:
-    """Contacts, and sides, that are up to rounding on walls that may hold, and do not leave them.
+def on_walls(scene: ReferenceScene, y: State) -> dict[int, int]:
+    """Sides of contacts that are up to rounding on walls that may hold, and do not leave them.
 
     A moving gap is on a rigid wall only.
     """
-    found = []
+    found = {}
     for k, law in enumerate(scene.laws):
         before, beyond = _near(scene, k, y)
         for side in (1, -1) if law.losses.may_hold else ():
@@ -199,7 +199,7 @@ def on_walls(scene: ReferenceScene, y: State) -> list[tuple[int, int]]:
             else:
                 is_on = abs(depth) <= before and abs(speed) <= slow
             if is_on:
-                found.append((k, side))
+                found[k] = side
                 break
     return found
 
@@ -255,7 +255,7 @@ def _of_rest(
         holds = pressing > _CLEAR * float(np.abs(b) @ np.abs(rates))
         return side * HOLD if holds else modes[contact]
     force = hold_force(scene, modes, contact)(t, np.array(y))
-    most = abs(scene.compliance[contact] ** -1 * float(np.abs(b) @ np.abs(rates)))
+    most = float(np.abs(b) @ np.abs(rates)) / scene.compliance[contact]
     for end in hold_ends(scene, modes, contact):
         beyond = end.side * (end.at - force) * (1.0 if end.falls else -1.0)
         if beyond > _CLEAR * max(abs(force), most):
@@ -266,13 +266,11 @@ def _of_rest(
 def meet(
     scene: ReferenceScene, t: float, y: State, modes: tuple[int, ...], contact: int, side: int
 ) -> Meeting:
-    """Reverse the speed of a gap that meets a rigid wall, or begin a hold."""
+    """Reverse the speed of a gap that meets a rigid wall faster than `still`, or begin a hold."""
     n, n_states, losses = scene.n, scene.n_states, scene.laws[contact].losses
     b, pull, e = scene.directions[contact], scene.pull[:, contact], losses.restitution
     state, images = np.array(y[:n_states]), np.reshape(y[n_states:], (-1, n_states))
     speed = float(b @ state[n : 2 * n])
-    if side * speed < 0.0:  # turned by another impact
-        return Meeting(y, modes, [], 0.0, 0.0)
     turn = np.eye(n_states)
     turn[n : 2 * n, n : 2 * n] -= (1.0 + e) * np.outer(pull, b) / (b @ pull)
     before = np.asarray(moving(scene, modes)(t, np.array(y)))[:n_states]
@@ -286,9 +284,8 @@ def meet(
     found = settled(scene, t, (*after, *images.ravel()), moved, sides)
     changes += changed(t, moved, found)
     rates = np.asarray(moving(scene, found)(t, np.append(after, images)))[:n_states]
-    if abs(speed) > _STILL * float(np.abs(b) @ np.abs(state[n : 2 * n])):
-        normal = np.append(b, np.zeros(n_states - n)) / speed
-        turn += np.outer(rates - turn @ before, normal)
+    normal = np.append(b, np.zeros(n_states - n)) / speed
+    turn += np.outer(rates - turn @ before, normal)
     images = images @ turn.T
     pressing, left = side * float(b @ rates[n : 2 * n]), e * abs(speed)
     rest = 0.0
@@ -344,7 +341,6 @@ def _others(
         side = 1 if mode > 0 else -1
         speed = scene.gap(j, after[n:])
         if abs(mode) == HOLD:
-            size = float(np.abs(scene.directions[j]) @ np.abs(after[n : 2 * n]))
             pressing = side * hold_force(scene, modes, j)(t, np.array(y)) * scene.compliance[j]
             is_low, beyond = 0.5 * speed**2 <= pressing * _height(scene, j, side), 0
             if scene.laws[j].losses.preload:
@@ -352,7 +348,7 @@ def _others(
                 is_low = is_caught(scene, t, moved, modes, j, side, np.abs(y[:n]))
                 outward = 1 if speed > 0.0 else -1
                 beyond = outward if outward == side or low == high else 0
-            if abs(speed) > _STILL * size and not is_low:
+            if abs(speed) > still(scene, j, after) and not is_low:
                 found[j] = beyond
         elif scene.laws[j].losses.never_pulls:
             force = scene.pressure(j, mode)(scene.gap(j, after), speed)

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from gapsweep.errors import ModelError, StudyError
 from gapsweep.model.contact import OF_LABELS, OF_WALLS
-from gapsweep.model.labels import EXACT, TAKEN_BY, Representation, unknown_number
+from gapsweep.model.labels import EXACT, NOT_LOCATED, TAKEN_BY, Representation, unknown_number
 from gapsweep.model.oscillator import Oscillator
 from gapsweep.model.structure import AnyStructure, structure_of
 from gapsweep.model.system import System
@@ -136,6 +136,14 @@ class ParametricModel:
         """Whether some contact has a parameter of contacts from the sweep, with this law."""
         pairs = zip(self.contacts, self.laws(law), strict=True)
         return any(one.takes(name) and self._own(contact, name) is None for contact, one in pairs)
+
+    def is_followed(self, one: Representation, along: str) -> bool:
+        """Whether branches of a representation are followed along a parameter that it has.
+
+        Its contacts are located, and it has no protocol.
+        """
+        is_exact = not (one.protocol or one.is_auto or one == NOT_LOCATED)
+        return is_exact and (along not in OF_LABELS or self.takes(one, along))
 
     def numbers(self, law: Representation, axes: Axes, places: Places, n: int) -> Array:
         """Return the columns of a table of n points of a law, from their positions on the axes."""

@@ -8,7 +8,7 @@ the plain immutable values that the rest of the package works with.
 import math
 import re
 import tomllib
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from os import PathLike
 from pathlib import Path, PurePath
 from typing import Annotated, Any, Literal
@@ -18,7 +18,7 @@ from pydantic import AfterValidator, BeforeValidator, Field, ValidationError, mo
 from gapsweep.errors import StudyError
 from gapsweep.integrate.problem import LARGEST_RTOL, SMALLEST_RTOL
 from gapsweep.model.contact import FIT_RANGE, OF_WALLS
-from gapsweep.model.labels import NOT_LOCATED, Representation
+from gapsweep.model.labels import Representation
 from gapsweep.response.result import Steady
 from gapsweep.study.axes import (
     MAX_POINTS,
@@ -236,11 +236,16 @@ class BranchesTable(TomlTable):
     atol: Positive | None = None
 
     def problems(
-        self, axes: Axes, known: Mapping[str, float], contacts: Mapping[str, ContactTable]
+        self,
+        axes: Axes,
+        known: Mapping[str, float],
+        contacts: Mapping[str, ContactTable],
+        is_followed: Callable[[Representation, str], bool],
     ) -> Iterator[str]:
         """Problems of the parameters, for the axes and the other parameters of a study.
 
         `known` are values of the numbers of the model and of contacts in its representations.
+        `is_followed`: that of the model.
         """
         names = [name for name in axes if name not in _NO_PARAMETERS and len(axes[name]) > 1]
         if self.along not in names:
@@ -251,8 +256,11 @@ class BranchesTable(TomlTable):
             if any(getattr(contact, name, None) is not None for contact in contacts.values()):
                 yield f"branches.{key} = {value!r}: must be set in [[sweep]], not in [contact]"
         yield from self._problems_of_second(axes, known)
-        if not any(map(is_followed, axes["representation"])):
-            yield "branches: no representation of the study can be continued; add 'piecewise'"
+        if not any(is_followed(one, self.along) for one in axes["representation"]):
+            yield (
+                "branches: no representation of the study can be continued along "
+                f"{self.along}; add one that has it, as 'piecewise' or 'huntcrossley'"
+            )
 
     def _problems_of_second(self, axes: Axes, known: Mapping[str, float]) -> Iterator[str]:
         """Problems of the second parameter and its range."""
@@ -284,11 +292,6 @@ class GradientsTable(TomlTable):
     """Derivatives of the quantities of all periodic attractors by parameters."""
 
     by: Annotated[list[str], Field(min_length=1)]
-
-
-def is_followed(one: Representation) -> bool:
-    """Whether branches of a representation are followed: contacts located, no protocol."""
-    return not (one.protocol or one.is_auto or one == NOT_LOCATED)
 
 
 # Axes along which no branch is continued.

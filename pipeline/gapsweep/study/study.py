@@ -158,7 +158,8 @@ class Study:
         )
         if self.spec.branches:
             several = {**known, **self._of_contacts}
-            of_branches = self.spec.branches.problems(axes, several, self.spec.contact)
+            about = axes, several, self.spec.contact, self.model.is_followed
+            of_branches = self.spec.branches.problems(*about)
             second = {self.spec.branches.second or "": self.spec.branches.range or []}
             lines = chain(lines, of_branches, self._problems_of_ranges("branches.range", second))
         if fit := self.spec.fit:

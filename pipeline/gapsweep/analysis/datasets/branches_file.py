@@ -7,7 +7,7 @@ that an interrupted run computes only the missing cases.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from contextlib import suppress
+from contextlib import closing, suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -33,13 +33,12 @@ from gapsweep.continuation.follow import DEFAULT_RTOL
 from gapsweep.continuation.seed import Attractor
 from gapsweep.errors import StoreError
 from gapsweep.execution.branch_tasks import BranchScene, Followed, followed
-from gapsweep.model.contact import OF_LABELS
 from gapsweep.response.result import ResponseClass
 from gapsweep.status import Status
 from gapsweep.store import netcdf
 from gapsweep.study.grid import START
 from gapsweep.study.schema import coordinates
-from gapsweep.study.spec import WALLS, is_followed
+from gapsweep.study.spec import WALLS
 from gapsweep.study.study import Study
 from gapsweep.user_code.package_digest import numerics_fingerprint
 from gapsweep.variables import POINT, SECTION_POINT, STATUS_FLAGS, Variable
@@ -77,7 +76,7 @@ def branches(
     connect: Callable[[], Any],
     timeout: float,
     say: Callable[[str], None],
-    others: Iterable[bool],
+    meanwhile: Iterable[bool],
     followed_branches: xr.Dataset | None = None,
 ) -> xr.Dataset:
     """Branches of all cases of a study, or the curves of their special points.
@@ -96,8 +95,8 @@ def branches(
         CPU time limit of a case with user code [s].
     say : callable
         Called with the progress.
-    others : iterable of bool
-        Other work of this process, a step each while no case has arrived; False: there is none.
+    meanwhile : iterable of bool
+        Other work of this process, a step each while no case has arrived.
     followed_branches : Dataset, optional
         ``branches.nc`` of the study, to return the curves of its special points. Cases that failed
         in it have none; branches missing in the cache are recomputed.
@@ -124,15 +123,17 @@ def branches(
             paths = [*missing]
             tasks = [several[0].scene for several in missing.values()]
             waiting = partial(say, "waiting for workers")
-            arriving = followed(tasks, connect(), timeout, waiting, others)
-            for n_done, (number, found) in enumerate(arriving, len(parts) - len(missing) + 1):
-                path = paths[number]
-                for part in missing[path]:
-                    own = found.branches and found.branches.copy(deep=True)
-                    part.found = replace(found, branches=own)
-                if found.branches is not None:
-                    netcdf.write(found.branches, path, {})
-                say(f"making {file}, {n_done} of {len(parts)} cases")
+            n_stored = len(parts) - len(missing)
+            # Closed here, also by an error: once the cluster has ended, nothing can be cancelled.
+            with closing(followed(tasks, connect(), timeout, waiting, meanwhile)) as arriving:
+                for n_done, (number, found) in enumerate(arriving, n_stored + 1):
+                    path = paths[number]
+                    for part in missing[path]:
+                        own = found.branches and found.branches.copy(deep=True)
+                        part.found = replace(found, branches=own)
+                    if found.branches is not None:
+                        netcdf.write(found.branches, path, {})
+                    say(f"making {file}, {n_done} of {len(parts)} cases")
     return _assembled(study, parts, is_curves=is_curves)
 
 
@@ -150,11 +151,8 @@ def cases(study: Study, attractors: xr.Dataset) -> Iterator[_SceneBranches]:
     assert table is not None
     along, axes = table.along, grid.axes
     dims = [name for name in grid.dims if name not in (along, START)]
-    followed = [
-        i
-        for i, law in enumerate(axes["representation"])
-        if is_followed(law) and (along not in OF_LABELS or study.model.takes(law, along))
-    ]
+    laws = enumerate(axes["representation"])
+    followed = [i for i, law in laws if study.model.is_followed(law, along)]
     order = [grid.dims.index(name) for name in (*dims, along, START)]
     requested = grid.requested.transpose(order)
     # Blocks with other laws only have the value of an elastic contact.
