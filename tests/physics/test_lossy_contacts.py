@@ -1818,6 +1818,18 @@ def test_impacts_of_two_plastic_walls_at_one_time_end_with_a_finite_tangent():
     assert np.isfinite(run.monodromy).all()
 
 
+@pytest.mark.parametrize("engine", ["scipy", pytest.param("compiled", marks=pytest.mark.extended)])
+def test_two_preloads_in_one_place_that_would_hold_a_mass_are_no_model(engine):
+    """Only the sum of their forces follows from the motion."""
+    system = gs.System(
+        mass=[[1.0]], stiffness=[[1.0]], damping=[[0.4]], contacts={"a": [1.0], "b": [1.0]},
+        forcing=[gs.Harmonic(k=0, amplitude=[0.5])],
+    )  # fmt: skip
+    laws = {name: clutch(1.0, 5.0, 0.1) for name in system.contacts}
+    run = gs.simulate(system, laws, q_0=[0.0], v_0=[0.1], t_end=60.0, engine=engine, rtol=1e-4)
+    assert run.status is gs.Status.MODEL_INVALID
+
+
 def test_a_hold_of_a_wall_that_never_pulls_takes_no_short_steps():
     law = clutch(0.4, 5.0, 0.0, damping=2.0)
     run = gs.simulate(pressed(0.1, forcing=0.05), {"wall": law}, 0.2, n_periods=4)

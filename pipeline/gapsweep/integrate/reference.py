@@ -415,7 +415,7 @@ def _located(
                 y, modes = _caught(scene, run, t, y, modes, contact, on[contact])
             if modes is previous:
                 modes = scene.passed(t, y, modes, passed)
-            if passed.force is None:
+            if passed.force is None and run.status is Status.OK:
                 y = held_tangent(scene, scene.jumped(y, previous, modes), modes)
             run.contacts += changed(t, previous, modes)
         moved = modes
@@ -499,6 +499,9 @@ def _caught(
     if not is_caught(scene, t, y, modes, contact, side, np.asarray(run.reach)):
         return y, modes
     modes, run.loss = (*modes[:contact], side * HOLD, *modes[contact + 1 :]), math.inf
+    if has_dependent_holds(scene, modes):
+        run.status = Status.MODEL_INVALID
+        return y, modes
     return stopped(scene, y, modes), modes
 
 
