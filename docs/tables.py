@@ -108,7 +108,7 @@ def _timing() -> Iterator[tuple[str, ...]]:
 
 def _static() -> Iterator[tuple[str, ...]]:
     for name, variable in static.CURVES.items():
-        yield _row(name, ["case", "x"], variable)
+        yield _row(name, ["case", "displacement"], variable)
     for name, variable in (static.SCENE_VARIABLES | static.FORCED_VARIABLES).items():
         yield _row(name, ["case"], variable)
     for name, variable in static.VISITED_VARIABLES.items():

@@ -48,7 +48,7 @@ def test_every_ratio_is_what_it_is_by_itself(swept, tables, client, tmp_path):
     assert images.sel(K_ratio=1.0).any()
     assert not images.sel(K_ratio=[0.2, 5.0]).any()
     static = gs.open(tmp_path / "out" / "static.nc")
-    assert static["force"].dims == ("representation", "K_c", "gap", "K_ratio", "x")
+    assert static["force"].dims == ("representation", "K_c", "gap", "K_ratio", "displacement")
     agreement = gs.open(tmp_path / "out" / "agreement.nc")
     assert agreement["n_attractors"].dims == dims[:-1]
     page = (tmp_path / "out" / "report" / "index.html").read_text()

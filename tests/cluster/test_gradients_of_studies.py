@@ -96,6 +96,33 @@ def test_gradients_by_a_parameter_of_a_system_follow_its_sweep(client, tmp_path)
         np.testing.assert_allclose(one["gradient"], expected["gradient"], rtol=1e-7, atol=1e-8)
 
 
+def test_impacts_of_two_contacts_that_accumulate_together_are_a_reason(client, tmp_path):
+    """The system of `test_gradients_of_impacts.py`, and a load at which no wall is met."""
+    rigid = {"representation": "rigid", "restitution": 0.0, "K_c": 1.0, "gap": [0.2, 0.25]}
+    tables = {
+        "study": {"name": "stops"},
+        "system": {
+            "mass": [[1.0, 0.0], [0.0, 0.5]], "stiffness": [[1.0, 0.0], [0.0, 1.0]],
+            "damping": [[0.1, 0.0], [0.0, 0.1]], "contacts": {"s": [1.0, -1.0], "e": [0.0, 1.0]},
+            "forcing": [
+                {"amplitude": [1.455, 0.905], "scale": "load"},
+                {"amplitude": [-0.483, 0.0], "k": 0, "scale": "load"},
+            ],
+        },
+        "parameters": {"load": 1.0},
+        "contact": {"e": {"restitution": 0.3, "gap": [0.2, 0.2]}},
+        "sweep": [rigid | {"omega": 0.425 / (2.0 * np.pi), "load": [0.1, 1.0]}],
+        "gradients": {"by": ["load"]},
+    }  # fmt: skip
+    run(tables, client, tmp_path)
+    found, _ = files(tmp_path)
+    reason = found["reason"].squeeze().values
+    assert reason.tolist() == [Reason.NONE, Reason.ACCUMULATION]
+    assert np.isfinite(found["value"].squeeze().sel(quantity="amplitude[q_1]")).all()
+    page = (tmp_path / "out" / "report" / "index.html").read_text()
+    assert "1 attractors have derivatives, 1 have impacts of several contacts" in page
+
+
 @pytest.mark.parametrize(
     ("change", "words"),
     [

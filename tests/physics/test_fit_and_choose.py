@@ -266,7 +266,7 @@ class BruteForce:
         return amplitudes[-2] > limit >= amplitudes[-1]
 
 
-@pytest.mark.parametrize("is_rigid", [False, True])
+@pytest.mark.parametrize("is_rigid", [False, pytest.param(True, marks=pytest.mark.extended)])
 @pytest.mark.parametrize(
     ("n", "n_gaps"),
     [(1, 200), pytest.param(20, 2000, marks=[pytest.mark.extended, pytest.mark.slow])],
@@ -277,10 +277,15 @@ def test_intervals_are_those_of_a_grid_of_gaps(n, n_gaps, is_rigid):
     for i, (machine, law, between, omega, limit) in enumerate(machines):
         demand = gs.at_most("amplitude", limit)
         found = gs.choose("gap", between, machine, law, so_that=demand, omega=omega)
-        np.testing.assert_array_equal(
-            [gap in found for gap in brute.gaps[:, i].tolist()], brute.holds()[i]
-        )
-        ends = [end for each in found for end in (each.low, each.high) if end not in between]
+        limits = {each.low: each.low_limit for each in found}
+        limits |= {each.high: each.high_limit for each in found}
+        # Responses that are unresolved, as weak chaos may be, violate the demand: not in the grid.
+        undecided = [end for end, limit in limits.items() if limit.startswith("unresolved")]
+        gaps, holds = brute.gaps[:, i], brute.holds()[i]
+        apart = (gaps < min(undecided, default=np.inf)) | (gaps > max(undecided, default=-np.inf))
+        assert np.array_equal(holds[apart], [gap in found for gap in gaps[apart].tolist()])
+        assert not undecided or apart.mean() > 0.99
+        ends = {*limits} - {*undecided, *between}
         assert all(brute.changes_at(i, end, 1e-6 * between[1]) for end in ends)
 
 

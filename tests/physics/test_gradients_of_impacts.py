@@ -255,6 +255,22 @@ def stops_of_masses(j=0.35, e=0.6, e_2=0.4):
     return {"s": first, "e": gs.Rigid(gs.Gap(None, j), restitution=e_2)}
 
 
+def caught_masses(m=1.35, k=2.02, F=0.515):
+    """A rigid wall holds the masses until one of them leaves a preload, which is at once."""
+    return gs.System(
+        mass=[[m, 0.1], [0.1, 0.88]],
+        stiffness=[[k + 0.17, -0.17], [-0.17, 2.18]],
+        damping=[[0.0645, -0.0039], [-0.0039, 0.0617]],
+        contacts={name: ALONG[name] for name in ("e", "s")},
+        forcing=[gs.Harmonic(amplitude=[F, 0.266])],
+    )
+
+
+def stop_and_detent(j=0.314, preload=0.3):
+    detent = gs.Piecewise(19.0, gs.Gap(None, j), preload=preload)
+    return {"s": stop(0.284, 0.0), "e": detent}
+
+
 @pytest.mark.parametrize(
     ("model", "laws", "omega", "names"),
     [
@@ -264,6 +280,7 @@ def stops_of_masses(j=0.35, e=0.6, e_2=0.4):
             {"j": "j_2[e]", "e": "restitution[s]", "e_2": "restitution[e]"},
             marks=pytest.mark.extended,
         ),
+        (caught_masses, stop_and_detent, 1.085, {"j": "j_2[e]", "preload": "preload[e]"}),
     ],
 )  # fmt: skip
 def test_derivatives_through_chatter_and_holds_are_those_of_differences(model, laws, omega, names):

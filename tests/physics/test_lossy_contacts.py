@@ -1551,6 +1551,41 @@ def test_a_hold_ends_at_once_where_another_wall_changes_its_force(engine):
     assert run.q_end[0] < -0.01
 
 
+@pytest.mark.extended  # layouts of systems
+@BOTH
+@pytest.mark.parametrize(
+    ("other", "along", "speed", "load"),
+    [
+        (gs.Piecewise(1.0, gs.Gap(None, 0.2), preload=1.0), [1.0, -1.0], -0.5, 0.3),
+        (gs.Piecewise(1.0, gs.Gap(None, 0.2), damping=6.0), [1.0, -1.0], -0.5, 0.3),
+        (gs.Rigid(gs.Gap(None, 0.2), restitution=0.4), [0.0, 1.0], 0.6, -0.1),
+        (gs.Rigid(gs.Gap(None, 0.2), restitution=0.0), [0.0, 1.0], 0.6, -0.1),
+    ],
+)
+def test_the_tangent_jumps_where_a_hold_ends_at_once(other, along, speed, load, engine):
+    """The time of the end follows from the initial state of the second mass."""
+    system = gs.System(
+        mass=np.eye(2), stiffness=np.eye(2), damping=[[0.5, -0.4], [-0.4, 0.5]],
+        contacts={"wall": [1.0, 0.0], "other": along},
+        forcing=[gs.Harmonic(k=0, amplitude=[load, 0.0])],
+    )  # fmt: skip
+    laws = {"wall": rigid(0.0, 0.0), "other": other}
+
+    def moved(q, v, **named):
+        return gs.simulate(
+            system, laws, q_0=[0.0, q], v_0=[0.0, v], t_end=1.2, engine=engine, rtol=1e-11, **named
+        )
+
+    run, step = moved(0.0, speed, tangent=True), 1e-3
+    assert len(run.t_contacts["wall"]) == 1
+    assert run.q_end[0] < -1e-3
+    for column, shift in ((1, (step, 0.0)), (3, (0.0, step))):
+        ends = [moved(k * shift[0], speed + k * shift[1]) for k in (-2, -1, 1, 2)]
+        states = np.array([[*end.q_end, *end.v_end] for end in ends])
+        expected = np.array([1.0, -8.0, 8.0, -1.0]) @ states / (12.0 * step)
+        assert run.monodromy[:, column] == pytest.approx(expected, abs=1e-7)
+
+
 @BOTH
 def test_walls_in_one_place_with_a_preload_hold_a_mass_on_either_side(engine):
     """Between -N_0 and N_0 the load does not move it; beyond, it moves to either side."""
@@ -1765,6 +1800,22 @@ def test_two_walls_at_the_origin_stop_masses_that_move_into_both(engine):
     run = gs.simulate(system, laws, q_0=[0.0, 0.0], v_0=[0.3, 0.2], t_end=2.0, engine=engine)
     assert run.status is gs.Status.OK
     assert np.append(run.q_end, run.v_end) == pytest.approx(np.zeros(4), abs=1e-12)
+
+
+def test_impacts_of_two_plastic_walls_at_one_time_end_with_a_finite_tangent():
+    """The masses push each other into their walls, at speeds that fall in a geometric series."""
+    system = gs.System(
+        mass=[[1.0, 0.05], [0.05, 1.0]], stiffness=np.eye(2), damping=0.1 * np.eye(2),
+        contacts={"first": [1.0, 0.0], "second": [0.0, 1.0]},
+        forcing=[gs.Harmonic(k=0, amplitude=[0.3, 0.0])],
+    )  # fmt: skip
+    laws = {"first": rigid(0.0, 0.0), "second": rigid(0.0, 0.2)}
+    run = gs.simulate(
+        system, laws, q_0=[0.0, 0.0], v_0=[0.0, 0.6], t_end=1.0, engine="scipy", tangent=True
+    )
+    assert run.status is gs.Status.OK
+    assert len(run.t_contacts["second"]) > 0
+    assert np.isfinite(run.monodromy).all()
 
 
 def test_a_hold_of_a_wall_that_never_pulls_takes_no_short_steps():

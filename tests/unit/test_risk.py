@@ -391,6 +391,16 @@ def test_figures_show_the_dataset():
         found.drop_vars("probability").gapsweep.risk("large")
 
 
+def test_medians_and_probabilities_of_all_laws_are_at_their_frequencies():
+    """Bars are side by side, lines are not: a peak would seem to be at another frequency."""
+    one = a_run()
+    laws = xr.concat([one, one.assign_coords(representation=["tanh-1e4"])], dim="representation")
+    for shown in (laws.gapsweep.quantiles("amplitude"), laws.gapsweep.risk("large")):
+        several = marks_in(shown)
+        for label in ("piecewise", "tanh-1e4"):
+            np.testing.assert_array_equal(several[label].x, one["omega"])
+
+
 def test_a_tornado_has_the_number_of_points_left_out():
     of, settings = of_ratio(0.05, 0.1), {"indices": True, "repeats": 2}
     kind = np.zeros(2 * 4 * 256, int)

@@ -100,10 +100,19 @@ def test_unlocated_contacts_have_the_same_force(dataset):
 
 
 def test_walls_are_on_the_displacement_grid():
-    x = displacements((SYMMETRIC, ASYMMETRIC), RANGE)
-    assert {-0.4e-3, 0.0, 0.4e-3, 0.8e-3, -RANGE, RANGE} <= set(x.tolist())
-    near = x[np.abs(x - 0.4e-3) < 1e-9]
-    assert near.size > 10
+    gaps = SYMMETRIC, ASYMMETRIC
+    for gap, x in zip(gaps, displacements(gaps, RANGE), strict=True):
+        assert {-gap.j_1, 0.0, gap.j_2, -RANGE, RANGE} <= set(x.tolist())
+        assert (np.diff(x) >= 0.0).all()
+        assert np.sum(np.abs(x - gap.j_2) < 1e-9) > 10
+
+
+def test_force_curves_do_not_grow_with_the_number_of_gaps():
+    one, many = (
+        displacements([gs.Gap(j, j) for j in np.linspace(1e-4, 1e-3, n)], RANGE).shape[1]
+        for n in (1, 60)
+    )
+    assert many == one
 
 
 def test_errors_are_those_of_static_error(dataset):
@@ -285,7 +294,7 @@ def test_offset_of_asymmetric_logarctan(dataset):
     gamma = 1e4
     offset = SOFT * (1.0 + math.log(gamma * ASYMMETRIC.j_2)) / (math.pi * gamma)
     scene = at(dataset, "logarctan-1e4", gap="0/0.8")
-    ends = scene["force_error"].isel(x=[0, -1])
+    ends = scene["force_error"].isel(displacement=[0, -1])
     assert_allclose(ends.mean(), offset, rtol=0.02)
     assert f"{offset:.2f}" == "1.37"
 
@@ -361,7 +370,7 @@ def test_what_is_swept_of_the_oscillator_is_what_statics_are_of():
             {"study": {"name": "swept"}, "oscillator": PAPER, "sweep": [sweep | swept]}
         )
     )
-    assert whole["force"].dims == ("representation", "K_c", "gap", "K_ratio", "x")
+    assert whole["force"].dims == ("representation", "K_c", "gap", "K_ratio", "displacement")
     compared = 0
     for omega_n in swept["omega_n"]:
         for mass in swept["mass"]:

@@ -104,12 +104,13 @@ def test_fits_are_those_of_the_uneven_force(label, K_ratio):
     assert np.any(np.abs(law.coefficients[0][::2]) > 1e-3)
 
 
-def test_a_refused_fit_says_between_which_walls(monkeypatch):
+@pytest.mark.parametrize("K_ratio", [0.2, 5.0])
+def test_a_refused_fit_says_between_which_walls(monkeypatch, K_ratio):
     with_pole = Fit((0.0, 1.0), (1.0, 2.0), rmse=1.0, r_squared=0.9)
     monkeypatch.setattr("gapsweep.model.fit.rational_candidates", lambda *_, **__: [with_pole])
-    walls = "gap 0.4/0.4 mm, K_ratio = 0.2"
+    walls = f"gap 0.4/0.4 mm, K_ratio = {K_ratio:g}"
     with pytest.raises(gs.ModelError, match=f"ratpoly-1/2 for {walls}: the best fit .* pole"):
-        gs.contact_law("ratpoly-1/2", SOFT, SYMMETRIC, K_ratio=0.2)
+        gs.contact_law("ratpoly-1/2", SOFT, SYMMETRIC, K_ratio=K_ratio)
 
 
 @pytest.mark.parametrize(("K_ratio", "rule"), [(-0.1, ">= 0"), (np.nan, "finite"), ("x", "a num")])

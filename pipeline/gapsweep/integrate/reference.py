@@ -30,6 +30,7 @@ from gapsweep.integrate.overlap import apart
 from gapsweep.integrate.problem import Integrate, Models, Problems, Solver
 from gapsweep.integrate.reference_impacts import (
     Meeting,
+    changed,
     has_dependent_holds,
     held_tangent,
     hold_ends,
@@ -43,6 +44,7 @@ from gapsweep.integrate.reference_impacts import (
     settled,
     still,
     stopped,
+    turned,
 )
 from gapsweep.integrate.reference_motion import (
     extrema_of,
@@ -415,12 +417,13 @@ def _located(
                 modes = scene.passed(t, y, modes, passed)
             if passed.force is None:
                 y = held_tangent(scene, scene.jumped(y, previous, modes), modes)
-            run.contacts += [(t, contact)] * _n_changes(previous[contact], modes[contact])
+            run.contacts += changed(t, previous, modes)
         moved = modes
         undecided = {k: side for k, side in on.items() if not (passed.hold and k == contact)}
         y, modes = _with_holds(scene, run, t, y, modes, undecided)
-        for k, pair in enumerate(zip(moved, modes, strict=True)):
-            run.contacts += [(t, k)] * _n_changes(*pair)
+        if modes != moved and is_at_wall and not scene.laws[contact].losses.is_rigid:
+            y = turned(scene, t, y, moved, modes, contact)
+        run.contacts += changed(t, moved, modes)
     return t, y
 
 
@@ -433,13 +436,15 @@ def _impacts(
     on: dict[int, int],
 ) -> tuple[State, tuple[int, ...]]:
     """Return state and modes after impacts of contacts on rigid walls, one after the other."""
+    # Speeds of plastic walls that are met at one time fall in a geometric series.
+    slow = {contact: still(scene, contact, y) for contact in on}
     for _ in range(_MAX_IMPACTS):
         meeting = [
             (contact, side)
             for contact, side in on.items()
             if scene.laws[contact].losses.is_rigid
             and not modes[contact]
-            and side * scene.gap(contact, y[scene.n :]) > still(scene, contact, y)
+            and side * scene.gap(contact, y[scene.n :]) > slow[contact]
         ]
         if not meeting or run.status is not Status.OK:
             return y, modes
@@ -495,12 +500,6 @@ def _caught(
         return y, modes
     modes, run.loss = (*modes[:contact], side * HOLD, *modes[contact + 1 :]), math.inf
     return stopped(scene, y, modes), modes
-
-
-def _n_changes(before: int, after: int) -> int:
-    """Number of contacts that begin and end: with both walls in one place, two at once."""
-    acts = [MODES[abs(mode)].acts for mode in (before, after)]
-    return 2 * (before == -after) if all(acts) else int(acts[0] != acts[1])
 
 
 def _add_losses(scene: ReferenceScene, run: _Record, modes: Modes, segment: _Segment) -> None:

@@ -1,7 +1,7 @@
 """Impacts on rigid walls, and holds, for the reference engine; as `stepping.impacts`."""
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from gapsweep.integrate.problem import low_bounce
 from gapsweep.integrate.reference_scenes import ReferenceScene, State, Watched
-from gapsweep.model.contact_modes import HOLD, ON, SLACK
+from gapsweep.model.contact_modes import HOLD, MODES, ON, SLACK
 
 Array = NDArray[np.float64]
 
@@ -121,6 +121,25 @@ def stopped(scene: ReferenceScene, y: State, modes: tuple[int, ...]) -> State:
     n, found = scene.n, np.array(y)
     found[n : 2 * n] = _projection(scene, _held(scene, modes)) @ found[n : 2 * n]
     return held_tangent(scene, tuple(found.tolist()), modes)
+
+
+def turned(
+    scene: ReferenceScene,
+    t: float,
+    y: State,
+    before: tuple[int, ...],
+    modes: tuple[int, ...],
+    contact: int,
+) -> State:
+    """Return the state after ends of holds, at a wall that a contact passes: the tangent jumps."""
+    n, n_states, found = scene.n, scene.n_states, np.array(y)
+    speed = scene.gap(contact, y[n:])
+    if speed and abs(modes[contact]) != HOLD:
+        rates = [np.asarray(moving(scene, each)(t, found))[:n_states] for each in (before, modes)]
+        images = found[n_states:].reshape(-1, n_states)  # a view
+        along = images[:, :n] @ scene.directions[contact]
+        images += np.outer(along / speed, rates[1] - rates[0])
+    return tuple(found.tolist())
 
 
 def _held(scene: ReferenceScene, modes: tuple[int, ...]) -> list[int]:
@@ -260,7 +279,10 @@ def meet(
     for k, of in on_walls:  # rounding errors would become impacts
         off = scene.gap(k, after) - scene.wall(k, of)
         after[:n] -= off * scene.pull[:, k] / scene.compliance[k]
-    found, changes = _others(scene, t, y, after, modes, contact)
+    moved, changes = _others(scene, t, y, after, modes, contact)
+    sides = {k: 1 if moved[k] > 0 else -1 for k in _held(scene, moved)}
+    found = settled(scene, t, (*after, *images.ravel()), moved, sides)
+    changes += changed(t, moved, found)
     rates = np.asarray(moving(scene, found)(t, np.append(after, images)))[:n_states]
     normal = np.append(b, np.zeros(n_states - n)) / speed
     turn += np.outer(rates - turn @ before, normal)
@@ -331,5 +353,13 @@ def _others(
         elif scene.laws[j].losses.never_pulls:
             force = scene.pressure(j, mode)(scene.gap(j, after), speed)
             found[j] = side * (ON if side * force >= 0.0 else SLACK)
-    changes = [(t, j) for j, (a, b) in enumerate(zip(modes, found, strict=True)) if a != b]
-    return tuple(found), changes
+    return tuple(found), changed(t, modes, found)
+
+
+def changed(t: float, before: Sequence[int], after: Sequence[int]) -> list[tuple[float, int]]:
+    """Times and contacts of beginnings and ends: with both walls in one place, two at once."""
+    found = []
+    for k, (old, new) in enumerate(zip(before, after, strict=True)):
+        acts = [MODES[abs(mode)].acts for mode in (old, new)]
+        found += [(t, k)] * (2 * (old == -new) if all(acts) else int(acts[0] != acts[1]))
+    return found

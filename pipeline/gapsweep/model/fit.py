@@ -101,12 +101,6 @@ def rational_fit(
     """
     for name, degree in (("numerator", numerator), ("denominator", denominator)):
         whole(f"{name} degree", degree, 1, MAX_RATIONAL_DEGREE)
-    if K_ratio and (gap.j_1, K_ratio) > (gap.j_2, 1.0):
-        # Optima are found to 1e-8 only: mirror images have the coefficients of one search.
-        other = rational_fit(
-            Gap(gap.j_2, gap.j_1), numerator, denominator, fit_range, 1.0 / K_ratio
-        )
-        return _mirrored(other, K_ratio)
     name = f"ratpoly-{numerator}/{denominator} for gap {gap.label} mm"
     name += f", K_ratio = {K_ratio:g}" if K_ratio != 1.0 else ""
     candidates = rational_candidates(gap, numerator, denominator, fit_range, K_ratio)
@@ -172,6 +166,10 @@ def rational_candidates(
 
     `odd`: use only the terms of an odd function: odd ones in the numerator, even ones below.
     """
+    if K_ratio and (gap.j_1, K_ratio) > (gap.j_2, 1.0):
+        # Optima are found to 1e-8 only: mirror images have the coefficients of one search.
+        image = Gap(gap.j_2, gap.j_1), numerator, denominator, fit_range, 1.0 / K_ratio
+        return tuple(_mirrored(fit, K_ratio) for fit in rational_candidates(*image, odd=odd))
     top, bottom = np.arange(numerator + 1), np.arange(1, denominator + 1)
     if odd:
         top, bottom = top[top % 2 == 1], bottom[bottom % 2 == 0]

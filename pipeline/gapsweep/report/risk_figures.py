@@ -53,10 +53,9 @@ def risk(
     wanted |= {} if event is None else {EVENT: event}
     shown, along = _along(dataset, along, dict.fromkeys(_PROBABILITY, ()), wanted)
     axes = axes_of(ax)
-    for i, (label, one, look) in enumerate(_laws(shown)):
+    for offset, (label, one, look) in zip(_offsets(shown, along), _laws(shown), strict=True):
         x, p, low, high = (drawn(one[name]) for name in (along, *_PROBABILITY))
-        x = x + i * _shift(x)
-        bars = _bars(x, low, high, 3.0, 0.4, f"{label}, 95 % interval", look)
+        bars = _bars(x + offset, low, high, 3.0, 0.4, f"{label}, 95 % interval", look)
         marks.put(axes, [bars, marks.line(x=x, y=p, series=label, entry=label, **look)])
     name = str(shown[EVENT].item()) if EVENT in shown.coords else "event"
     axes.set(ylabel=f"probability of “{name}”", ylim=(-0.02, 1.02))
@@ -86,13 +85,14 @@ def quantiles(
     unit = str(shown[UNITS].item()) if UNITS in shown.coords else ""
     values = shown["quantile"].assign_attrs(units=unit) if unit else shown["quantile"]
     shown, axes = shown.assign(quantile=values), axes_of(ax)
-    for i, (label, one, look) in enumerate(_laws(shown)):
+    for offset, (label, one, look) in zip(_offsets(shown, along), _laws(shown), strict=True):
         x = drawn(one[along])
-        x = x + i * _shift(x)
         level = {share: drawn(one["quantile"].sel({LEVEL: share})) for share in one[LEVEL].values}
         for low, high, width, opacity in _BANDS:
             series = f"{label}, {low:.0%} to {high:.0%}"
-            marks.put(axes, [_bars(x, level[low], level[high], width, opacity, series, look)])
+            marks.put(
+                axes, [_bars(x + offset, level[low], level[high], width, opacity, series, look)]
+            )
         entry = f"{label}: median; 25–75 %, 5–95 %"
         marks.put(axes, [marks.line(x=x, y=level[0.5], series=label, entry=entry, **look)])
     axes.set_ylabel(axis_label(values, str(shown[QUANTITY].item())))
@@ -190,9 +190,11 @@ def _laws(shown: xr.Dataset) -> Iterator[tuple[str, xr.Dataset, dict[str, Any]]]
         yield label, shown.sel({REPRESENTATION: label}), style | {"marker": look.marker}
 
 
-def _shift(x: NDArray[np.float64]) -> float:
-    """Distance of the bars of neighbouring representations, so that none hides another."""
-    return 0.12 * float(np.diff(np.sort(x)).min()) if x.size > 1 else 0.0
+def _offsets(shown: xr.Dataset, along: str) -> NDArray[np.float64]:
+    """Offsets of the bars of representations from their place, so that none hides another."""
+    x, n = np.sort(drawn(shown[along])), np.size(shown[REPRESENTATION])
+    apart = 0.04 * float(np.diff(x).min()) if x.size > 1 else 0.0
+    return np.asarray(apart * (np.arange(n) - 0.5 * (n - 1)))
 
 
 def _bars(

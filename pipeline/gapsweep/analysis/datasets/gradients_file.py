@@ -36,6 +36,7 @@ class Reason(IntEnum):
     NOT_PERIODIC = 2
     REFUSED = 3  # the law or a parameter has none; `refused` of the dataset has the message
     NO_ORBIT = 4  # Newton's method finds no orbit
+    ACCUMULATION = 5  # impacts of several contacts accumulate at one time
 
 
 REASON = Variable(
@@ -88,8 +89,9 @@ def gradients_of(study: Study, attractors: xr.Dataset) -> xr.Dataset:
         for name, values in found.items():
             whole = arrays.setdefault(name, np.full((*reason.shape, *values.shape[1:]), np.nan))
             whole[at] = values
-        is_found = np.isfinite(found["value"]).any(axis=1)
-        reason[at] = np.where(is_found, Reason.NONE, Reason.NO_ORBIT)
+        is_orbit = np.isfinite(found["value"]).any(axis=1)
+        why = np.where(is_orbit, Reason.ACCUMULATION, Reason.NO_ORBIT)
+        reason[at] = np.where(np.isfinite(found["gradient"]).any(axis=(1, 2)), Reason.NONE, why)
     sizes = {QUANTITY: len(labels), PARAMETER: len(table.by)}
     data = {"reason": (classes.dims, reason, REASON.attributes)}
     for name, one in VARIABLES.items():

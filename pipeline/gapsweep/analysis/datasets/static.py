@@ -43,7 +43,7 @@ from gapsweep.variables import Variable
 
 Values = dict[str, Any]
 
-EQUILIBRIUM = "equilibrium"
+EQUILIBRIUM, DISPLACEMENT = "equilibrium", "displacement"
 # Parameters other than those of the walls: force curves do not depend on them.
 _SPRING = ("omega_n", "mass", "alpha", "mean_load")
 _N_UNIFORM = 801
@@ -124,7 +124,7 @@ def static(study: Study, responses: xr.Dataset | None = None) -> xr.Dataset:
     """
     grid, x_max = study.grid, study.spec.approximation.range
     labels = tuple(dict.fromkeys(one.law for one in grid.representations if not one.is_auto))
-    x = displacements(grid.gaps, x_max)
+    x = dict(zip(grid.gaps, displacements(grid.gaps, x_max), strict=True))
     swept = {name: grid.axes[name] for name in grid.scene_dims if name in (*_SPRING, "K_ratio")}
     axes: dict[str, Sequence[Any]] = {"K_c": grid.K_c, "gap": grid.gaps, **swept}
     settings = [dict(zip(axes, each, strict=True)) for each in product(*axes.values())]
@@ -144,10 +144,10 @@ def static(study: Study, responses: xr.Dataset | None = None) -> xr.Dataset:
     sizes = {"representation": len(labels), **{dim: len(axis) for dim, axis in axes.items()}}
 
     @cache
-    def of_walls(label: Representation, *walls: Any) -> Values:
+    def of_walls(label: Representation, K_c: float, gap: Gap, K_ratio: float) -> Values:
         if label.is_own:
             return {"refusal": "user law: not evaluated"}
-        return _unless_refused(_of_walls, x, study, label, *walls)
+        return _unless_refused(_of_walls, x[gap], study, label, K_c, gap, K_ratio)
 
     of_all = [
         _unless_refused(_of_spring, oscillator, of_walls(label, *walls), x_max)
@@ -161,7 +161,7 @@ def static(study: Study, responses: xr.Dataset | None = None) -> xr.Dataset:
     variables: dict[str, Any] = {}
     for table, values, over in (
         (SCENE_VARIABLES, of_all, sizes),
-        (CURVES, of_first, of_walls_alone | {"x": x.size}),
+        (CURVES, of_first, of_walls_alone | {DISPLACEMENT: len(x[grid.gaps[0]])}),
         (LIST_VARIABLES, of_all, sizes | {EQUILIBRIUM: longest}),
     ):
         for name, variable in table.items():
@@ -176,7 +176,8 @@ def static(study: Study, responses: xr.Dataset | None = None) -> xr.Dataset:
         shape = [len(axis) for axis in axes.values()]
         variables["tanh_threshold"] = (tuple(axes), np.reshape(thresholds, shape), described)
     coords = _coordinates(labels, axes)
-    coords["x"] = ("x", x, {"units": "m", "long_name": "displacement"})
+    described = {"units": "m", "long_name": "displacement"}
+    coords["x"] = (("gap", DISPLACEMENT), [*x.values()], described)
     attributes = {
         **study.attributes,
         "numerics_fingerprint": numerics_fingerprint(),
@@ -260,14 +261,22 @@ def _coordinates(labels: Sequence[str], axes: Mapping[str, Sequence[Any]]) -> di
     }
 
 
-def displacements(gaps: tuple[Gap, ...], x_max: float) -> Array:
-    """Common grid [m] of the force curves: uniform over ``±x_max``, graded to every wall."""
-    walls = np.unique([wall for gap in gaps for wall in (-gap.j_1, gap.j_2)])
+def displacements(gaps: Sequence[Gap], x_max: float) -> Array:
+    """Displacements [m] of the force curves of gaps, shape (number of gaps, n).
+
+    Uniform over ``±x_max``, graded to both walls of the gap. The last one is repeated in rows that
+    have fewer.
+    """
     n = max(2, round(_N_PER_DECADE * np.log10(2.0 * x_max / _FINEST)))
     steps = np.geomspace(_FINEST, 2.0 * x_max, n)
-    near = np.add.outer(walls, np.concatenate([-steps, [0.0], steps])).ravel()
-    points = np.concatenate([np.linspace(-x_max, x_max, _N_UNIFORM), near])
-    return np.unique(points[np.abs(points) <= x_max])
+    steps = np.concatenate([-steps, [0.0], steps])
+    rows = []
+    for gap in gaps:
+        near = np.add.outer([-gap.j_1, gap.j_2], steps).ravel()
+        points = np.concatenate([np.linspace(-x_max, x_max, _N_UNIFORM), near])
+        rows.append(np.unique(points[np.abs(points) <= x_max]))
+    longest = max(map(len, rows))
+    return np.array([np.pad(row, (0, longest - len(row)), mode="edge") for row in rows])
 
 
 def _unless_refused(measured: Callable[..., Values], *given: Any) -> Values:

@@ -352,6 +352,7 @@ class RowLayout:
             **{"held": k * k * self.has_impacts, "v_in": n * self.has_impacts},
             # of impacts at the end of a step, for single lanes, see `stepping.impacts`
             **dict.fromkeys(("impact_share", "impulse", "hold_force"), k * self.has_impacts),
+            "lost_force": k * self.has_impacts,
             **dict.fromkeys(("acceleration", "unprojected"), n * self.has_impacts),
             "impact_kick": k * (n + m) * self.has_impacts,
             # smoothing: 2 epsilon [1/m], half-width of the layers [m], whether one is near, longest

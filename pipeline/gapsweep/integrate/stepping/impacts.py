@@ -189,7 +189,7 @@ def release(at, lanes, k, contact, side, step):
     lanes[at.side + contact, k] = math.copysign(1.0, lanes[at.mode + contact, k])
     lanes[at.mode + contact, k] = new
     if _begins(at, lanes, k, step):  # others, which are held, move it: there was no contact
-        lanes[at.side + contact, k] = 0.0
+        lanes[at.side + contact, k] = lanes[at.lost_force + contact, k] = 0.0
         lanes[at.contact_time + contact, k] = -lanes[at.t_start, k] if new != 0.0 else 0.0
     elif new == 0.0:
         lanes[at.n_contacts, k] += 1.0
@@ -201,6 +201,7 @@ def begin_impacts(at, lanes, k, step, coefficients, work):
     """Store speeds and accelerations at the end of a step, before impacts there."""
     for contact in range(at.contacts):
         lanes[at.impact_share + contact, k] = lanes[at.impulse + contact, k] = 0.0
+        lanes[at.lost_force + contact, k] = 0.0
     for i in range(at.n):
         lanes[at.v_in + i, k] = lanes[at.v + i, k]
         load_series(coefficients, i * at.n_terms, k, work.series)
@@ -351,7 +352,7 @@ def _rebound(at, lanes, k, contact, speed, step, coefficients, work):
     _change_others(at, lanes, k, contact, step)
     _add_rates(at, lanes, k, 1.0, kick)
     lanes[at.impact_share + contact, k], lanes[at.impulse + contact, k] = share, share * speed
-    _hold_rates(at, lanes, k, kick)
+    _hold_rates(at, lanes, k, kick, step)
     for i in range(n):
         change, pull = lanes[kick + i, k], _pull(at, lanes, k, i, contact)
         lanes[kick + i, k] = (change + towards * pull) * per_speed
@@ -363,20 +364,31 @@ def _rebound(at, lanes, k, contact, speed, step, coefficients, work):
 
 
 @internal
-def _hold_rates(at, lanes, k, change):
+def _hold_rates(at, lanes, k, change, step):
     """Remove accelerations along held contacts from the sum of accelerations and their change.
 
-    The change is in rows from `change` on.
+    The change is in rows from `change` on. A hold whose force is beyond its limits ends.
     """
     n = at.contacts
-    for j in range(n):
-        force = 0.0
-        for i in range(n):
-            for c in range(at.n):
-                part = 1.0 if at.is_plain else lanes[at.direction + i * at.n + c, k]
-                rate = lanes[at.acceleration + c, k] + lanes[change + c, k]
-                force += lanes[at.held + j * n + i, k] * part * rate
-        lanes[at.hold_force + j, k] = force
+    is_settled = False
+    while not is_settled:
+        is_settled = True
+        for j in range(n):
+            force = 0.0
+            for i in range(n):
+                for c in range(at.n):
+                    part = 1.0 if at.is_plain else lanes[at.direction + i * at.n + c, k]
+                    rate = lanes[at.acceleration + c, k] + lanes[change + c, k]
+                    force += lanes[at.held + j * n + i, k] * part * rate
+            lanes[at.hold_force + j, k] = force
+        for j in range(n):
+            force = lanes[at.hold_force + j, k]
+            low, high = hold_limits(at, lanes, k, j)
+            if is_settled and abs(lanes[at.mode + j, k]) == HOLD and not low <= force <= high:
+                is_settled = False
+                for c in range(at.n):
+                    lanes[change + c, k] -= _pull(at, lanes, k, c, j) * min(max(force, low), high)
+                release(at, lanes, k, j, 1.0 if force > high else -1.0, step)
     for j in range(n):
         for c in range(at.n):
             lanes[change + c, k] -= _pull(at, lanes, k, c, j) * lanes[at.hold_force + j, k]
@@ -471,9 +483,35 @@ def turn_tangent(at, lanes, k, first, is_column):
                 lanes[first + at.n + i, k] += lanes[kick + i, k] * place
         if is_column:
             _rebound_of_column(at, lanes, k, contact, first)
+        if lanes[at.lost_force + contact, k] != 0.0:
+            _lose_force(at, lanes, k, contact, first, is_column)
     if is_held:  # also of what the damping of other contacts adds
         _project(at, lanes, k, first, is_column)
         _project(at, lanes, k, first + at.n, False)
+
+
+@internal
+def _lose_force(at, lanes, k, contact, first, is_column):
+    """Change the speeds of a solution as a hold force ends at once, at a wall that another passes.
+
+    The time of its end is that at which this other contact reaches the wall.
+    """
+    for j in range(at.contacts):
+        gap, size = _along(at, lanes, k, j, at.q)
+        speed, fastest = _along(at, lanes, k, j, at.v)
+        upper = lanes[at.upper + j, k]
+        is_above = abs(upper - gap) < abs(gap - lanes[at.lower + j, k])
+        off = gap - (upper if is_above else lanes[at.lower + j, k])
+        is_moving = abs(speed) > _STILL * fastest and abs(lanes[at.mode + j, k]) != HOLD
+        if is_moving and abs(off) <= _STILL * max(size, _reach(at, lanes, k, j)):
+            late, _ = _along(at, lanes, k, j, first)
+            if is_column:
+                wall = at.upper_source if is_above else at.lower_source
+                late -= lanes[first + wall + j, k]
+            late *= lanes[at.lost_force + contact, k] / speed
+            for i in range(at.n):
+                lanes[first + at.n + i, k] += _pull(at, lanes, k, i, contact) * late
+            return  # others that pass now do so at the same time
 
 
 @internal

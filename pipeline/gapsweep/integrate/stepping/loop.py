@@ -120,10 +120,14 @@ def _pass_wall(at, lanes, k, contact, side):
 
 
 @internal
-def _pass_zero(at, lanes, k, contact, side, when):
+def _pass_zero(at, lanes, k, contact, side, when, coefficients):
     """Change the mode of a contact where its force passes zero, and count it."""
     mode = lanes[at.mode + contact, k]
     if abs(mode) == HOLD:
+        if when == 0.0:
+            force = coefficients[(at.first_hold + contact) * at.n_terms, k]
+            limit = hold_limits(at, lanes, k, contact)[int(side > 0.0)]
+            lanes[at.lost_force + contact, k] = force - limit
         release(at, lanes, k, contact, side, when)
         # at once: another contact changed the force, and the gap's acceleration is not zero
         lanes[at.switched + contact, k] = -1.0 if when > 0.0 else 0.0
@@ -191,7 +195,7 @@ def _commit_contacts(at, lanes, k, step, coefficients, work):
             lanes[at.switched + contact, k] = 0.0
             is_same = lanes[at.mode + contact, k] == lanes[at.mode_0 + contact, k]
             if side != 0.0 and when <= step and is_same:
-                _pass_zero(at, lanes, k, contact, side, when)
+                _pass_zero(at, lanes, k, contact, side, when, coefficients)
                 has_passed = True
         lanes[at.q if at.is_plain else at.gap + contact, k] = place
     return has_passed

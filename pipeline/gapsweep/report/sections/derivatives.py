@@ -27,6 +27,7 @@ _WORDS = {
     Reason.NOT_PERIODIC: "are not periodic",
     Reason.REFUSED: "have a law or a parameter without derivatives",
     Reason.NO_ORBIT: "have no orbit that Newton's method finds",
+    Reason.ACCUMULATION: "have impacts of several contacts that accumulate at one time",
 }
 
 

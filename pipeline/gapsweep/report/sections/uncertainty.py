@@ -202,10 +202,12 @@ def _figures(one: xr.Dataset, along: str, others: list[Any]) -> Iterator[Figured
     if one.sizes.get(along, 1) > 1:
         for event in filter(is_open, events):
             words = f"Probability of “{event}”"
-            yield _figured(risk, f"{words}, with 95 % intervals{where}", words, one, event, along)
+            caption = f"{words}, with 95 % intervals side by side{where}"
+            yield _figured(risk, caption, words, one, event, along)
         for quantity in quantities:
             words = f"Quantiles of the {quantity}"
-            caption = f"{words}: median, 25 to 75 % (wide bars) and 5 to 95 % (narrow bars){where}"
+            caption = f"{words}: median, side by side 25 to 75 % (wide bars) and 5 to 95 % (narrow)"
+            caption += where
             yield _figured(quantiles, caption, words, one, quantity, along)
     if "total" not in one:
         return
