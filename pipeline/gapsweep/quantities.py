@@ -84,8 +84,7 @@ def without_units(name: str, value: Any, units: str | None = None) -> Any:
     given, value = value, _parsed(value) if isinstance(value, str) else value
     if not (hasattr(value, "to_root_units") and hasattr(value, "magnitude")):
         return given
-    if units is None:
-        units = UNITS.get(name, UNITS.get(name.rpartition(" ")[2]))
+    units = _units_of(name) if units is None else units
     shown = f"{name} = {given!r}" if isinstance(given, str) else f"{name} = {given}"
     if units is None:
         raise ModelError(f"{shown}: must be a number, without a unit")
@@ -94,6 +93,16 @@ def without_units(name: str, value: Any, units: str | None = None) -> Any:
     # The classes of errors are pint's, which is not imported here.
     except (AttributeError, TypeError, ValueError, ArithmeticError):
         raise ModelError(f"{shown}: must be {allowed(units)}") from None
+
+
+def _units_of(name: str) -> str | None:
+    return UNITS.get(name, UNITS.get(name.rpartition(" ")[2]))
+
+
+def allowed_of(name: str) -> str:
+    """Return the numbers and quantities that a named parameter may have, for messages."""
+    units = _units_of(name)
+    return "a number" if units is None else allowed(units)
 
 
 def allowed(units: str) -> str:

@@ -206,6 +206,22 @@ def test_the_folder_of_a_run_killed_while_it_starts_is_removed(tmp_path):
 
 
 @pytest.mark.extended
+def test_a_run_whose_workers_are_killed_with_their_nannies_ends(tmp_path, monkeypatch):
+    monkeypatch.setenv("DASK_DISTRIBUTED__COMM__TIMEOUTS__CONNECT", "3s")
+    (tmp_path / "storm.toml").write_text(storm(400, settle_tol="1e-6"))
+    process = start(tmp_path, "cache", "out", "--batch", "2")
+    wait_until(lambda: n_stored(tmp_path / "cache") >= 4, seconds=120)
+    (nannies,) = psutil.Process(process.pid).children()
+    workers = nannies.children(recursive=True)
+    nannies.kill()
+    _, errors = process.communicate(timeout=60)
+    assert process.returncode == 1, errors
+    assert "error: the cluster was lost" in errors.splitlines()[-1]
+    assert "Traceback" not in errors
+    assert not psutil.wait_procs(workers, timeout=10.0)[1]
+
+
+@pytest.mark.extended
 @pytest.mark.skipif(os.name != "posix", reason="workers are forks of one process")
 def test_no_worker_outlives_a_run_that_is_killed_while_its_workers_connect(tmp_path):
     """Workers try to reach their scheduler until there is one."""

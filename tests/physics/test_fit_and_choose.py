@@ -401,6 +401,13 @@ def test_a_parameter_that_nothing_depends_on_cannot_be_identified():
     assert abs(found.values["forcing"] - 0.03) < 3.0 * found.errors["forcing"]
 
 
+def test_a_measurement_in_another_unit_is_doubted():
+    table, _ = measured_sweeps(PUBLIC, PUBLIC_LAW, np.linspace(0.12, 0.2, 8), 0.0, 1)
+    table["amplitude [km]"] = table.pop("amplitude [m]")
+    found = gs.fit(table, PUBLIC, PUBLIC_LAW, free={"gap": (0.05, 0.6)})
+    assert any("check the units" in note for note in found.notes)
+
+
 def test_the_figure_of_a_fit_shows_measured_points_and_residuals():
     law = gs.Piecewise(2.0, gs.Gap(0.1745, 0.1745))
     table, sigma = measured_sweeps(PUBLIC, law, np.linspace(0.1, 0.2, 6), 0.01, 4)

@@ -384,8 +384,10 @@ def _result(
     notes = _notes(points, place, in_places, correlation, minima)
     n_off = int((~is_on).sum())
     if n_off:
+        remedy = "; check the units of the table, and the ranges" if 2 * n_off > len(is_on) else ""
         notes.append(
-            f"{n_off} of {len(is_on)} points are not on the branch of the model, and do not count."
+            f"{n_off} of {len(is_on)} points are not on the branch of the model, and do not count"
+            f"{remedy}."
         )
     if given is not None and squares > chi2.ppf(BY_CHANCE, freedom):
         notes.append(

@@ -7,6 +7,7 @@ import time
 import warnings
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
+from threading import Thread
 from typing import Any
 
 import dask
@@ -14,7 +15,13 @@ from distributed import Client, LocalCluster
 from distributed.system import MEMORY_LIMIT
 
 from gapsweep.errors import ClusterError
-from gapsweep.execution.workers import end_workers, start_workers, worker_process, workers_run
+from gapsweep.execution.workers import (
+    end_workers,
+    is_lost,
+    start_workers,
+    worker_process,
+    workers_run,
+)
 from gapsweep.study.software import software
 
 CONNECT_SECONDS = 10
@@ -109,6 +116,12 @@ def local_cluster(
                         "startup, perhaps for lack of memory, processes "
                         "or open files (ulimit -a); try fewer --workers"
                     )
+
+                def close_if_lost() -> None:
+                    if is_lost(process):  # without a scheduler, Dask ends all waits for workers
+                        local.loop.add_callback(local.scheduler.close)
+
+                Thread(target=close_if_lost, daemon=True).start()
                 yield client
         finally:
             end_workers(process)

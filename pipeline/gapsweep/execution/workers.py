@@ -75,6 +75,14 @@ def workers_run(process: "subprocess.Popen[bytes]") -> bool:
     return process.stdout.read(1) == _RUNNING
 
 
+def is_lost(process: "subprocess.Popen[bytes]") -> bool:
+    """Wait until a `worker_process` ends; True if `end_workers` did not end it."""
+    assert process.stdin is not None, "it is a pipe"
+    assert process.stdout is not None, "it is a pipe"
+    process.stdout.read()
+    return not process.stdin.closed
+
+
 def end_workers(process: "subprocess.Popen[bytes]") -> None:
     """End a `worker_process` and its workers; to be called while the scheduler still runs."""
     assert process.stdin is not None, "it is a pipe"

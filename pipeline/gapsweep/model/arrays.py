@@ -144,7 +144,8 @@ def read_columns(path: str | PathLike[str]) -> Columns:
     try:
         lines = Path(path).read_text(encoding="utf-8-sig").splitlines()
     except (OSError, TypeError, ValueError) as error:
-        raise ModelError(f"{path!s:.200}: cannot be read: {error}") from None
+        why = getattr(error, "strerror", None) or error
+        raise ModelError(f"{path!s:.200}: cannot be read: {why}") from None
     titles: list[str] = []
     rows: list[tuple[int, str, list[str]]] = []
     for number, line in enumerate(lines, 1):

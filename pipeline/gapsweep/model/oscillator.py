@@ -20,7 +20,7 @@ from operator import index
 from typing import Any, ClassVar, TypeVar, cast
 
 from gapsweep.errors import ModelError, shown
-from gapsweep.quantities import without_units
+from gapsweep.quantities import allowed_of, without_units
 from gapsweep.variables import METRES, Units
 
 # Within these bounds no product or quotient of model parameters overflows, not even squared
@@ -115,7 +115,8 @@ def _number(name: str, value: Any) -> float:
             return float(value)
     is_load = name == "forcing" and value is not None
     remedy = ", or a force as gs.PeriodicForce.from_csv('force.csv', period=0.02)"
-    raise ModelError(f"{name} = {shown(value)}: must be a number{remedy if is_load else ''}")
+    said = allowed_of(name) + remedy * is_load
+    raise ModelError(f"{name} = {shown(value)}: must be {said}")
 
 
 def share(name: str, value: float) -> float:
