@@ -436,3 +436,35 @@ def test_a_rest_on_a_wall_that_spreads_on_both_sides_is_not_steady(gap):
     assert found.lyapunov == pytest.approx(0.05)
     run = gs.simulate(system, gs.Piecewise(2.0, gap), q_0=[1e-6], t_end=200.0)
     assert abs(run.q_end[0]) > 1e-3
+
+
+@pytest.mark.extended  # a layout with impacts
+def test_a_cycle_whose_second_mass_rests_on_a_stop_at_the_section_is_an_orbit():
+    """The stop holds the mass at the maxima of the first one: its acceleration is zero there."""
+
+    def machine(c=-0.2, load=0.1):
+        return gs.System(
+            mass=np.diag([1.0, 0.5]), stiffness=[[1.3, -0.3], [-0.3, 0.8]],
+            damping=[[c, 0.0], [0.0, 0.8]],
+            contacts={"limit": [1.0, 0.0], "stop": [0.0, 1.0]},
+            forcing=[gs.Harmonic(k=0, amplitude=[load, load])],
+        )  # fmt: skip
+
+    laws = {
+        "limit": gs.Piecewise(10.0, gs.Gap(0.4, 0.4), damping=1.0),
+        "stop": gs.Rigid(gs.Gap(None, 0.02), restitution=0.4),
+    }
+    start = {"q_0": [0.05, -0.03], "v_0": [0.1, 0.02], "rtol": 1e-12}
+    found = gs.respond(machine(), laws, **start)
+    assert found.response_class == gs.ResponseClass.PERIODIC
+    assert found.x_end[1] == pytest.approx(0.02, rel=1e-12)
+    slopes = gs.gradient(machine, laws, ["c", "load"], values={"c": -0.2, "load": 0.1}, **start)
+    by = slopes["gradient"]
+    assert (by.sel(quantity=["x_end[q_2]", "v_end[q_2]"]) == 0.0).all()
+    for name, value in (("c", -0.2), ("load", 0.1)):
+        ends = [gs.respond(machine(**{name: value * f}), laws, **start) for f in (0.999, 1.001)]
+        for quantity, get in (("period", "period"), ("x_min[q_2]", "x_min")):
+            low, high = (np.ravel(getattr(end, get))[-1] for end in ends)
+            expected = (high - low) / (0.002 * value)
+            got = by.sel(quantity=quantity, parameter=name).item()
+            assert got == pytest.approx(expected, rel=1e-4)

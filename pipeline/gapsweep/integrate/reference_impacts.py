@@ -238,6 +238,15 @@ def settled(
     return modes
 
 
+def rates_on_walls(scene: ReferenceScene, y: State) -> Array | None:
+    """Time derivative of a state in which walls may hold contacts; None away from these walls."""
+    if on := dict(on_walls(scene, y)):
+        modes = settled(scene, 0.0, y, scene.modes_at(0.0, y), on)
+        if not has_dependent_holds(scene, modes):
+            return np.asarray(moving(scene, modes)(0.0, np.array(y)))
+    return None
+
+
 def _of_rest(
     scene: ReferenceScene,
     t: float,

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gapsweep.integrate.problem import Models
+from gapsweep.integrate.reference_impacts import rates_on_walls
 from gapsweep.integrate.reference_scenes import scene_of
 from gapsweep.model.structure import with_walls_apart
 from gapsweep.model.system import first_order
@@ -121,6 +122,7 @@ class Rates:
 
     def __init__(self, models: Models) -> None:
         self._system, self._law, self._laws = models.system, models.law, models.laws
+        self._models = models
         terms = [_terms(system) for system in models.systems]
         self._linear, self._load, self._cubics, self._contacts = map(
             np.array, zip(*terms, strict=True)
@@ -139,13 +141,24 @@ class Rates:
             speed = _along(contact[:n], y[n : 2 * n])
             push -= contact[n:] * self._force(k, self._law[scenes], gap, speed)
         found[n : 2 * n] += push
+        for j, scene in enumerate(scenes.tolist()):
+            laws = self._laws[self._law[scene]]
+            if any(law.losses.may_hold for law in laws):
+                system = self._models.systems[self._system[scene]]
+                omega, size = float(self._models.omega[scene]), float(np.abs(y[:, j]).max())
+                here = scene_of(system)(system, laws, omega, 0.0, 0.0, _ON_WALL * size, False)
+                held = rates_on_walls(here, tuple(y[:, j].tolist()))
+                found[:, j] = found[:, j] if held is None else held
         return found
 
     def _force(self, contact: int, law: Numbers, gap: Array, speed: Array) -> Array:
         force = np.empty_like(gap)
         for one in np.unique(law).tolist():
             here = law == one
-            force[here] = self._laws[one][contact].force(gap[here], speed[here])
+            law_here = self._laws[one][contact]
+            force[here] = 0.0  # of a rigid wall: impacts have no finite force
+            if not law_here.losses.is_rigid:
+                force[here] = law_here.force(gap[here], speed[here])
         return force
 
 
