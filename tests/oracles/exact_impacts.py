@@ -122,7 +122,8 @@ class Orbit:
         matrix = np.array([self._slope(each, 0.0 * self._p) for each in unknowns]).T
         right = [self._slope(0.0 * self._u, each) for each in np.eye(len(self._p))]
         self._moved = -np.linalg.solve(matrix, np.array(right).T).T
-        # derivatives of the state at time 0, shape (p, n_states)
+        self.state, self.multiple = self._u[: len(state)].real, multiple  # at time 0
+        # its derivatives, shape (p, n_states)
         self.state_gradient = self._moved[:, : len(state)]
 
     def _slope(self, du: Array, dp: Array) -> NDArray[np.float64]:

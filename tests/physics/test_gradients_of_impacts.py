@@ -6,6 +6,7 @@ not have, is compared with differences of responses.
 
 import math
 from dataclasses import dataclass
+from functools import partial
 from inspect import signature
 from typing import Any
 
@@ -15,6 +16,10 @@ from numpy.testing import assert_allclose
 from tests.oracles.exact_impacts import Event, Machine, Orbit, Wall
 
 import gapsweep as gs
+from gapsweep.continuation.family import Family, Window
+from gapsweep.continuation.follow import solver_of
+from gapsweep.continuation.orbits import OrbitEquations
+from gapsweep.continuation.seed import Attractor, seeds
 
 HZ = 2.0 * math.pi
 ALONG = {"s": np.array([1.0, -1.0]), "e": np.array([0.0, 1.0])}
@@ -185,6 +190,48 @@ def test_derivatives_through_impacts_are_those_of_exact_flows():
     worst, n = compared((1, 2, 5, 6, 24))
     assert n == 5
     assert worst < 1e-11
+
+
+@pytest.mark.parametrize("seed", [1, 2, 5])
+def test_branches_with_impacts_have_the_direction_of_exact_flows(seed):
+    """Differences of motions are off by 1e-7 and more."""
+    case = Case.drawn(seed)
+    orbit, laws = case.orbit(), case.laws(**case.values)
+    own = {name: case.values[name] for name in ("m", "k", "c", "F")}
+    for number, (name, value) in enumerate(case.values.items()):
+        if name not in (*own, "omega") and case.n == 2:  # a number of both laws
+            continue
+        along = "restitution" if name == "e" else name
+        others = {each: x for each, x in own.items() if each != name}
+        omega = None if name == "omega" else case.values["omega"]
+        model = partial(case.model, **others) if name in own else case.model(**own)
+        family = Family(model, laws, omega, (along,), {along: value})
+        windows = (Window(along, 0.8 * value, 1.25 * value),)
+        equations = OrbitEquations(family, windows, solver_of(family, 1e-13, None))
+        start = Attractor(
+            value=value, section=orbit.state[None, :], period=math.nan, multiple=orbit.multiple
+        )
+        ((found, reference, _),) = seeds(equations, [start])
+        direction = found.tangent[:-1] * reference.size[0] / (0.45 * value * found.tangent[-1])
+        expected = orbit.state_gradient[number]
+        assert_allclose(direction, expected, rtol=0.0, atol=1e-9 * np.abs(expected).max())
+
+
+def test_a_branch_goes_on_where_two_masses_chatter_at_one_time():
+    def machine(load):
+        loads = [gs.Harmonic(amplitude=[load, load]), gs.Harmonic(amplitude=[load / 5] * 2, k=2)]
+        contacts = {"a": [1.0, 0.0], "b": [0.0, 1.0]}
+        unit = np.eye(2)
+        return gs.System(
+            mass=unit, damping=0.1 * unit, stiffness=unit, contacts=contacts, forcing=loads
+        )
+
+    law = gs.Rigid(gs.Gap(None, 0.1), restitution=0.3)
+    br = gs.branches(machine, law, "load", (0.8, 1.3), at=1.0, omega=0.05)
+    load, lowest = br["load"].values[0], br["x_min"].values[0]
+    assert_allclose(load[[0, -1]], [0.8, 1.3])
+    assert_allclose(lowest[:, 0], lowest[:, 1], rtol=1e-9)
+    assert len(load) < 200
 
 
 @pytest.mark.slow

@@ -7,9 +7,10 @@ parameters p::
     f · (y - y_ref) = 0                       not forced: it starts near y_ref
 
 φ is the motion's end and f the derivative of y_ref by time. Both are divided by the size of the
-state. Derivatives of φ by y are the monodromy matrix, by T the motion's rate, by the parameters
-central differences of two motions, or of one and the orbit where the other one has other contacts
-with walls that have losses. All orbits of a call are integrated together.
+state. Derivatives of φ by y are the monodromy matrix, by T the motion's rate. By the parameters
+they are central differences of two motions; of contacts at which the force or the velocity jumps
+they are parameter columns, since such motions may have other contacts than the orbit. All orbits
+of a call are integrated together.
 """
 
 import math
@@ -22,9 +23,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from gapsweep.continuation.family import Family, Window
 from gapsweep.continuation.identity import Identity
-from gapsweep.continuation.thresholds import DIFFERENCE, ONE_TURN
+from gapsweep.continuation.thresholds import DIFFERENCE, ONE_TURN, SHIFT
+from gapsweep.errors import ModelError
 from gapsweep.integrate.motions import Motions, merged
-from gapsweep.integrate.problem import Problems, Solver
+from gapsweep.integrate.problem import Models, Problems, Shifts, Solver
 from gapsweep.integrate.simulate import prepared
 from gapsweep.model.oscillator import Oscillator
 from gapsweep.response.equilibrium import Rates
@@ -118,6 +120,7 @@ class OrbitEquations:
         self.has_period = not family.is_forced
         # The amplitude of free motions is a result, no parameter of their equations.
         self.n_parameters = 0 if family.is_conservative else len(windows)
+        self._may_have_columns = self.n_parameters > 0 and any(self.has_jump)
         self.n_unknowns = self.n_states + self.has_period + self.n_parameters
 
     def unknowns(self, state: Array, period: Array, values: Array, reference: Reference) -> Array:
@@ -146,50 +149,27 @@ class OrbitEquations:
     def evaluate(
         self, unknowns: Array, reference: Reference, difference: float = DIFFERENCE
     ) -> Evaluation:
-        """Residuals and their derivatives; by parameters from differences, a share of a range."""
+        """Residuals and their derivatives; `difference` is the share of a range for differences."""
         m, n = len(unknowns), self.n_states
         y = unknowns[:, :n] * reference.size
         places, period = self.places(unknowns), None
         if self.has_period:
             period = unknowns[:, n] * reference.duration
-        # Each set of unknowns, then with every parameter a little larger and smaller.
-        shifted = [places]
-        for k in range(self.n_parameters):
-            for sign in (1.0, -1.0):
-                other = places.copy()
-                other[:, k] = np.clip(other[:, k] + sign * difference, 0.0, 1.0)
-                shifted.append(other)
-        n_shifted = len(shifted)
-        found, models = self._motions(
-            np.concatenate([y] * n_shifted),
-            None if period is None else np.concatenate([period] * n_shifted),
-            np.concatenate(shifted),
-            np.concatenate([reference.multiple] * n_shifted),
-        )
-        ends, monodromy = found.state.reshape(-1, m, n), found.monodromy
-        assert monodromy is not None
-        is_ok = found.status.reshape(-1, m) == Status.OK
-        # A motion with other contacts than its orbit tells nothing of the derivative.
-        n_contacts = found.n_contacts.reshape(-1, m)
-        is_alike = is_ok & (n_contacts == n_contacts[0]) if any(self.has_jump) else is_ok
-        at, lanes = np.array(shifted), np.arange(m)
-        size = reference.size
+            period = np.where(period > 0.0, period, 1e-9)
+        given = y, period, places, reference.multiple
+        by_columns = self._by_columns(*given) if self._may_have_columns else None
+        found, models, by_place = by_columns or self._by_differences(*given, difference)
+        ends, size = found.state[:m], reference.size
+        assert found.monodromy is not None
         with np.errstate(all="ignore"):  # of motions that failed
-            residual = [(ends[0] - y) / size]
-            by_state = (monodromy[:m] - np.eye(n)) * (size[:, None, :] / size[:, :, None])
-            columns = [by_state]
+            residual = [(ends - y) / size]
+            by_state = found.monodromy[:m] - np.eye(n)
+            columns = [by_state * (size[:, None, :] / size[:, :, None])]
             rate = np.zeros((m, n))
             if self.has_period:
-                rate = Rates(models)(np.arange(m), ends[0].T).T
+                rate = Rates(models)(np.arange(m), ends.T).T
                 columns.append((rate / size * reference.duration[:, None])[:, :, None])
-            for k in range(self.n_parameters):
-                more, less = 1 + 2 * k, 2 + 2 * k
-                high = np.where(is_alike[more] | ~is_alike[less], more, 0)
-                low = np.where(is_alike[less] | ~is_alike[more], less, 0)
-                is_ok[0] &= is_ok[high, lanes] & is_ok[low, lanes]
-                apart = at[high, lanes, k] - at[low, lanes, k]
-                change = (ends[high, lanes] - ends[low, lanes]) / apart[:, None]
-                columns.append((change / size)[:, :, None])
+            columns.append(by_place / size[:, :, None])
             jacobian = np.concatenate(columns, axis=2)
             if self.has_period:
                 normal = reference.rate / size
@@ -199,22 +179,73 @@ class OrbitEquations:
                 row[:, 0, :n] = normal
                 jacobian = np.concatenate([jacobian, row], axis=1)
             of_all = np.concatenate(residual, axis=1)
-            is_finite = np.isfinite(jacobian).all(axis=(1, 2)) & np.isfinite(of_all).all(axis=1)
-        return Evaluation(
-            residual=of_all,
-            jacobian=jacobian,
-            is_ok=is_ok[0] & is_finite,
-            motions=found,
-            rate=rate,
-        )
+            is_ok = (found.status.reshape(-1, m) == Status.OK).all(axis=0)
+            is_ok &= np.isfinite(jacobian).all(axis=(1, 2)) & np.isfinite(of_all).all(axis=1)
+        return Evaluation(residual=of_all, jacobian=jacobian, is_ok=is_ok, motions=found, rate=rate)
 
-    def _motions(
+    def _by_differences(
+        self,
+        y: Array,
+        period: Array | None,
+        places: Array,
+        multiple: NDArray[np.int64],
+        difference: float,
+    ) -> tuple[Motions, Models, Array]:
+        """Motions over one period, then those at places that differ; and derivatives by places.
+
+        The models are those of the motions. Derivatives of ends have the shape (m, n_states, number
+        of parameters).
+        """
+        every, apart = _shifted(places, difference)
+        models, count = self.family.models(self.windows, every), len(every) // len(places)
+        if period is None:
+            t_end = np.tile(multiple, count) / models.omega
+        else:
+            t_end = np.tile(period, count)
+        start, record_from = np.tile(y, (count, 1)), np.zeros(len(every))
+        found = integrated(models, self.solver, start, t_end, record_from, tangent=True)
+        ends = found.state.reshape(count, *y.shape)
+        with np.errstate(all="ignore"):  # of motions that failed
+            change = (ends[1::2] - ends[2::2]) / apart[:, :, None]
+        return found, models, change.transpose(1, 2, 0)
+
+    def _by_columns(
         self, y: Array, period: Array | None, places: Array, multiple: NDArray[np.int64]
-    ) -> tuple[Motions, Any]:
-        """Motions over one period, with tangents and events."""
-        models, m = self.family.models(self.windows, places), len(y)
-        t_end = multiple / models.omega if period is None else np.where(period > 0.0, period, 1e-9)
-        return integrated(models, self.solver, y, t_end, np.zeros(m), tangent=True), models
+    ) -> tuple[Motions, Models, Array] | None:
+        """Motions over one period, their models first, and derivatives by places as above.
+
+        None where the engine has no parameter columns: of laws that are not located, of parameters
+        that change the direction of a contact, a phase, a load by pieces or the kind of a contact,
+        and where impacts of several contacts accumulate at one time.
+        """
+        from gapsweep.integrate.compiled import prepared  # which takes tenths of a second
+
+        m, speeds = len(y), slice(self.n, 2 * self.n)
+        every, apart = _shifted(places, SHIFT)
+        weights = np.array([[1.0], [-1.0]]) / np.where(apart > 0.0, apart, 1.0)[:, None, :]
+        shifts = Shifts(names=tuple(window.name for window in self.windows), weights=weights)
+        models = self.family.models(self.windows, every)
+        try:
+            integrate = prepared(models, self.solver, shifts)
+        except ModelError:
+            return None
+        t_end = multiple / models.omega[:m] if period is None else period
+        found = integrate(_problems(y, t_end, np.zeros(m), tangent=True))
+        by_place = found.columns
+        assert found.monodromy is not None and by_place is not None  # noqa: PT018
+        is_known = np.isfinite(by_place).all(axis=(1, 2)) | (found.status != Status.OK)
+        if not is_known.all():
+            return None
+        # Outside the range nothing changes with a place, and differences are not finite.
+        by_place[(np.abs(places - 0.5) >= 0.5 + DIFFERENCE).any(axis=1)] = np.nan
+        if "omega" in shifts.names:
+            # Columns hold the speed over the phase at the beginning, and are of it at the end.
+            share = (shifts.derivatives(models.omega) / models.omega[:m]).T[:, None, :]
+            with np.errstate(all="ignore"):  # of motions that failed
+                begun = found.monodromy[:, :, speeds] @ y[:, speeds, None]
+                by_place = by_place - begun * share
+                by_place[:, speeds] += found.state[:, speeds, None] * share
+        return found, models, by_place
 
     def orbits(
         self,
@@ -335,25 +366,51 @@ class OrbitEquations:
         return np.asarray(Rates(models)(np.arange(len(states)), states.T)).T
 
 
+def _shifted(places: Array, share: float) -> tuple[Array, Array]:
+    """Places, then those with every parameter a little larger and smaller, and how far apart."""
+    every, apart = [places], np.empty(places.T.shape)
+    for k, one in enumerate(places.T):
+        for sign in (1.0, -1.0):
+            other = places.copy()
+            other[:, k] = np.clip(one + sign * share, 0.0, 1.0)
+            every.append(other)
+        apart[k] = every[-2][:, k] - every[-1][:, k]
+    return np.concatenate(every), apart
+
+
 def integrated(
-    models: Any, solver: Solver, states: Array, t_end: Array, record_from: Array, *, tangent: bool
+    models: Models,
+    solver: Solver,
+    states: Array,
+    t_end: Array,
+    record_from: Array,
+    *,
+    tangent: bool,
 ) -> Motions:
     """Motions from states for some time [s]; laws of several kinds are integrated one by one.
 
     A smooth law changes its kind along a parameter where its layers at the walls become thin.
     """
-    parts, groups = [], models.by_kind()
-    for rows, some in groups:
-        problems = Problems(
-            which=np.arange(len(rows)),
-            start=np.ascontiguousarray(states[rows]),
-            t_0=np.zeros(len(rows)),
-            t_end=t_end[rows],
-            record_from=record_from[rows],
-            tangent=tangent,
+    groups = models.by_kind()
+    parts = [
+        prepared(some, solver)(
+            _problems(states[rows], t_end[rows], record_from[rows], tangent=tangent)
         )
-        parts.append(prepared(some, solver)(problems))
+        for rows, some in groups
+    ]
     return merged(parts, [rows for rows, _ in groups])
+
+
+def _problems(states: Array, t_end: Array, record_from: Array, *, tangent: bool) -> Problems:
+    """One problem for each row of models."""
+    return Problems(
+        which=np.arange(len(states)),
+        start=np.ascontiguousarray(states),
+        t_0=np.zeros(len(states)),
+        t_end=t_end,
+        record_from=record_from,
+        tangent=tangent,
+    )
 
 
 def motions(

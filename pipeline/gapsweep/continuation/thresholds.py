@@ -7,6 +7,8 @@ Lengths are in scaled unknowns: the size of the state is 1, and so is the range 
 
 # Share of a range, for derivatives by a parameter: contacts keep their order within it.
 DIFFERENCE = 1e-9
+# The same for derivatives of the equation of motion, which are smooth functions of the parameter.
+SHIFT = 1e-5
 # The same for a crossing, where rounding over it must not move the root; and steps in all unknowns
 # for second derivatives there, which Newton's method needs only roughly.
 CROSSING_DIFFERENCE, SECOND_DIFFERENCE = 1e-7, 1e-5
