@@ -232,7 +232,8 @@ class OrbitEquations:
         t_end = multiple / models.omega[:m] if period is None else period
         found = integrate(_problems(y, t_end, np.zeros(m), tangent=True))
         by_place = found.columns
-        assert found.monodromy is not None and by_place is not None  # noqa: PT018
+        assert found.monodromy is not None
+        assert by_place is not None
         is_known = np.isfinite(by_place).all(axis=(1, 2)) | (found.status != Status.OK)
         if not is_known.all():
             return None
