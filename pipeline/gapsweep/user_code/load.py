@@ -117,9 +117,10 @@ class _Package:
         return made
 
     def _new(self, full: str, source: Module) -> ModuleType:
-        made, loader = ModuleType(full), _Loader(source)
-        made.__spec__ = ModuleSpec(full, loader, is_package=source.is_package)  # type: ignore[arg-type]
-        made.__loader__ = loader  # type: ignore[assignment]
+        made = ModuleType(full)
+        loader: Any = _Loader(source)  # for tracebacks only: not one of importlib
+        made.__spec__ = ModuleSpec(full, loader, is_package=source.is_package)
+        made.__loader__ = loader
         made.__package__ = full if source.is_package else full.rpartition(".")[0]
         if source.is_package:
             made.__path__ = []
