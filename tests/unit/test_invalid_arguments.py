@@ -107,7 +107,7 @@ REFUSED = {
     ),
     "noise of a fit in words": (
         lambda: gs.Study.from_dict(TABLES | {"fit": FIT | {"noise": "x"}}),
-        "noise = 'x': must be a number$",
+        "noise = 'x': must be a number in m",
     ),
     "uncertain chi of elastic walls": (
         lambda: gs.Study.from_dict(TABLES | {"uncertain": UNCERTAIN}),

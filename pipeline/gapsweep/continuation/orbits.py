@@ -25,6 +25,7 @@ from gapsweep.continuation.family import Family, Window
 from gapsweep.continuation.identity import Identity
 from gapsweep.continuation.thresholds import DIFFERENCE, ONE_TURN, SHIFT
 from gapsweep.errors import ModelError
+from gapsweep.integrate import compiled
 from gapsweep.integrate.motions import Motions, merged
 from gapsweep.integrate.problem import Models, Problems, Shifts, Solver
 from gapsweep.integrate.simulate import prepared
@@ -218,15 +219,13 @@ class OrbitEquations:
         that change the direction of a contact, a phase, a load by pieces or the kind of a contact,
         and where impacts of several contacts accumulate at one time.
         """
-        from gapsweep.integrate.compiled import prepared  # which takes tenths of a second
-
         m, speeds = len(y), slice(self.n, 2 * self.n)
         every, apart = _shifted(places, SHIFT)
         weights = np.array([[1.0], [-1.0]]) / np.where(apart > 0.0, apart, 1.0)[:, None, :]
         shifts = Shifts(names=tuple(window.name for window in self.windows), weights=weights)
         models = self.family.models(self.windows, every)
         try:
-            integrate = prepared(models, self.solver, shifts)
+            integrate = compiled.prepared(models, self.solver, shifts)
         except ModelError:
             return None
         t_end = multiple / models.omega[:m] if period is None else period

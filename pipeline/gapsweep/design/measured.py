@@ -24,8 +24,8 @@ from gapsweep.continuation.family import AMPLITUDE, Window
 from gapsweep.design.demands import QUANTITIES
 from gapsweep.errors import ModelError
 from gapsweep.model.arrays import factor_of, read_columns, split_title
-from gapsweep.model.oscillator import checked
-from gapsweep.quantities import without_units, written
+from gapsweep.model.oscillator import checked, is_number
+from gapsweep.quantities import allowed, without_units, written
 from gapsweep.response.result import RESPONSE
 
 Array = NDArray[np.float64]
@@ -123,7 +123,10 @@ def noise_of(noise: Any, quantity: str, several: Sequence[Sweep]) -> Array | Non
         return np.concatenate(columns) if columns else None
     if columns:
         raise ModelError(f"noise = {noise!r}: leave it out, the table has a column noise")
-    value = without_units("noise", noise, RESPONSE[quantity].units)
+    units = RESPONSE[quantity].units
+    value = without_units("noise", noise, units)
+    if not is_number(value):
+        raise ModelError(f"noise = {noise!r:.80}: must be {allowed(units)}")
     n_points = sum(len(each.omega) for each in several)
     return np.full(n_points, checked("noise", value, low=0.0, strict=True))
 
