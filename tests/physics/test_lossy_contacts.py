@@ -1186,10 +1186,10 @@ def test_a_branch_passes_the_graze_of_a_preload(preload):
     free = math.exp(-0.05 * TURN) * np.array([[c + 0.05 * s, s], [-s, c - 0.05 * s]])
     kick = -2.0 * preload / (preload + 1.0)
     d = free @ np.linalg.solve(np.eye(2) - free, [0.0, kick])
-    past = [row + side, row + 2 * side]
+    past = row + side * np.arange(1, 11)
     u = np.sqrt(2.0 * (preload + 1.0) * (found["x_max"].values[past] - 1.0))
-    slopes = (forcing[past] - 0.1) / u
-    first = slopes[0] - u[0] * np.diff(slopes)[0] / np.diff(u)[0]
+    # Orbits are known to some 1e-9 of the forcing, which counts most next to the graze.
+    first = np.polyfit(u, (forcing[past] - 0.1) / u, 2, w=u)[-1]
     assert first == pytest.approx(-0.1 * d[0], rel=1e-3)
 
     (fold,) = np.flatnonzero(names == "fold")
