@@ -260,12 +260,7 @@ class _Execution:
         # Until the cost of a law is known, take another law: workers then compile in parallel.
         is_known = bool(self.begun) and self.costs.knows(_kind(*self.begun[0]))
         if not is_known and (new := next(self.blocks, None)) is not None:
-            block, rows = new
-            # Equal points, as of laws that do not depend on a swept parameter, once.
-            _, first = np.unique(_heads(block, rows), return_index=True)
-            self.begun.appendleft((block, rows[np.sort(first)]))
-            if len(first) < len(rows):
-                self.elsewhere.append((block, np.delete(rows, first)))
+            self.begun.appendleft(self._once(*new))
         if not self.begun:
             self._take_back()
         if not self.begun:
@@ -295,15 +290,21 @@ class _Execution:
 
     def _take_back(self) -> None:
         """Queue points that other runs had claimed and have released."""
-        held = []
-        for block, rows in self.elsewhere:
+        waiting, self.elsewhere = self.elsewhere, []
+        for block, rows in waiting:
             ends = _ends(block, rows)
             if self._take(block, rows, ends):
                 self.claims.release(*ends)
-                self.begun.append((block, rows))
+                self.begun.append(self._once(block, rows))
             else:
-                held.append((block, rows))
-        self.elsewhere = held
+                self.elsewhere.append((block, rows))
+
+    def _once(self, block: Block, rows: Rows) -> Portion:
+        """Equal points, as of laws that do not depend on a swept parameter, once; others wait."""
+        _, first = np.unique(_heads(block, rows), return_index=True)
+        if len(first) < len(rows):
+            self.elsewhere.append((block, np.delete(rows, first)))
+        return block, rows[np.sort(first)]
 
     def _not_stored(self, block: Block, rows: Rows) -> Rows:
         """The points without a stored result; points found in the cache are counted as done.
